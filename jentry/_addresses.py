@@ -1,0 +1,123 @@
+"""Dotted addresses of the leaves of a pytree: `planet.density_scale`.
+
+In Python a parameter is named by a lens, `lambda s: s.planet.density_scale`; on the
+command line, in configuration files and in result files by the address of the same leaf.
+"""
+
+import dataclasses
+import difflib
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import jax.tree_util as jtu
+from jaxtyping import Array, PyTree
+
+
+Tree = TypeVar("Tree")
+
+
+def _step(key: Any) -> str:
+    match key:
+        case jtu.GetAttrKey(name=name):
+            return name
+        case jtu.DictKey(key=name):
+            return str(name)
+        case jtu.SequenceKey(idx=index):
+            return str(index)
+    return str(key)
+
+
+def _address(path: tuple) -> str:
+    return ".".join(_step(key) for key in path)
+
+
+def leaves_by_address(tree: PyTree) -> dict[str, Array]:
+    """Every array leaf with its address, in the order of the tree."""
+    paths, _ = jtu.tree_flatten_with_path(tree)
+    return {_address(path): leaf for path, leaf in paths if eqx.is_array(leaf)}
+
+
+def addresses_of(tree: PyTree, where: Callable[[Any], Any]) -> list[str]:
+    """Addresses of the leaves that a lens reaches.
+
+    Raises `ValueError` when it reaches none.
+    """
+    names = jtu.tree_map_with_path(
+        lambda path, leaf: _address(path) if eqx.is_array(leaf) else None, tree
+    )
+    reached = where(names)
+    found = [name for name in jax.tree.leaves(reached) if isinstance(name, str)]
+    if not found:
+        raise ValueError(
+            "a lens reaches no leaf: it must return a number of the scenario, such as "
+            f"lambda s: s.planet.density_scale, and returned {reached!r}"
+        )
+    return found
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The existing names that look most like a wrong one, as the end of a sentence."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    last = name.rsplit(".", 1)[-1]
+    close += [k for k in known if k.rsplit(".", 1)[-1] == last and k not in close]
+    if not close:
+        close = sorted(known)
+    return "nearest: " + ", ".join(close[:3])
+
+
+def require_address(known: Iterable[str], address: str) -> None:
+    """Refuse an address that is not in the tree, with the nearest ones that are."""
+    known = list(known)
+    if address not in known:
+        raise ValueError(f"no leaf {address!r} in this scenario; {nearest(address, known)}")
+
+
+def replace_leaves(tree: Tree, values: Mapping[str, Any]) -> Tree:
+    """Copy of the tree with the leaves at some addresses replaced.
+
+    Works under `jit`, `vmap` and `grad`. Raises `ValueError` for an address that is not
+    there and for a value of another shape than the leaf's.
+    """
+    paths, structure = jtu.tree_flatten_with_path(tree)
+    known = leaves_by_address(tree)
+    for address in values:
+        require_address(known, address)
+    leaves = []
+    for path, leaf in paths:
+        address = _address(path)
+        if eqx.is_array(leaf) and address in values:
+            value = jnp.asarray(values[address], dtype=leaf.dtype)
+            if value.shape != leaf.shape:
+                raise ValueError(
+                    f"{address} has shape {leaf.shape} and was given a value of shape "
+                    f"{value.shape}"
+                )
+            leaves.append(value)
+        else:
+            leaves.append(leaf)
+    return jtu.tree_unflatten(structure, leaves)
+
+
+def field_metadata(tree: PyTree, address: str) -> Mapping[str, Any]:
+    """What the field at an address says of itself: its unit, whether it is positive."""
+    node = tree
+    metadata: Mapping[str, Any] = {}
+    for step in address.split("."):
+        if dataclasses.is_dataclass(node):
+            fields = {f.name: f for f in dataclasses.fields(node)}
+            metadata = fields[step].metadata
+            node = getattr(node, step)
+        elif isinstance(node, Mapping):
+            node = node[step]
+        else:
+            node = node[int(step)]
+    return metadata
+
+
+def unit_of(tree: PyTree, address: str) -> str:
+    """Unit of the leaf at an address; "1" for a plain number."""
+    return field_metadata(tree, address).get("unit", "1")

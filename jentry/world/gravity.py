@@ -1,0 +1,46 @@
+"""Gravity: acceleration and potential over the distance from the planet's centre."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+
+from .._types import Scalar, scalar
+
+
+class AbstractGravity(eqx.Module):
+    """Central gravity, a function of the radius (m)."""
+
+    @abstractmethod
+    def acceleration(self, radius: Scalar) -> Scalar:
+        """Towards the centre, m/s2."""
+
+    @abstractmethod
+    def potential(self, radius: Scalar) -> Scalar:
+        """Potential energy per unit mass, J/kg."""
+
+
+class InverseSquareGravity(AbstractGravity):
+    """Newton's law for a sphere."""
+
+    gravitational_parameter: Scalar = scalar(unit="m3/s2", positive=True)
+
+    def acceleration(self, radius: Scalar) -> Scalar:
+        return self.gravitational_parameter / (radius * radius)
+
+    def potential(self, radius: Scalar) -> Scalar:
+        return -self.gravitational_parameter / radius
+
+
+class ConstantGravity(AbstractGravity):
+    """The same acceleration at every radius, as many published studies take it.
+
+    The potential is counted from the planet's centre.
+    """
+
+    surface_acceleration: Scalar = scalar(unit="m/s2")
+
+    def acceleration(self, radius: Scalar) -> Scalar:
+        return self.surface_acceleration + 0.0 * radius
+
+    def potential(self, radius: Scalar) -> Scalar:
+        return self.surface_acceleration * radius

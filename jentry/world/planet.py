@@ -1,0 +1,24 @@
+"""The planet: shape, gravity, rotation, atmosphere and wind."""
+
+import equinox as eqx
+
+from .._types import Scalar, scalar
+from .atmosphere import AbstractAtmosphere
+from .gravity import AbstractGravity
+from .wind import AbstractWind, StillAir
+
+
+class Planet(eqx.Module):
+    """A rotating sphere with an atmosphere."""
+
+    radius: Scalar = scalar(unit="m", positive=True)
+    gravity: AbstractGravity = eqx.field(kw_only=True)
+    atmosphere: AbstractAtmosphere = eqx.field(kw_only=True)
+    wind: AbstractWind = eqx.field(default_factory=StillAir, kw_only=True)
+    rotation_rate: Scalar = scalar(0.0, unit="rad/s")
+    density_scale: Scalar = scalar(1.0, positive=True)
+    """Factor on the density of the atmosphere: the usual dispersion."""
+
+    def density(self, altitude: Scalar) -> Scalar:
+        """Density of the air that the vehicle meets, kg/m3."""
+        return self.density_scale * self.atmosphere.density(altitude)

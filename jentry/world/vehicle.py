@@ -1,0 +1,29 @@
+"""The vehicle: mass, size and aerodynamics."""
+
+import equinox as eqx
+
+from .._types import Scalar, scalar
+from .aerodynamics import AbstractAerodynamics
+
+
+class Vehicle(eqx.Module):
+    """A point mass with lift and drag."""
+
+    mass: Scalar = scalar(unit="kg", positive=True)
+    reference_area: Scalar = scalar(unit="m2", positive=True)
+    aerodynamics: AbstractAerodynamics = eqx.field(kw_only=True)
+    lift_scale: Scalar = scalar(1.0)
+    """Factor on the lift coefficient: the usual dispersion."""
+    drag_scale: Scalar = scalar(1.0, positive=True)
+    """Factor on the drag coefficient: the usual dispersion."""
+    trim_angle_of_attack: Scalar = scalar(0.0, unit="rad")
+    """What the vehicle flies where the law does not command an angle of attack."""
+    nose_radius: Scalar = scalar(1.0, unit="m", positive=True)
+    """For the heat rate at the stagnation point."""
+
+    def coefficients(
+        self, angle_of_attack: Scalar, mach: Scalar
+    ) -> tuple[Scalar, Scalar]:
+        """Lift and drag coefficient as flown, the factors included."""
+        lift, drag = self.aerodynamics.coefficients(angle_of_attack, mach)
+        return self.lift_scale * lift, self.drag_scale * drag
