@@ -1,0 +1,12 @@
+"""Floor 2: state, forces, equations of motion, derived quantities."""
+
+from .dynamics import entry_dynamics as entry_dynamics, with_respect_to as with_respect_to
+from .forces import AirData as AirData, air_data as air_data
+from .quantities import (
+    detra_kemp_riddell_heat_rate as detra_kemp_riddell_heat_rate,
+    energy as energy,
+    ground_track as ground_track,
+    load_factor as load_factor,
+    sutton_graves_heat_rate as sutton_graves_heat_rate,
+)
+from .state import Controls as Controls, EntryState as EntryState

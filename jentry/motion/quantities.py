@@ -1,0 +1,79 @@
+"""Derived quantities of a flight: energy, heat rate, load factor, downrange."""
+
+import jax.numpy as jnp
+
+from .._math import sincos
+from .._types import Scalar
+from ..units import standard_gravity
+from ..world.planet import Planet
+from .forces import AirData
+from .state import EntryState
+
+
+def energy(planet: Planet, state: EntryState) -> Scalar:
+    """Energy per unit mass in the planet-relative frame, V^2/2 + potential, J/kg."""
+    radius = planet.radius + state.altitude
+    return 0.5 * state.velocity * state.velocity + planet.gravity.potential(radius)
+
+
+def load_factor(air: AirData) -> Scalar:
+    """Total aerodynamic acceleration in units of 9.80665 m/s2."""
+    return jnp.sqrt(air.lift * air.lift + air.drag * air.drag) / standard_gravity
+
+
+def sutton_graves_heat_rate(
+    density: Scalar, velocity: Scalar, nose_radius: Scalar, coefficient: Scalar
+) -> Scalar:
+    """Convective heat rate at the stagnation point, W/m2.
+
+    `coefficient` is that of the planet's gas, kg^0.5/m: 1.7415e-4 for air, 1.9027e-4
+    for Mars.
+
+    Reference: K. Sutton, R. A. Graves, NASA TR R-376, 1971.
+    """
+    return coefficient * jnp.sqrt(density / nose_radius) * velocity**3
+
+
+def detra_kemp_riddell_heat_rate(
+    density: Scalar,
+    velocity: Scalar,
+    nose_radius: Scalar,
+    surface_density: Scalar,
+    circular_velocity: Scalar,
+) -> Scalar:
+    """Convective heat rate at the stagnation point, W/m2, with the 3.15 power of speed.
+
+    The constant is 1.1037e8 W m^-1.5, for air (sea-level density 1.225 kg/m3, circular
+    velocity 7925 m/s in the source).
+
+    Reference: R. W. Detra, N. H. Kemp, F. R. Riddell, Jet Propulsion 27(12), 1957.
+    """
+    ratio = jnp.sqrt(density / surface_density)
+    return 1.1037e8 / jnp.sqrt(nose_radius) * ratio * (velocity / circular_velocity) ** 3.15
+
+
+def _direction(longitude: Scalar, latitude: Scalar) -> tuple:
+    sin_longitude, cos_longitude = sincos(longitude)
+    sin_latitude, cos_latitude = sincos(latitude)
+    return cos_latitude * cos_longitude, cos_latitude * sin_longitude, sin_latitude
+
+
+def ground_track(
+    planet: Planet, origin: EntryState, state: EntryState
+) -> tuple[Scalar, Scalar]:
+    """Downrange and crossrange from the origin, m, as arcs on the sphere's surface.
+
+    Downrange runs along the great circle through the origin in the direction of its
+    heading; crossrange is the distance from it, positive to the left. From the equator
+    due east they are longitude and latitude times the radius.
+    """
+    x, y, z = _direction(state.longitude - origin.longitude, state.latitude)
+    sin_latitude, cos_latitude = sincos(origin.latitude)
+    sin_heading, cos_heading = sincos(origin.heading)
+    up = x * cos_latitude + z * sin_latitude
+    north = z * cos_latitude - x * sin_latitude
+    ahead = y * sin_heading + north * cos_heading
+    left = north * sin_heading - y * cos_heading
+    downrange = planet.radius * jnp.arctan2(ahead, up)
+    crossrange = planet.radius * jnp.arcsin(left)
+    return downrange, crossrange

@@ -1,0 +1,41 @@
+"""State of the vehicle and the commands that it flies."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .._math import safe_arccos
+from .._types import Scalar, scalar
+
+
+class EntryState(eqx.Module):
+    """Position and planet-relative velocity of a point mass, or their time derivative.
+
+    Conventions, for the whole package: altitude above the sphere; longitude positive
+    east; velocity relative to the rotating planet; flight-path angle positive up;
+    heading clockwise from north, so that 90 degrees is east. The form is singular in
+    vertical flight and over the poles.
+    """
+
+    altitude: Scalar = scalar(unit="m")
+    longitude: Scalar = scalar(unit="rad")
+    latitude: Scalar = scalar(unit="rad")
+    velocity: Scalar = scalar(unit="m/s", positive=True)
+    flight_path_angle: Scalar = scalar(unit="rad")
+    heading: Scalar = scalar(unit="rad")
+
+
+class Controls(eqx.Module):
+    """What a law commands: angle of attack and bank.
+
+    Bank is carried as its cosine and sine, since the dynamics needs no more. It turns
+    the lift about the velocity; positive bank turns right.
+    """
+
+    angle_of_attack: Scalar = scalar(unit="rad")
+    cos_bank: Scalar = scalar()
+    sin_bank: Scalar = scalar()
+
+    @property
+    def bank_angle(self) -> Scalar:
+        """rad, in [-pi, pi]"""
+        return jnp.where(self.sin_bank < 0.0, -1.0, 1.0) * safe_arccos(self.cos_bank)
