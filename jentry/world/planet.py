@@ -18,6 +18,8 @@ class Planet(eqx.Module):
     rotation_rate: Scalar = scalar(0.0, unit="rad/s")
     density_scale: Scalar = scalar(1.0, positive=True)
     """Factor on the density of the atmosphere: the usual dispersion."""
+    heating_coefficient: Scalar = scalar(1.7415e-4, unit="kg^0.5/m", positive=True)
+    """Sutton and Graves' constant of the gas, here that of air"""
 
     def density(self, altitude: Scalar) -> Scalar:
         """Density of the air that the vehicle meets, kg/m3."""

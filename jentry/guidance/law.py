@@ -1,0 +1,100 @@
+"""What a guidance law is: the two protocols that the closed loop knows."""
+
+from abc import abstractmethod
+from typing import Generic, TypeVar
+
+import equinox as eqx
+
+from .._types import Scalar
+from ..motion.state import Controls
+from ..onboard.navigation import Measurement
+
+
+Memory = TypeVar("Memory")
+Held = TypeVar("Held")
+
+
+class AbstractLaw(eqx.Module):
+    """A guidance law: gains, limits, reference and its own idea of the world.
+
+    A law reads a `Measurement`, never the truth, and remembers nothing itself: its
+    memory travels beside the state of the vehicle. It is one of two kinds, below.
+    """
+
+
+class AbstractContinuousLaw(AbstractLaw, Generic[Memory]):
+    """A law that acts at every instant; its memory, if any, obeys a differential equation.
+
+    Memory is a pytree of floats, integrated with the motion by the same solver.
+    """
+
+    @abstractmethod
+    def init(self, measurement: Measurement) -> Memory:
+        """Memory at the start of guidance."""
+
+    @abstractmethod
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: Memory
+    ) -> tuple[Controls, Memory]:
+        """Command, and the time derivative of the memory."""
+
+
+class AbstractSampledLaw(AbstractLaw, Generic[Memory, Held]):
+    """A law with a guidance cycle: once a period it decides, and holds the decision.
+
+    What was decided (a command, a bank sign, a scale factor) is `held`; between the
+    decisions the law may still act on it continuously, with a memory of its own as a
+    continuous law has.
+    """
+
+    period: eqx.AbstractVar[float]
+    """Guidance cycle, s; static"""
+
+    @abstractmethod
+    def init(self, measurement: Measurement) -> tuple[Memory, Held]:
+        """Memory, and what is held before the first cycle."""
+
+    @abstractmethod
+    def update(
+        self, time: Scalar, measurement: Measurement, memory: Memory, held: Held
+    ) -> tuple[Memory, Held]:
+        """The decision at the start of a cycle; the memory may jump with it."""
+
+    @abstractmethod
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: Memory, held: Held
+    ) -> tuple[Controls, Memory]:
+        """Command within the cycle, and the time derivative of the memory."""
+
+
+class Sampled(AbstractSampledLaw[Memory, Controls]):
+    """A continuous law whose command is held through each guidance cycle.
+
+    Its memory (an observer, a filter) goes on continuously. As the period tends to zero
+    the flight tends to that of the continuous law, at first order.
+    """
+
+    law: AbstractContinuousLaw[Memory]
+    period: float = eqx.field(static=True)
+
+    def __check_init__(self):
+        if not self.period > 0.0:
+            raise ValueError(f"period is {self.period} s: it must be positive")
+
+    def init(self, measurement: Measurement) -> tuple[Memory, Controls]:
+        memory = self.law.init(measurement)
+        time = 0.0 * measurement.drag
+        command, _ = self.law(time, measurement, memory)
+        return memory, command
+
+    def update(
+        self, time: Scalar, measurement: Measurement, memory: Memory, held: Controls
+    ) -> tuple[Memory, Controls]:
+        command, _ = self.law(time, measurement, memory)
+        return memory, command
+
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: Memory, held: Controls
+    ) -> tuple[Controls, Memory]:
+        _, rate = self.law(time, measurement, memory)
+        return held, rate

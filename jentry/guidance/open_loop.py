@@ -1,0 +1,40 @@
+"""Flying a bank profile without feedback."""
+
+import jax.numpy as jnp
+
+from .._types import Scalar, scalar
+from ..motion.state import Controls
+from ..onboard.navigation import Measurement
+from ..onboard.profiles import AbstractProfile
+from .law import AbstractContinuousLaw
+
+
+class BankProfile(AbstractContinuousLaw[None]):
+    """Cosine of the bank as a function of velocity, at a constant angle of attack.
+
+    Bank is to the right throughout, and its cosine is clipped to [-1, 1].
+    """
+
+    cos_bank: AbstractProfile
+    """Over velocity, m/s"""
+    angle_of_attack: Scalar = scalar(0.0, unit="rad")
+
+    def init(self, measurement: Measurement) -> None:
+        return None
+
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: None
+    ) -> tuple[Controls, None]:
+        cos_bank = self.cos_bank(measurement.state.velocity)
+        return vertical_lift_command(cos_bank, self.angle_of_attack), None
+
+
+def vertical_lift_command(cos_bank: Scalar, angle_of_attack: Scalar) -> Controls:
+    """Bank to the right with a wanted cosine, the wish clipped to [-1, 1].
+
+    The sine has derivative zero where the wish is clipped.
+    """
+    clipped = jnp.clip(cos_bank, -1.0, 1.0)
+    inside = jnp.abs(cos_bank) < 1.0
+    sine = jnp.sqrt(jnp.where(inside, 1.0 - clipped * clipped, 1.0))
+    return Controls(angle_of_attack, clipped, jnp.where(inside, sine, 0.0))
