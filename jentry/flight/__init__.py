@@ -1,0 +1,12 @@
+"""Floor 5: scenario, end conditions, solvers, and `fly`."""
+
+from .fly import Flight as Flight, History as History, fly as fly
+from .scenario import Scenario as Scenario, Target as Target, check as check
+from .solver import Adaptive as Adaptive, FixedStep as FixedStep
+from .termination import (
+    AltitudeAbove as AltitudeAbove,
+    AltitudeBelow as AltitudeBelow,
+    Outcome as Outcome,
+    Termination as Termination,
+    VelocityBelow as VelocityBelow,
+)

@@ -1,0 +1,15 @@
+"""Floor 4: guidance laws."""
+
+from .drag_tracking import (
+    ErrorGains as ErrorGains,
+    ObserverDragTracking as ObserverDragTracking,
+    ObserverGains as ObserverGains,
+    StateFeedbackDragTracking as StateFeedbackDragTracking,
+)
+from .law import (
+    AbstractContinuousLaw as AbstractContinuousLaw,
+    AbstractLaw as AbstractLaw,
+    AbstractSampledLaw as AbstractSampledLaw,
+    Sampled as Sampled,
+)
+from .open_loop import BankProfile as BankProfile

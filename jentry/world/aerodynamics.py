@@ -1,10 +1,18 @@
 """Aerodynamic coefficients over angle of attack and Mach number."""
 
+import os
 from abc import abstractmethod
 
 import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
 
-from .._types import Scalar, scalar
+from .._interpolation import check_grid, interpolate_surface
+from .._math import horner
+from .._tables import read_columns
+from .._types import Scalar, scalar, table
+from ..units import degree
 
 
 class AbstractAerodynamics(eqx.Module):
@@ -27,3 +35,114 @@ class ConstantAerodynamics(AbstractAerodynamics):
         self, angle_of_attack: Scalar, mach: Scalar
     ) -> tuple[Scalar, Scalar]:
         return self.lift_coefficient, self.drag_coefficient
+
+
+class PolynomialAerodynamics(AbstractAerodynamics):
+    """Polynomials in the angle of attack (rad), the same at every Mach number.
+
+        PolynomialAerodynamics([-0.04, 0.8], [0.05, -0.1, 0.9])
+
+    is a lift coefficient of -0.04 + 0.8 a and a drag coefficient of
+    0.05 - 0.1 a + 0.9 a^2.
+    """
+
+    lift_polynomial: Float[Array, "..."] = table()
+    """(n,), the constant term first, in 1/rad^k"""
+    drag_polynomial: Float[Array, "..."] = table()
+    """(m,), the constant term first, in 1/rad^k"""
+
+    def __check_init__(self):
+        for name in ("lift_polynomial", "drag_polynomial"):
+            shape = getattr(self, name).shape
+            if len(shape) != 1 or shape[0] == 0:
+                raise ValueError(
+                    f"{name} has shape {shape}: expected one axis, the constant term "
+                    "first"
+                )
+
+    def coefficients(
+        self, angle_of_attack: Scalar, mach: Scalar
+    ) -> tuple[Scalar, Scalar]:
+        return (
+            horner(self.lift_polynomial[::-1], angle_of_attack),
+            horner(self.drag_polynomial[::-1], angle_of_attack),
+        )
+
+
+class TabulatedAerodynamics(AbstractAerodynamics):
+    """Tables over angle of attack and Mach number, joined by a bicubic surface.
+
+    The surface is once differentiable and monotone along the lines of the table, so
+    that it does not overshoot where drag rises at the speed of sound. Beyond the edges
+    the coefficients keep their value at the edge.
+    """
+
+    angles_of_attack: Float[Array, "..."] = table(unit="rad")
+    """(n,), increasing"""
+    mach_numbers: Float[Array, "..."] = table()
+    """(m,), increasing"""
+    lift_coefficients: Float[Array, "..."] = table()
+    """(n, m)"""
+    drag_coefficients: Float[Array, "..."] = table()
+    """(n, m)"""
+
+    def __check_init__(self):
+        check_grid("angles_of_attack", self.angles_of_attack)
+        check_grid("mach_numbers", self.mach_numbers)
+        expected = (self.angles_of_attack.shape[0], self.mach_numbers.shape[0])
+        for name in ("lift_coefficients", "drag_coefficients"):
+            shape = getattr(self, name).shape
+            if shape != expected:
+                raise ValueError(
+                    f"{name} has shape {shape}: expected {expected}, a row for each of "
+                    f"the {expected[0]} angles of attack and a column for each of the "
+                    f"{expected[1]} Mach numbers"
+                )
+
+    @classmethod
+    def from_csv(cls, path: str | os.PathLike) -> "TabulatedAerodynamics":
+        """From a file with one row for each pair of angle of attack and Mach number.
+
+        Its columns are `angle_of_attack_deg,mach,lift_coefficient,drag_coefficient`;
+        the rows may come in any order, and every pair must be there once.
+
+        Raises `ValueError` that names the file, the line and what was expected there.
+        """
+        columns, lines = read_columns(
+            path,
+            ("angle_of_attack_deg", "mach", "lift_coefficient", "drag_coefficient"),
+        )
+        angles, row = np.unique(columns["angle_of_attack_deg"], return_inverse=True)
+        machs, column = np.unique(columns["mach"], return_inverse=True)
+        first_line = np.zeros((len(angles), len(machs)), dtype=int)
+        for i, j, line in zip(row, column, lines, strict=True):
+            if first_line[i, j]:
+                raise ValueError(
+                    f"{path}, line {line}: {angles[i]:g} deg at Mach {machs[j]:g} "
+                    f"stands on line {first_line[i, j]} already; expected every pair "
+                    "once"
+                )
+            first_line[i, j] = line
+        if not np.all(first_line):
+            i, j = np.argwhere(first_line == 0)[0]
+            raise ValueError(
+                f"{path}: no row for {angles[i]:g} deg at Mach {machs[j]:g}; expected "
+                f"all {len(angles)} x {len(machs)} pairs"
+            )
+        lift = np.empty(first_line.shape)
+        drag = np.empty(first_line.shape)
+        lift[row, column] = columns["lift_coefficient"]
+        drag[row, column] = columns["drag_coefficient"]
+        return cls(angles * degree, machs, lift, drag)
+
+    def coefficients(
+        self, angle_of_attack: Scalar, mach: Scalar
+    ) -> tuple[Scalar, Scalar]:
+        lift, drag = interpolate_surface(
+            self.angles_of_attack,
+            self.mach_numbers,
+            jnp.stack([self.lift_coefficients, self.drag_coefficients], axis=-1),
+            angle_of_attack,
+            mach,
+        )
+        return lift, drag

@@ -1,15 +1,19 @@
 """Wind: the velocity of the air over the rotating planet."""
 
+import os
 from abc import abstractmethod
 
 import equinox as eqx
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
-from .._types import Scalar, scalar
+from .._interpolation import check_grid, clamp, interpolate
+from .._tables import read_columns
+from .._types import Scalar, scalar, table
 
 
 class AbstractWind(eqx.Module):
-    """Velocity of the air relative to the rotating planet, a function of altitude (m)."""
+    """Velocity of the air relative to the rotating planet, over altitude (m)."""
 
     @abstractmethod
     def velocity(self, altitude: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -33,3 +37,44 @@ class ConstantWind(AbstractWind):
 
     def velocity(self, altitude: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         return self.east, self.north, self.up
+
+
+class TabulatedWind(AbstractWind):
+    """Horizontal wind at increasing altitudes, joined by monotone cubics.
+
+    Below the first and above the last altitude the wind keeps its value there.
+    """
+
+    altitudes: Float[Array, "..."] = table(unit="m")
+    """(n,), increasing"""
+    east: Float[Array, "..."] = table(unit="m/s")
+    """(n,), positive where the air moves to the east"""
+    north: Float[Array, "..."] = table(unit="m/s")
+    """(n,), positive where the air moves to the north"""
+
+    def __check_init__(self):
+        check_grid("altitudes", self.altitudes)
+        for name in ("east", "north"):
+            shape = getattr(self, name).shape
+            if shape != self.altitudes.shape:
+                raise ValueError(
+                    f"{name} has shape {shape}: expected one value for each altitude, "
+                    f"{self.altitudes.shape}"
+                )
+
+    @classmethod
+    def from_csv(cls, path: str | os.PathLike) -> "TabulatedWind":
+        """From a file with the columns `altitude_m,east_m_s,north_m_s`.
+
+        Raises `ValueError` that names the file, the line and what was expected there.
+        """
+        columns, _ = read_columns(
+            path, ("altitude_m", "east_m_s", "north_m_s"), increasing="altitude_m"
+        )
+        return cls(columns["altitude_m"], columns["east_m_s"], columns["north_m_s"])
+
+    def velocity(self, altitude: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        inside = clamp(altitude, self.altitudes[0], self.altitudes[-1])
+        horizontal = jnp.stack([self.east, self.north], axis=-1)
+        east, north = interpolate(self.altitudes, horizontal, inside)
+        return east, north, jnp.zeros_like(altitude)

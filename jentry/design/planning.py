@@ -1,0 +1,209 @@
+"""Plan a reference: solve a bank profile for its end point, tabulate what it flies."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix
+from jax import lax
+from jaxtyping import Array, Float
+
+from .._math import derivatives_along
+from .._types import Scalar
+from ..flight.closed_loop import vector_field
+from ..flight.fly import fly
+from ..flight.scenario import Scenario
+from ..flight.solver import FixedStep
+from ..flight.termination import Termination, VelocityBelow
+from ..guidance.open_loop import BankProfile
+from ..motion.forces import air_data
+from ..motion.quantities import ground_track
+from ..motion.state import EntryState
+from ..onboard.profiles import PolynomialProfile, QuinticProfile, quintic_profile
+from ..onboard.reference import AbstractIndex, DragReference
+
+
+def plan_bank_profile(
+    scenario: Scenario,
+    end_velocity: Scalar | float,
+    curvature: Scalar | float = 0.0,
+    guess: tuple[float, float] = (0.6, 0.05),
+    solver: FixedStep = FixedStep(),
+) -> PolynomialProfile:
+    """Bank profile that meets the target of a scenario at a velocity.
+
+    cos(bank) = c0 + c1 z + c2 z^2 with z from 0 at `end_velocity` (m/s) to 1 at the
+    initial velocity. c2 is `curvature`; c0 and c1 are found by Newton's method through
+    the flight itself, so that altitude and downrange of the target are met where the
+    velocity falls to `end_velocity`. Differentiable in the numbers of the scenario and in
+    the curvature, by the implicit function theorem.
+
+    The guidance and the end conditions of the scenario are not used.
+
+    **Raises:** a runtime error if no such profile is found.
+    """
+    start = scenario.initial_state
+    span = start.velocity - end_velocity
+
+    def profile(coefficients, curvature):
+        c = jnp.stack([coefficients[0], coefficients[1], jnp.asarray(curvature, float)])
+        return PolynomialProfile(c, end_velocity, span)
+
+    def misses(coefficients: Float[Array, " 2"], given) -> Float[Array, " 2"]:
+        scenario, curvature = given
+        flown = open_loop(scenario, profile(coefficients, curvature), end_velocity)
+        state = fly(flown, solver).state
+        downrange, _ = ground_track(scenario.planet, start, state)
+        target = scenario.target
+        return jnp.stack([state.altitude - target.altitude, downrange - target.downrange])
+
+    solution = optimistix.root_find(
+        lambda c, given: misses(c, given) / 1e5,
+        optimistix.Newton(rtol=1e-11, atol=1e-11),
+        jnp.asarray(guess, dtype=float),
+        args=(scenario, jnp.asarray(curvature, float)),
+        max_steps=30,
+    )
+    return profile(solution.value, curvature)
+
+
+def open_loop(
+    scenario: Scenario, cos_bank: PolynomialProfile, end_velocity: Scalar | float
+) -> Scenario:
+    """The scenario with a bank profile in place of its law, ended at a velocity (m/s)."""
+    return eqx.tree_at(
+        lambda s: (s.guidance, s.termination),
+        scenario,
+        (
+            BankProfile(cos_bank, scenario.vehicle.trim_angle_of_attack),
+            Termination(
+                {"velocity": VelocityBelow(end_velocity)},
+                scenario.termination.time_limit,
+            ),
+        ),
+    )
+
+
+Quantity = Callable[[Scalar, EntryState], Scalar]
+"""A function of time (s) and state."""
+
+
+class ReferenceFlight(eqx.Module):
+    """A flown reference, dense enough to find any point of it by one step more."""
+
+    scenario: Scenario
+    interval: float = eqx.field(static=True)
+    times: Float[Array, " n"]
+    states: EntryState
+    """At `times`, each of shape (n,); NaN past the end"""
+
+    @classmethod
+    def of(cls, scenario: Scenario, interval: float = 0.1) -> "ReferenceFlight":
+        """Fly a scenario whose law has no memory, such as a bank profile."""
+        history = fly(scenario, FixedStep(interval), history=interval).history
+        assert history is not None
+        return cls(scenario, interval, history.time, history.states)
+
+    def tabulate(
+        self,
+        quantity: Quantity,
+        index: AbstractIndex,
+        intervals: int,
+        first_value: Scalar | None = None,
+    ) -> QuinticProfile:
+        """A quantity over an index as a quintic profile with exact nodes.
+
+        Each node is a state of the flight itself: one step of the solver from the state
+        before it. The derivatives are those along the flow.
+
+        **Arguments:**
+
+        - `quantity`: of time and state.
+        - `index`: monotonic from `first_value` on.
+        - `intervals`: how many between `first_value` and the end.
+        - `first_value`: of the index; its value at the start if not given.
+        """
+        planet = self.scenario.planet
+        field = vector_field(self.scenario, None)
+
+        def flow(point):
+            time, state = point
+            rate, _ = field(time, (state, None))
+            return jnp.ones_like(time), rate
+
+        def index_at(point):
+            return index.value(planet, *point)
+
+        solver = FixedStep(self.interval)
+
+        def after(point, duration):
+            time, state = point
+            state, _ = solver.advance(field, time, duration, (state, None))
+            return time + duration, state
+
+        along = jax.vmap(index_at)((self.times, self.states))
+        finite = jnp.isfinite(along)
+        last = jnp.sum(finite) - 1
+        start = along[0] if first_value is None else jnp.asarray(first_value, float)
+        nodes = jnp.linspace(start, along[last], intervals + 1)
+        falling = jnp.where(along[last] < start, -1.0, 1.0)
+        # The index may turn before the first node; look only at what comes after.
+        place = jnp.where(finite, falling * along, jnp.inf)
+        place = lax.cummin(place, axis=0, reverse=True)
+
+        def node(wanted):
+            before = jnp.searchsorted(place, falling * wanted, side="right") - 1
+            before = jnp.clip(before, 0, last)
+            point = jax.tree.map(lambda x: x[before], (self.times, self.states))
+            duration = jnp.zeros_like(wanted)
+            fixed = lax.stop_gradient((wanted, point))
+            for _ in range(4):
+                duration = duration - _miss_in_time(after, index_at, flow, *fixed, duration)
+            duration = duration - _miss_in_time(
+                after, index_at, flow, wanted, point, lax.stop_gradient(duration)
+            )
+            found = after(point, duration)
+            _, rate, acceleration = derivatives_along(flow, index_at, found)
+            value, first, second = derivatives_along(flow, lambda p: quantity(*p), found)
+            slope = first / rate
+            return value, slope, (second - slope * acceleration) / (rate * rate)
+
+        value, slope, bend = jax.vmap(node)(nodes)
+        return quintic_profile(nodes[0], nodes[1] - nodes[0], value, slope, bend)
+
+
+def _miss_in_time(after, index_at, flow, wanted, point, duration):
+    """By how long a step of this duration overshoots the wanted index, to first order."""
+    reached = after(point, duration)
+    value, rate = jax.jvp(index_at, (reached,), (flow(reached),))
+    return (value - wanted) / lax.stop_gradient(rate)
+
+
+def plan_drag_reference(
+    flight: ReferenceFlight,
+    index: AbstractIndex,
+    gate: float = 0.0,
+    intervals: int = 2000,
+) -> DragReference:
+    """Drag of a flown bank profile over an index, for a drag-tracking law.
+
+    With a gate (m/s2) the table starts where the drag first exceeds it.
+    """
+    scenario = flight.scenario
+    law = scenario.guidance
+    if not isinstance(law, BankProfile):
+        raise ValueError(f"the reference flies {type(law).__name__}, not a BankProfile")
+    planet, vehicle = scenario.planet, scenario.vehicle
+
+    def drag(time, state):
+        return air_data(planet, vehicle, state, vehicle.trim_angle_of_attack).drag
+
+    first_value = None
+    if gate > 0.0:
+        drags = jax.vmap(drag)(flight.times, flight.states)
+        first = jnp.argmax(drags > gate)
+        state = jax.tree.map(lambda x: x[first], flight.states)
+        first_value = index.value(planet, flight.times[first], state)
+    profile = flight.tabulate(drag, index, intervals, first_value)
+    return DragReference(index, profile, law.cos_bank, gate)

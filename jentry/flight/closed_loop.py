@@ -1,0 +1,164 @@
+"""The closed loop: vehicle, measurement and law as one system of equations.
+
+Only this file asks which of the two kinds a law is.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .._types import Flag, Scalar
+from ..guidance.law import AbstractContinuousLaw, AbstractSampledLaw
+from ..motion.dynamics import entry_dynamics
+from ..motion.forces import air_data
+from ..motion.quantities import load_factor, sutton_graves_heat_rate
+from ..motion.state import Controls, EntryState
+from ..onboard.navigation import Measurement, measure
+from .scenario import Scenario
+
+
+class Peaks(eqx.Module):
+    """Largest values of the path constraints so far."""
+
+    drag: Scalar
+    """m/s2"""
+    dynamic_pressure: Scalar
+    """Pa"""
+    heat_rate: Scalar
+    """W/m2, Sutton-Graves at the stagnation point"""
+    load_factor: Scalar
+    """In units of 9.80665 m/s2"""
+
+
+class Bracket(eqx.Module):
+    """Where the fixed-step solver tries to go next, and what it knows of the end."""
+
+    trial: Scalar
+    """Length of the next step, s"""
+    margin: Scalar
+    """Smallest margin of the end conditions now"""
+    far: Scalar
+    """A step of this length is known to cross the end, s; infinite while none is"""
+    far_margin: Scalar
+    """Smallest margin there"""
+
+
+class Lane(eqx.Module):
+    """A flight on its way: all that the loop carries."""
+
+    flown: Scalar
+    """s since the start"""
+    state: EntryState
+    memory: Any
+    held: Any
+    peaks: Peaks
+    bracket: Bracket
+    running: Flag
+
+    @property
+    def on_schedule(self) -> Flag:
+        """Running, and not yet in the step that holds the end."""
+        return self.running & jnp.isinf(self.bracket.far)
+
+
+def guidance_period(scenario: Scenario) -> float | None:
+    """Guidance cycle of a sampled law, s; none for a continuous one."""
+    law = scenario.guidance
+    return law.period if isinstance(law, AbstractSampledLaw) else None
+
+
+def sense(scenario: Scenario, state: EntryState) -> Measurement:
+    """What the vehicle measures in a state."""
+    vehicle = scenario.vehicle
+    return measure(scenario.planet, vehicle, state, vehicle.trim_angle_of_attack)
+
+
+def start(scenario: Scenario, step: float) -> Lane:
+    """The flight before its first step, which will be of a length (s)."""
+    state = scenario.initial_state
+    measurement = sense(scenario, state)
+    law = scenario.guidance
+    if isinstance(law, AbstractSampledLaw):
+        memory, held = law.init(measurement)
+    else:
+        assert isinstance(law, AbstractContinuousLaw)
+        memory, held = law.init(measurement), None
+    flown = 0.0 * state.altitude
+    margin = scenario.termination.smallest_margin(flown, state)
+    controls, _ = command(scenario, flown, state, memory, held)
+    return Lane(
+        flown=flown,
+        state=state,
+        memory=memory,
+        held=held,
+        peaks=path_constraints(scenario, state, controls),
+        bracket=Bracket(flown + step, margin, flown + jnp.inf, flown),
+        running=margin > 0.0,
+    )
+
+
+def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
+    """Start of a guidance cycle: what a sampled law decides, if the cycle is due."""
+    law = scenario.guidance
+    if not isinstance(law, AbstractSampledLaw):
+        return lane
+    measurement = sense(scenario, lane.state)
+    decided = law.update(lane.flown, measurement, lane.memory, lane.held)
+    decides = lane.on_schedule if due is None else lane.on_schedule & due
+    memory, held = select(decides, decided, (lane.memory, lane.held))
+    return eqx.tree_at(
+        lambda lane: (lane.memory, lane.held),
+        lane,
+        (memory, held),
+        is_leaf=lambda x: x is None,
+    )
+
+
+def command(
+    scenario: Scenario, flown: Scalar, state: EntryState, memory: Any, held: Any
+) -> tuple[Controls, Any]:
+    """What the law commands, and the rate of its memory."""
+    law = scenario.guidance
+    measurement = sense(scenario, state)
+    if isinstance(law, AbstractSampledLaw):
+        return law(flown, measurement, memory, held)
+    assert isinstance(law, AbstractContinuousLaw)
+    return law(flown, measurement, memory)
+
+
+def vector_field(scenario: Scenario, held: Any):
+    """Time derivative of motion and memory within a cycle, `field(flown, y)`."""
+
+    def field(flown: Scalar, y: tuple[EntryState, Any]) -> tuple[EntryState, Any]:
+        state, memory = y
+        controls, memory_rate = command(scenario, flown, state, memory, held)
+        if scenario.in_plane:
+            level = jnp.zeros_like(controls.sin_bank)
+            controls = eqx.tree_at(lambda c: c.sin_bank, controls, level)
+        rate = entry_dynamics(scenario.planet, scenario.vehicle, state, controls)
+        return rate, memory_rate
+
+    return field
+
+
+def path_constraints(
+    scenario: Scenario, state: EntryState, controls: Controls
+) -> Peaks:
+    """The constrained quantities in a state."""
+    planet, vehicle = scenario.planet, scenario.vehicle
+    air = air_data(planet, vehicle, state, controls.angle_of_attack)
+    return Peaks(
+        drag=air.drag,
+        dynamic_pressure=air.dynamic_pressure,
+        heat_rate=sutton_graves_heat_rate(
+            air.density, air.airspeed, vehicle.nose_radius, planet.heating_coefficient
+        ),
+        load_factor=load_factor(air),
+    )
+
+
+def select(condition: Flag, chosen: Any, otherwise: Any) -> Any:
+    """Leaf by leaf, `chosen` where the condition holds."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), chosen, otherwise)

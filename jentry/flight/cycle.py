@@ -1,0 +1,189 @@
+"""One guidance cycle of a flight: the law decides, then the motion is integrated."""
+
+import math
+from typing import Any
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optimistix
+from jax import lax
+
+from .._types import Flag, Scalar
+from .closed_loop import (
+    Bracket,
+    Lane,
+    command,
+    decide,
+    guidance_period,
+    path_constraints,
+    select,
+    vector_field,
+)
+from .scenario import Scenario
+from .solver import AbstractSolver, Adaptive, FixedStep
+
+
+_AIM_SHORT = 0.999
+"""Share of the predicted way to the end that is tried, to stay on the near side."""
+
+_END_TOLERANCE = 1e-9
+"""s; what the last correction and its derivative neglect is of this size."""
+
+
+class Plan(eqx.Module):
+    """How the time of a flight is divided: into cycles, and these into steps."""
+
+    duration: float = eqx.field(static=True)
+    """Of a cycle, s"""
+    cycles: int = eqx.field(static=True)
+    decide_every: int = eqx.field(static=True)
+    keep_every: int = eqx.field(static=True)
+    solver: AbstractSolver
+
+    @property
+    def step(self) -> float:
+        """Length of the first step, s; an adaptive solver chooses its own."""
+        if isinstance(self.solver, FixedStep):
+            return self.duration / self.solver.steps_in(self.duration)
+        return self.duration
+
+    @classmethod
+    def of(cls, scenario: Scenario, solver: AbstractSolver, history: float | None):
+        period = guidance_period(scenario)
+        if history is not None and not history > 0.0:
+            raise ValueError(f"history is {history} s: the interval must be positive")
+        given = [d for d in (period, history) if d is not None]
+        default = 20 * solver.step if isinstance(solver, FixedStep) else 1.0
+        duration = min(given, default=default)
+        for other in given:
+            if abs(other / duration - round(other / duration)) > 1e-9:
+                raise ValueError(
+                    f"history is {history} s and the guidance period {period} s: one "
+                    "must be a multiple of the other"
+                )
+        # One more than fit, since the last steps to the end come in addition.
+        cycles = 1 + math.ceil(scenario.termination.time_limit / duration - 1e-9)
+        decide_every = 1 if period is None else round(period / duration)
+        keep_every = 1 if history is None else round(history / duration)
+        return cls(duration, cycles, decide_every, keep_every, solver)
+
+    def cycle(self, scenario: Scenario, lane: Lane) -> Lane:
+        if self.decide_every == 1:
+            due = None
+        else:
+            index = jnp.round(lane.flown / self.duration).astype(int)
+            due = index % self.decide_every == 0
+        lane = decide(scenario, lane, due)
+        if isinstance(self.solver, Adaptive):
+            return _adaptive_cycle(scenario, self.solver, self.duration, lane)
+        assert isinstance(self.solver, FixedStep)
+        return _fixed_cycle(scenario, self.solver, self.duration, lane)
+
+
+def _fixed_cycle(
+    scenario: Scenario, solver: FixedStep, duration: float, lane: Lane
+) -> Lane:
+    """Step on until the cycle is over, or the end is located within its tolerance.
+
+    A step that would cross the end is not taken. From there the steps go to where the
+    straight line through the margins before and behind the end meets zero: two or three
+    of them come within the tolerance, always on the near side. They are steps of the same
+    solver, so that the order is kept up to the end.
+    """
+    steps = solver.steps_in(duration)
+    field = vector_field(scenario, lane.held)
+    conditions = scenario.termination
+
+    @jax.checkpoint
+    def step(lane: Lane, _: None) -> tuple[Lane, None]:
+        bracket = lax.stop_gradient(lane.bracket)
+        y = lane.state, lane.memory
+        y = solver.advance(field, lane.flown, bracket.trial, y)
+        flown = lane.flown + bracket.trial
+        state, memory = y
+        controls, _ = command(scenario, flown, state, memory, lane.held)
+        now = path_constraints(scenario, state, controls)
+        peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
+
+        margin = conditions.smallest_margin(flown, state)
+        finite = is_finite(y)
+        taken = lane.running & finite & (margin > 0.0)
+        flown, state, memory, peaks = select(
+            taken,
+            (flown, state, memory, peaks),
+            (lane.flown, lane.state, lane.memory, lane.peaks),
+        )
+        bracket = _next_trial(bracket, margin, taken, duration / steps)
+        near = bracket.trial < _END_TOLERANCE
+        running = lane.running & finite & ~near
+        return Lane(flown, state, memory, lane.held, peaks, bracket, running), None
+
+    return lax.scan(step, lane, None, length=steps)[0]
+
+
+def _next_trial(
+    bracket: Bracket, margin: Scalar, taken: Flag, full_step: float
+) -> Bracket:
+    """After a step to a margin, which was taken or was found to cross the end."""
+    margin, far, far_margin = select(
+        taken,
+        (margin, bracket.far - bracket.trial, bracket.far_margin),
+        (bracket.margin, bracket.trial, margin),
+    )
+    in_sight = jnp.isfinite(far)
+    slope = jnp.where(in_sight, margin - far_margin, 1.0)
+    aim = _AIM_SHORT * jnp.where(in_sight, far, 0.0) * margin / slope
+    return Bracket(jnp.where(in_sight, aim, full_step), margin, far, far_margin)
+
+
+def is_finite(y: Any) -> Flag:
+    """Whether every number of a state is finite."""
+    return jnp.isfinite(sum(jax.tree.leaves(y)))
+
+
+def _adaptive_cycle(
+    scenario: Scenario, solver: Adaptive, duration: float, lane: Lane
+) -> Lane:
+    """Integrate to the end of the cycle, or to the first end condition."""
+    field = vector_field(scenario, lane.held)
+    flown = jnp.minimum(lane.flown + duration, scenario.termination.time_limit)
+
+    def smallest_margin(t, y, args, **kwargs):
+        return jnp.min(scenario.termination.margins(t, y[0])[:-1])
+
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(lambda t, y, args: field(t, y)),
+        solver.method,
+        t0=lane.flown,
+        t1=flown,
+        dt0=None,
+        y0=(lane.state, lane.memory),
+        stepsize_controller=diffrax.PIDController(
+            rtol=solver.tolerance, atol=solver.tolerance
+        ),
+        event=diffrax.Event(
+            smallest_margin, optimistix.Newton(solver.tolerance, solver.tolerance)
+        ),
+        adjoint=diffrax.DirectAdjoint(),
+        max_steps=solver.max_steps,
+        throw=False,
+    )
+    assert solution.ts is not None
+    after = solution.ts[0]
+    state, memory = jax.tree.map(lambda x: x[0], solution.ys)
+    done = solution.event_mask | (after >= scenario.termination.time_limit)
+    good = (solution.result == diffrax.RESULTS.successful) | (
+        solution.result == diffrax.RESULTS.event_occurred
+    )
+    going = lane.running & good & is_finite((state, memory))
+    controls, _ = command(scenario, after, state, memory, lane.held)
+    now = path_constraints(scenario, state, controls)
+    peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
+    flown, state, memory, peaks = select(
+        going,
+        (after, state, memory, peaks),
+        (lane.flown, lane.state, lane.memory, lane.peaks),
+    )
+    return Lane(flown, state, memory, lane.held, peaks, lane.bracket, going & ~done)

@@ -1,0 +1,114 @@
+"""Fly one scenario to its end: the pure function that everything else calls."""
+
+import warnings
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._types import Count, Flag, Scalar
+from ..motion.state import Controls, EntryState
+from .closed_loop import Lane, Peaks, command, path_constraints, start
+from .cycle import Plan
+from .end import end_of_flight
+from .loop import while_running, while_running_with_history
+from .scenario import Scenario, check
+from .solver import AbstractSolver, FixedStep
+
+
+class History(eqx.Module):
+    """A flight at equal intervals from its start; NaN after its end."""
+
+    time: Float[Array, "*n"]
+    """s"""
+    states: EntryState
+    controls: Controls
+    constraints: Peaks
+    """The constrained quantities at these times, not their peaks"""
+
+
+class Flight(eqx.Module):
+    """How a flight ended, and on request how it went."""
+
+    time: Scalar
+    """s at the end"""
+    state: EntryState
+    """At the end"""
+    outcome: Count
+    """Code of an `Outcome`"""
+    ended_by: Count
+    """Place of the end condition in `scenario.termination.names`"""
+    peaks: Peaks
+    """Largest values of the path constraints, over all steps"""
+    history: History | None
+
+
+def fly(
+    scenario: Scenario,
+    solver: AbstractSolver = FixedStep(),
+    history: float | None = None,
+) -> Flight:
+    """Fly a scenario from its initial state to the first of its end conditions.
+
+    One flight: batch it with `jax.vmap` or `monte_carlo`. Compile it with `eqx.filter_jit`.
+    Differentiable in every leaf of the scenario, in forward mode (`jax.jvp`,
+    `jax.jacfwd`) and in reverse mode (`jax.grad`); the end is located exactly, and its
+    time moves with what is varied.
+
+    **Arguments:**
+
+    - `scenario`: what flies.
+    - `solver`: `FixedStep` (default) or `Adaptive`.
+    - `history`: interval at which to keep the flight, s; none keeps the end alone. With
+      a sampled law it must divide the guidance period or be a multiple of it.
+
+    **Raises:** `ValueError` for numbers that cannot be flown. How the flight went is in
+    `Flight.outcome`; a flight never raises because it crashed or skipped out.
+
+        flight = fly(scenario)
+        gradient = jax.grad(lambda s: fly(s).state.altitude)(scenario)
+    """
+    if not jax.config.read("jax_enable_x64"):
+        warnings.warn(
+            "float64 is off, and guidance far up in the atmosphere needs it: call "
+            "jentry.setup() before anything else",
+            stacklevel=2,
+        )
+    check(scenario)
+    plan = Plan.of(scenario, solver, history)
+    lane = start(scenario, plan.step)
+    if history is None:
+        kept = None
+        lane = while_running(plan.cycle, _running, scenario, lane, plan.cycles)
+    else:
+        lane, lanes = while_running_with_history(
+            plan.cycle, _running, scenario, lane, plan.cycles
+        )
+        lanes = jax.tree.map(lambda x: x[: -1 : plan.keep_every], lanes)
+        kept = jax.vmap(lambda lane: _observe(scenario, lane))(lanes)
+    end = end_of_flight(scenario, lane)
+    return Flight(
+        time=end.lane.flown,
+        state=end.lane.state,
+        outcome=end.outcome,
+        ended_by=end.ended_by,
+        peaks=end.lane.peaks,
+        history=kept,
+    )
+
+
+def _running(lane: Lane) -> Flag:
+    return lane.running
+
+
+def _observe(scenario: Scenario, lane: Lane) -> History:
+    """One entry of the history; NaN where the flight had ended."""
+    flying = lane.on_schedule
+    # Entries past the end are not states of a flight: observe the start in their place.
+    first = scenario.initial_state
+    state = jax.tree.map(lambda a, b: jnp.where(flying, a, b), lane.state, first)
+    controls, _ = command(scenario, lane.flown, state, lane.memory, lane.held)
+    constraints = path_constraints(scenario, state, controls)
+    seen = History(lane.flown, state, controls, constraints)
+    return jax.tree.map(lambda x: jnp.where(flying, x, jnp.nan), seen)

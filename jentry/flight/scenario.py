@@ -1,0 +1,65 @@
+"""What flies: planet, vehicle, initial state, guidance and end conditions in one pytree."""
+
+from collections.abc import Mapping
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from .._addresses import field_metadata, leaves_by_address
+from .._types import Scalar, scalar
+from ..guidance.law import AbstractLaw
+from ..motion.state import EntryState
+from ..world.planet import Planet
+from ..world.vehicle import Vehicle
+from .termination import Termination
+
+
+class Target(eqx.Module):
+    """Where guided flight should end; the misses are counted from here.
+
+    Downrange and crossrange are arcs on the surface from the entry point, see
+    `ground_track`.
+    """
+
+    altitude: Scalar = scalar(unit="m")
+    velocity: Scalar = scalar(unit="m/s")
+    downrange: Scalar = scalar(unit="m")
+    crossrange: Scalar = scalar(0.0, unit="m")
+
+
+class Scenario(eqx.Module):
+    """One guided entry. Every number is a leaf that can be dispersed, tuned and swept."""
+
+    planet: Planet
+    vehicle: Vehicle
+    initial_state: EntryState
+    guidance: AbstractLaw
+    termination: Termination
+    target: Target
+    in_plane: bool = eqx.field(default=False, static=True)
+    """Leave out the lateral component of lift: flight stays in the vertical plane."""
+
+
+def check(scenario: Scenario) -> None:
+    """Refuse a scenario with a number that cannot be flown.
+
+    Raises `ValueError` that names the address, the value and what was expected. Numbers
+    that are not known yet (under `jit`, `vmap` or `grad`) are left to the outcome of
+    the flight.
+    """
+    for address, leaf in leaves_by_address(scenario).items():
+        if not isinstance(leaf, jax.core.Tracer):
+            check_values(address, np.asarray(leaf), field_metadata(scenario, address))
+
+
+def check_values(address: str, values: np.ndarray, metadata: Mapping) -> None:
+    """Refuse values of the leaf at an address that cannot be flown; see `check`."""
+    unit = metadata.get("unit", "1")
+    unit = "" if unit == "1" else f" {unit}"
+    if not np.all(np.isfinite(values)):
+        bad = np.ravel(values)[~np.isfinite(np.ravel(values))][0]
+        raise ValueError(f"{address} is {bad}: it must be a finite number")
+    if metadata.get("positive") and not np.all(values > 0.0):
+        bad = np.ravel(values)[np.ravel(values) <= 0.0][0]
+        raise ValueError(f"{address} is {bad:g}{unit}: it must be greater than zero")

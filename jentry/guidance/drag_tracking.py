@@ -1,0 +1,184 @@
+"""Track a reference drag with and without measuring the drag rate.
+
+Reference: H. Yan, Y. He, "Drag-Tracking Guidance for Entry Vehicles Without Drag Rate
+Measurement". The symbols of the paper are kept where an equation is implemented.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .._math import sincos
+from .._types import Scalar, scalar
+from ..motion.state import Controls
+from ..onboard.model import OnboardModel
+from ..onboard.navigation import Measurement
+from ..onboard.reference import DragReference
+from .law import AbstractContinuousLaw
+from .open_loop import vertical_lift_command
+
+
+class ErrorGains(eqx.Module):
+    """Second-order error dynamics x'' = -(a / epsilon0^2) x - (b / epsilon0) x'."""
+
+    epsilon0: Scalar = scalar(unit="s", positive=True)
+    a: Scalar = scalar(positive=True)
+    b: Scalar = scalar(positive=True)
+
+
+class ObserverGains(eqx.Module):
+    """High-gain observer with the polynomial s^2 + (l1 / epsilon) s + l2 / epsilon^2."""
+
+    epsilon: Scalar = scalar(unit="s", positive=True)
+    l1: Scalar = scalar(positive=True)
+    l2: Scalar = scalar(positive=True)
+
+
+class ObserverState(eqx.Module):
+    """Estimates of the drag error and of its rate."""
+
+    drag_error: Scalar
+    """m/s2"""
+    drag_error_rate: Scalar
+    """m/s3"""
+
+
+class DragDynamics(eqx.Module):
+    """Second derivative of the drag, D'' = f + g0 u with u = cos(bank), as modelled."""
+
+    drag_rate: Scalar
+    """D', m/s3"""
+    f: Scalar
+    """m/s4"""
+    g0: Scalar
+    """m/s4"""
+
+
+def drag_dynamics(model: OnboardModel, measurement: Measurement) -> DragDynamics:
+    """Equations (8), (9) and (11) for constant C_D, with the sensed drag.
+
+    The last term of f has its sign corrected: it is - v^2 cos^2(gamma) / (r h_s). The
+    lift is the modelled lift-to-drag ratio times the sensed drag.
+    """
+    state, D = measurement.state, measurement.drag
+    v, h_s = state.velocity, model.scale_height
+    sin, cos = sincos(state.flight_path_angle)
+    r = model.planet.radius + state.altitude
+    g = model.planet.gravity.acceleration(r)
+    L = model.lift_to_drag * D
+
+    common = -v * sin / h_s - 2.0 * g * sin / v
+    drag_rate = D * (common - 2.0 * D / v)  # (8)
+    f = (common - 4.0 * D / v) * drag_rate + D * (  # (11), corrected
+        (D * sin + g) / h_s
+        + (4.0 * g * sin * sin - 2.0 * g * cos * cos) / r
+        - (2.0 * D * D + 4.0 * D * g * sin + 2.0 * g * g * (sin * sin - cos * cos))
+        / (v * v)
+        - v * v * cos * cos / (r * h_s)
+    )
+    g0 = -(v / h_s + 2.0 * g / v) * L * D * cos / v
+    return DragDynamics(drag_rate=drag_rate, f=f, g0=g0)
+
+
+class Tracking(eqx.Module):
+    """What tracking the reference asks for at one instant."""
+
+    u: Scalar
+    """Cosine of the bank, not yet clipped"""
+    x1: Scalar
+    """Drag error, m/s2"""
+    x2: Scalar
+    """Drag error rate that was fed back, m/s3"""
+
+
+def track(
+    gains: ErrorGains,
+    reference: DragReference,
+    model: OnboardModel,
+    time: Scalar,
+    measurement: Measurement,
+    observed: ObserverState | None,
+    scale: Scalar | float = 1.0,
+) -> Tracking:
+    """Equation (14); with an observer (24). The reference drag is multiplied by `scale`.
+
+    Before the gate of the reference, u is the bank of the reference.
+    """
+    plant = drag_dynamics(model, measurement)
+    wanted = reference.at(time, measurement, model, plant.drag_rate)
+    x1 = measurement.drag - scale * wanted.drag
+    if observed is None:
+        x2 = plant.drag_rate - scale * wanted.rate
+    else:
+        x2 = observed.drag_error_rate
+    a, b, epsilon0 = gains.a, gains.b, gains.epsilon0
+    feedback = -a / (epsilon0 * epsilon0) * x1 - b / epsilon0 * x2
+    # D*'' itself contains u where the index does: its part moves over to g0.
+    g0 = plant.g0 - scale * wanted.gain
+    u = (-plant.f + scale * wanted.acceleration + feedback) / g0
+    before_gate = measurement.drag < reference.gate
+    u = jnp.where(before_gate, reference.cos_bank(measurement.state.velocity), u)
+    return Tracking(u, x1, x2)
+
+
+def observe(
+    gains: ErrorGains, observer: ObserverGains, tracking: Tracking, estimate: ObserverState
+) -> ObserverState:
+    """Rate of the observer's state, equation (25), driven by the unclipped command."""
+    a, b, epsilon0 = gains.a, gains.b, gains.epsilon0
+    epsilon = observer.epsilon
+    innovation = tracking.x1 - estimate.drag_error
+    return ObserverState(
+        drag_error=estimate.drag_error_rate + observer.l1 / epsilon * innovation,
+        drag_error_rate=-a / (epsilon0 * epsilon0) * tracking.x1
+        - b / epsilon0 * estimate.drag_error_rate
+        + observer.l2 / (epsilon * epsilon) * innovation,
+    )
+
+
+class StateFeedbackDragTracking(AbstractContinuousLaw[None]):
+    """Drag tracking with the drag rate of the onboard model, equation (14)."""
+
+    gains: ErrorGains
+    reference: DragReference
+    model: OnboardModel
+
+    def init(self, measurement: Measurement) -> None:
+        return None
+
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: None
+    ) -> tuple[Controls, None]:
+        tracking = track(
+            self.gains, self.reference, self.model, time, measurement, None
+        )
+        angle_of_attack = self.model.vehicle.trim_angle_of_attack
+        return vertical_lift_command(tracking.u, angle_of_attack), None
+
+
+class ObserverDragTracking(AbstractContinuousLaw[ObserverState]):
+    """Drag tracking without drag-rate measurement, equations (24) and (25).
+
+    Memory is the state of the high-gain observer; it starts at the drag error and zero.
+    """
+
+    gains: ErrorGains
+    observer: ObserverGains
+    reference: DragReference
+    model: OnboardModel
+
+    def init(self, measurement: Measurement) -> ObserverState:
+        zero = 0.0 * measurement.drag
+        tracking = track(
+            self.gains, self.reference, self.model, zero, measurement, None
+        )
+        return ObserverState(tracking.x1, zero)
+
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: ObserverState
+    ) -> tuple[Controls, ObserverState]:
+        tracking = track(
+            self.gains, self.reference, self.model, time, measurement, memory
+        )
+        angle_of_attack = self.model.vehicle.trim_angle_of_attack
+        rate = observe(self.gains, self.observer, tracking, memory)
+        return vertical_lift_command(tracking.u, angle_of_attack), rate

@@ -1,0 +1,49 @@
+"""What a law believes of planet and vehicle."""
+
+import equinox as eqx
+
+from .._types import Scalar
+from ..world.atmosphere import ExponentialAtmosphere
+from ..world.planet import Planet
+from ..world.vehicle import Vehicle
+
+
+class OnboardModel(eqx.Module):
+    """The nominal world on board. It is a copy of its own: dispersing the truth leaves it.
+
+    Its atmosphere is exponential, since laws use its scale height.
+    """
+
+    planet: Planet
+    vehicle: Vehicle
+
+    def __check_init__(self):
+        atmosphere = self.planet.atmosphere
+        if not isinstance(atmosphere, ExponentialAtmosphere):
+            raise ValueError(
+                f"the onboard model has a {type(atmosphere).__name__}: it needs an "
+                "ExponentialAtmosphere, fitted to the corridor that is flown"
+            )
+
+    @property
+    def scale_height(self) -> Scalar:
+        """m"""
+        atmosphere = self.planet.atmosphere
+        assert isinstance(atmosphere, ExponentialAtmosphere)
+        return atmosphere.scale_height
+
+    @property
+    def lift_to_drag(self) -> Scalar:
+        """At the trim angle of attack and a Mach number of 20."""
+        lift, drag = self._trim_coefficients()
+        return lift / drag
+
+    @property
+    def ballistic_coefficient(self) -> Scalar:
+        """m / (C_D S), kg/m2, likewise."""
+        _, drag = self._trim_coefficients()
+        return self.vehicle.mass / (drag * self.vehicle.reference_area)
+
+    def _trim_coefficients(self) -> tuple[Scalar, Scalar]:
+        angle_of_attack = self.vehicle.trim_angle_of_attack
+        return self.vehicle.coefficients(angle_of_attack, 20.0 + 0.0 * angle_of_attack)
