@@ -1,0 +1,15 @@
+"""Floor 6: dispersions, Monte Carlo, storage."""
+
+from .dispersions import (
+    AbstractDistribution as AbstractDistribution,
+    Dispersion as Dispersion,
+    Normal as Normal,
+    TruncatedNormal as TruncatedNormal,
+    Uniform as Uniform,
+    add as add,
+    disperse as disperse,
+    draw as draw,
+    multiply as multiply,
+    replace as replace,
+)
+from .monte_carlo import Campaign as Campaign, monte_carlo as monte_carlo

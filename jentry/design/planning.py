@@ -156,28 +156,36 @@ class ReferenceFlight(eqx.Module):
             before = jnp.searchsorted(place, falling * wanted, side="right") - 1
             before = jnp.clip(before, 0, last)
             point = jax.tree.map(lambda x: x[before], (self.times, self.states))
-            duration = jnp.zeros_like(wanted)
-            fixed = lax.stop_gradient((wanted, point))
-            for _ in range(4):
-                duration = duration - _miss_in_time(after, index_at, flow, *fixed, duration)
-            duration = duration - _miss_in_time(
-                after, index_at, flow, wanted, point, lax.stop_gradient(duration)
+            duration = lax.fori_loop(
+                0,
+                4,
+                lambda _, duration: duration - early(after(point, duration), wanted),
+                jnp.zeros_like(wanted),
             )
-            found = after(point, duration)
-            _, rate, acceleration = derivatives_along(flow, index_at, found)
-            value, first, second = derivatives_along(flow, lambda p: quantity(*p), found)
+            return derivatives(after(point, lax.stop_gradient(duration)), wanted)
+
+        def early(point, wanted):
+            """Time since the point had the wanted index, s, to first order."""
+            value, rate = jax.jvp(index_at, (point,), (flow(point),))
+            return (value - wanted) / rate
+
+        def derivatives(point, wanted):
+            # The point lies on the node to rounding; this moves it there to first order,
+            # for the derivative of the node with respect to the flight.
+            late, rates = -early(point, wanted), lax.stop_gradient(flow(point))
+            point = jax.tree.map(lambda x, rate: x + late * rate, point, rates)
+
+            def both(point):
+                return index_at(point), quantity(*point)
+
+            (_, value), (rate, first), (acceleration, second) = derivatives_along(
+                flow, both, point
+            )
             slope = first / rate
             return value, slope, (second - slope * acceleration) / (rate * rate)
 
         value, slope, bend = jax.vmap(node)(nodes)
         return quintic_profile(nodes[0], nodes[1] - nodes[0], value, slope, bend)
-
-
-def _miss_in_time(after, index_at, flow, wanted, point, duration):
-    """By how long a step of this duration overshoots the wanted index, to first order."""
-    reached = after(point, duration)
-    value, rate = jax.jvp(index_at, (reached,), (flow(reached),))
-    return (value - wanted) / lax.stop_gradient(rate)
 
 
 def plan_drag_reference(

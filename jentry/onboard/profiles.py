@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._interpolation import clamp
 from .._math import horner
 from .._types import Scalar, Vector, scalar, table
 
@@ -50,12 +51,13 @@ class QuinticProfile(AbstractProfile):
     coefficients: Float[Array, "intervals 6"] = table()
     """Of each interval, over its own coordinate in [0, 1], highest power first"""
     start: Scalar = scalar()
-    spacing: Scalar = scalar(positive=True)
+    spacing: Scalar = scalar()
+    """Negative where the index falls along the flight"""
 
     def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         intervals = self.coefficients.shape[0]
         position = (index - self.start) / self.spacing
-        inside = jnp.clip(position, 0.0, intervals)
+        inside = clamp(position, 0.0, float(intervals))
         interval = jnp.clip(jnp.floor(inside), 0, intervals - 1)
         x = inside - interval
         c = self.coefficients[interval.astype(int)]

@@ -1,0 +1,296 @@
+"""The guided Mars entry of jentry's mission, written without jentry.
+
+Three programs that a reader might write instead: scalars in numba, scipy's `solve_ivp`,
+and diffrax batched with `vmap`. Each flies the same vehicle with the same law: a planar
+point mass over a sphere that does not turn, drag tracking with a high-gain observer over
+energy, ended at a velocity or an altitude, whichever is met first. State: altitude,
+downrange angle, velocity, flight-path angle, and the two estimates of the observer.
+
+Each takes one array entry per flight and returns the arrays (time, altitude, downrange,
+velocity) at the end of flight, in SI units.
+"""
+
+import functools
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Mission(NamedTuple):
+    """What all flights have in common, in SI units."""
+
+    planet_radius: float
+    gravitational_parameter: float
+    surface_density: float
+    scale_height: float
+    reference_area: float
+    lift_coefficient: float
+    drag_coefficient: float
+    altitude: float
+    """Altitude, velocity and flight-path angle are those at entry."""
+    velocity: float
+    flight_path_angle: float
+    end_velocity: float
+    end_altitude: float
+    time_limit: float
+    epsilon0: float
+    a: float
+    b: float
+    epsilon: float
+    l1: float
+    l2: float
+    reference_start: float
+    """Energy at the first node of the reference drag, J/kg"""
+    reference_spacing: float
+    """Of the nodes; the reference has a row of six quintic coefficients for each interval,
+    highest power first"""
+
+
+class Plan(NamedTuple):
+    """The numbers that the inner loop needs, with the divisions done beforehand."""
+
+    planet_radius: float
+    gravitational_parameter: float
+    per_scale_height: float
+    lift_to_drag: float
+    feedback_error: float
+    feedback_rate: float
+    innovation_error: float
+    innovation_rate: float
+    reference_start: float
+    per_spacing: float
+    intervals: int
+
+
+def plan(mission: Mission, reference: np.ndarray) -> Plan:
+    """Constants of the inner loop; the law believes in the nominal vehicle and air."""
+    m = mission
+    return Plan(
+        planet_radius=m.planet_radius,
+        gravitational_parameter=m.gravitational_parameter,
+        per_scale_height=1.0 / m.scale_height,
+        lift_to_drag=m.lift_coefficient / m.drag_coefficient,
+        feedback_error=m.a / m.epsilon0**2,
+        feedback_rate=m.b / m.epsilon0,
+        innovation_error=m.l1 / m.epsilon,
+        innovation_rate=m.l2 / m.epsilon**2,
+        reference_start=m.reference_start,
+        per_spacing=1.0 / m.reference_spacing,
+        intervals=len(reference),
+    )
+
+
+def force_factors(mission: Mission, mass, density_scale, lift_scale, drag_scale):
+    """Lift and drag over exp(-altitude / scale height) velocity^2, 1/m."""
+    half_area = 0.5 * mission.reference_area * mission.surface_density
+    common = half_area * density_scale / mass
+    lift = common * lift_scale * mission.lift_coefficient
+    return lift, common * drag_scale * mission.drag_coefficient
+
+
+def rates(altitude, velocity, path, error, error_rate, lift_factor, drag_factor, p, table):
+    """Time derivative of a flight: scalars in, scalars out, for Python and numba alike.
+
+    `table` holds the reference row after row. The downrange angle drives nothing.
+    """
+    sin = math.sin(path)
+    cos = math.cos(path)
+    per_radius = 1.0 / (p.planet_radius + altitude)
+    per_velocity = 1.0 / velocity
+    square = velocity * velocity
+    attraction = p.gravitational_parameter * per_radius
+    gravity = attraction * per_radius
+    pressure = math.exp(-altitude * p.per_scale_height) * square
+    drag = drag_factor * pressure
+    lift = lift_factor * pressure
+
+    # The reference drag and its two derivatives over energy.
+    position = (0.5 * square - attraction - p.reference_start) * p.per_spacing
+    inside = min(max(position, 0.0), p.intervals)
+    interval = min(int(inside), p.intervals - 1)
+    x = inside - interval
+    row = 6 * interval
+    c0 = table[row]
+    c1 = table[row + 1]
+    c2 = table[row + 2]
+    c3 = table[row + 3]
+    c4 = table[row + 4]
+    c5 = table[row + 5]
+    wanted = ((((c0 * x + c1) * x + c2) * x + c3) * x + c4) * x + c5
+    first = (((5.0 * c0 * x + 4.0 * c1) * x + 3.0 * c2) * x + 2.0 * c3) * x + c4
+    second = ((20.0 * c0 * x + 12.0 * c1) * x + 6.0 * c2) * x + 2.0 * c3
+    beyond = position - inside
+    wanted += beyond * (first + 0.5 * beyond * second)
+    first = (first + beyond * second) * p.per_spacing
+    second *= p.per_spacing * p.per_spacing
+
+    # Drag dynamics as modelled on board: drag'' = f + g0 u.
+    gravity_along = gravity * sin
+    common = -velocity * sin * p.per_scale_height - 2.0 * gravity_along * per_velocity
+    slowing = 2.0 * drag * per_velocity
+    drag_rate = drag * (common - slowing)
+    sin2 = sin * sin
+    cos2 = cos * cos
+    turning = drag * drag + 2.0 * drag * gravity_along + gravity * gravity * (sin2 - cos2)
+    f = (common - 2.0 * slowing) * drag_rate + drag * (
+        (drag * sin + gravity) * p.per_scale_height
+        + (gravity * (4.0 * sin2 - 2.0 * cos2) - square * cos2 * p.per_scale_height)
+        * per_radius
+        - 2.0 * turning * per_velocity * per_velocity
+    )
+    g0 = (
+        -(velocity * p.per_scale_height + 2.0 * gravity * per_velocity)
+        * (p.lift_to_drag * drag * drag)
+        * (cos * per_velocity)
+    )
+
+    # The law, and the observer that it is fed by.
+    energy_rate = -drag * velocity
+    energy_drift = -drag_rate * velocity + drag * (drag + gravity_along)
+    wanted_acceleration = second * energy_rate * energy_rate + first * energy_drift
+    x1 = drag - wanted
+    feedback = -p.feedback_error * x1 - p.feedback_rate * error_rate
+    u = (wanted_acceleration - f + feedback) / g0
+    u = min(max(u, -1.0), 1.0)
+    innovation = x1 - error
+
+    turn = velocity * cos * per_radius
+    return (
+        velocity * sin,
+        turn,
+        -drag - gravity_along,
+        (lift * u - gravity * cos) * per_velocity + turn,
+        error_rate + p.innovation_error * innovation,
+        feedback + p.innovation_rate * innovation,
+    )
+
+
+def first_error(mission: Mission, drag_factor, p: Plan, table) -> float:
+    """Drag error at entry, where the observer starts."""
+    # The observer's own equation returns it: with estimates of zero, and no other term,
+    # the rate of the first estimate is the innovation.
+    start = mission.altitude, mission.velocity, mission.flight_path_angle
+    return rates(*start, 0.0, 0.0, 0.0, drag_factor, p, table)[4] / p.innovation_error
+
+
+@functools.cache
+def _numba_program(fastmath: bool, parallel: bool):
+    import numba
+
+    flow = numba.njit(rates, fastmath=fastmath, inline="always")
+
+    @numba.njit(fastmath=fastmath)
+    def step(h, s, v, g, e, d, lift, drag, p, table, dt):
+        half = 0.5 * dt
+        h1, s1, v1, g1, e1, d1 = flow(h, v, g, e, d, lift, drag, p, table)
+        h2, s2, v2, g2, e2, d2 = flow(
+            h + half * h1,
+            v + half * v1,
+            g + half * g1,
+            e + half * e1,
+            d + half * d1,
+            lift,
+            drag,
+            p,
+            table,
+        )
+        h3, s3, v3, g3, e3, d3 = flow(
+            h + half * h2,
+            v + half * v2,
+            g + half * g2,
+            e + half * e2,
+            d + half * d2,
+            lift,
+            drag,
+            p,
+            table,
+        )
+        h4, s4, v4, g4, e4, d4 = flow(
+            h + dt * h3,
+            v + dt * v3,
+            g + dt * g3,
+            e + dt * e3,
+            d + dt * d3,
+            lift,
+            drag,
+            p,
+            table,
+        )
+        w = dt / 6.0
+        return (
+            h + w * (h1 + 2.0 * (h2 + h3) + h4),
+            s + w * (s1 + 2.0 * (s2 + s3) + s4),
+            v + w * (v1 + 2.0 * (v2 + v3) + v4),
+            g + w * (g1 + 2.0 * (g2 + g3) + g4),
+            e + w * (e1 + 2.0 * (e2 + e3) + e4),
+            d + w * (d1 + 2.0 * (d2 + d3) + d4),
+        )
+
+    @numba.njit(fastmath=fastmath)
+    def fly(h, v, g, e, lift, drag, mission, p, table, dt):
+        t, s, d = 0.0, 0.0, 0.0
+        margin = min(v - mission.end_velocity, h - mission.end_altitude)
+        while t < mission.time_limit:
+            y = step(h, s, v, g, e, d, lift, drag, p, table, dt)
+            after = min(y[2] - mission.end_velocity, y[0] - mission.end_altitude)
+            if after <= 0.0:
+                break
+            t += dt
+            h, s, v, g, e, d = y
+            margin = after
+        # The end lies within one step: shorten it by the rule of false position.
+        short, at_short, long, at_long = 0.0, margin, dt, after
+        trial = 0.0
+        for _ in range(20):
+            if at_long > 0.0:
+                break
+            trial = short + (long - short) * at_short / (at_short - at_long)
+            y = step(h, s, v, g, e, d, lift, drag, p, table, trial)
+            after = min(y[2] - mission.end_velocity, y[0] - mission.end_altitude)
+            if abs(after) < 1e-7:
+                break
+            if after > 0.0:
+                short, at_short = trial, after
+            else:
+                long, at_long = trial, after
+        h, s, v, g, e, d = y
+        return t + trial, h, s * mission.planet_radius, v
+
+    each = numba.prange if parallel else range
+
+    @numba.njit(fastmath=fastmath, parallel=parallel)
+    def fly_all(lift, drag, error, mission, p, table, dt):
+        n = lift.size
+        out = np.empty((4, n))
+        h, v, g = mission.altitude, mission.velocity, mission.flight_path_angle
+        for i in each(n):
+            end = fly(h, v, g, error[i], lift[i], drag[i], mission, p, table, dt)
+            out[0, i], out[1, i], out[2, i], out[3, i] = end
+        return out
+
+    return fly_all
+
+
+def numba_flights(
+    mission: Mission,
+    reference: np.ndarray,
+    mass: np.ndarray,
+    density_scale: np.ndarray,
+    lift_scale: np.ndarray,
+    drag_scale: np.ndarray,
+    step: float = 0.1,
+    fastmath: bool = True,
+    threads: int = 1,
+):
+    """One flight after the other, classical Runge-Kutta, all state in registers."""
+    p = plan(mission, reference)
+    lift, drag = force_factors(mission, mass, density_scale, lift_scale, drag_scale)
+    table = np.ascontiguousarray(reference).ravel()
+    error = np.array([first_error(mission, d, p, table) for d in drag])
+    if threads > 1:
+        import numba
+
+        numba.set_num_threads(threads)
+    fly_all = _numba_program(fastmath, threads > 1)
+    return tuple(fly_all(lift, drag, error, mission, p, table, step))

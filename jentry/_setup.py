@@ -1,0 +1,117 @@
+"""One explicit call that settles precision, cores, compilation cache and XLA options."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+
+_FAST_OPTIONS = (
+    "xla_cpu_use_multi_output_fusion",
+    "xla_cpu_small_while_loop_byte_threshold=100000000",
+)
+
+_SELF_TEST = """
+import jax
+jax.config.update("jax_enable_x64", True)
+import jax.numpy as jnp
+def body(c):
+    i, x, y = c
+    return i + 1, x + 1e-3 * jnp.sin(y) * x, y - 1e-3 * jnp.exp(-x) * y
+i, x, y = jax.jit(lambda x, y: jax.lax.while_loop(lambda c: c[0] < 1000, body, (0, x, y)))(
+    jnp.linspace(0.5, 1.5, 64), jnp.linspace(1.0, 2.0, 64))
+import numpy as np
+a, b = np.linspace(0.5, 1.5, 64), np.linspace(1.0, 2.0, 64)
+for _ in range(1000):
+    a, b = a + 1e-3 * np.sin(b) * a, b - 1e-3 * np.exp(-a) * b
+assert np.allclose(x, a, rtol=1e-12) and np.allclose(y, b, rtol=1e-12)
+"""
+
+
+def cache_directory() -> Path:
+    """Where compiled programs are kept: `JENTRY_CACHE`, or the user's cache folder."""
+    given = os.environ.get("JENTRY_CACHE")
+    if given:
+        return Path(given)
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "jentry"
+
+
+def available_cores() -> int:
+    """Cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def setup(
+    workers: int | None = None, *, fast: bool = False, cache: bool = True
+) -> None:
+    """Settle how jentry computes. Call it first, before any array is made.
+
+    Importing jentry changes no global setting; this does, for the whole process: float64,
+    one CPU device for each worker, and JAX's persistent compilation cache.
+
+    **Arguments:**
+
+    - `workers`: cores for batches of flights; all that are available if not given.
+    - `fast`: two undocumented XLA options that double the speed of long loops on a CPU
+      and double the time to compile them: for large campaigns. They are tried in a
+      process of their own first, and left off with a warning if that fails. An
+      environment with `JENTRY_FAST=0` keeps them off.
+    - `cache`: keep compiled programs in `cache_directory()`.
+
+    **Raises:** `RuntimeError` if JAX has been used before with other settings.
+    """
+    if workers is not None and workers < 1:
+        raise ValueError(f"workers is {workers}: it must be at least 1")
+    if fast and os.environ.get("JENTRY_FAST") != "0":
+        _turn_on_fast_options()
+
+    import jax
+
+    workers = available_cores() if workers is None else workers
+    try:
+        jax.config.update("jax_num_cpu_devices", workers)
+    except RuntimeError as error:
+        if jax.local_device_count("cpu") != workers:
+            raise RuntimeError(
+                f"JAX has started with {jax.local_device_count('cpu')} CPU devices, and "
+                f"setup asks for {workers}: call jentry.setup() before anything that "
+                "makes an array"
+            ) from error
+    jax.config.update("jax_enable_x64", True)
+    if cache:
+        directory = cache_directory() / "compiled"
+        jax.config.update("jax_compilation_cache_dir", str(directory))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+        jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+def _turn_on_fast_options() -> None:
+    flags = os.environ.get("XLA_FLAGS", "")
+    if _FAST_OPTIONS[0] in flags:
+        return
+    wanted = f"{flags} --xla_backend_extra_options={','.join(_FAST_OPTIONS)}".strip()
+    if "xla_backend_extra_options" in flags:
+        _warn("XLA_FLAGS has --xla_backend_extra_options of its own")
+        return
+    environment = {**os.environ, "XLA_FLAGS": wanted, "JAX_PLATFORMS": "cpu"}
+    test = subprocess.run(
+        [sys.executable, "-c", _SELF_TEST], env=environment, capture_output=True, text=True
+    )
+    if test.returncode == 0:
+        os.environ["XLA_FLAGS"] = wanted
+    else:
+        reason = test.stderr.strip().splitlines()[-1:] or ["no message"]
+        _warn(f"their self-test failed ({reason[0]})")
+
+
+def _warn(reason: str) -> None:
+    import warnings
+
+    warnings.warn(
+        f"the fast XLA options stay off: {reason}. Flights are as exact, and about half "
+        "as many a second",
+        stacklevel=4,
+    )

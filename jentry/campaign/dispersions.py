@@ -1,0 +1,157 @@
+"""What is uncertain: distributions, and the leaves of a scenario that they move."""
+
+import zlib
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, Key
+
+from .._addresses import addresses_of, leaves_by_address
+from .._types import Scalar, scalar
+from ..flight.scenario import Scenario
+
+
+class AbstractDistribution(eqx.Module):
+    """Distribution of one number."""
+
+    @abstractmethod
+    def sample(self, key: Key[Array, ""]) -> Scalar:
+        """One draw."""
+
+
+class Normal(AbstractDistribution):
+    """Normal distribution. Where a source quotes three sigma, write the division."""
+
+    mean: Scalar = scalar()
+    standard_deviation: Scalar = scalar(positive=True)
+
+    def sample(self, key: Key[Array, ""]) -> Scalar:
+        return self.mean + self.standard_deviation * jax.random.normal(key, dtype=float)
+
+
+class Uniform(AbstractDistribution):
+    """Uniform distribution between two bounds."""
+
+    lower: Scalar = scalar()
+    upper: Scalar = scalar()
+
+    def sample(self, key: Key[Array, ""]) -> Scalar:
+        share = jax.random.uniform(key, dtype=float)
+        return self.lower + (self.upper - self.lower) * share
+
+
+class TruncatedNormal(AbstractDistribution):
+    """Normal distribution of which only what lies between two bounds is drawn."""
+
+    mean: Scalar = scalar()
+    standard_deviation: Scalar = scalar(positive=True)
+    lower: Scalar = scalar()
+    upper: Scalar = scalar()
+
+    def sample(self, key: Key[Array, ""]) -> Scalar:
+        lower = (self.lower - self.mean) / self.standard_deviation
+        upper = (self.upper - self.mean) / self.standard_deviation
+        draw = jax.random.truncated_normal(key, lower, upper, dtype=float)
+        return self.mean + self.standard_deviation * draw
+
+
+def replace(nominal: Scalar, draw: Scalar) -> Scalar:
+    """The draw takes the place of the nominal value."""
+    return draw
+
+
+def add(nominal: Scalar, draw: Scalar) -> Scalar:
+    """The draw is added to the nominal value."""
+    return nominal + draw
+
+
+def multiply(nominal: Scalar, draw: Scalar) -> Scalar:
+    """The nominal value is multiplied by the draw."""
+    return nominal * draw
+
+
+class Dispersion(eqx.Module):
+    """One uncertain number, and the leaves that it moves.
+
+        Dispersion(lambda s: s.planet.density_scale, Uniform(0.8, 1.2))
+        Dispersion(lambda s: s.vehicle.mass, Uniform(0.95, 1.05), apply=multiply)
+
+    A lens may return several leaves, `lambda s: (s.vehicle.lift_scale,
+    s.vehicle.drag_scale)`: the one draw moves them all. Define tables of dispersions
+    once, at module level: a fresh lambda is compiled anew.
+    """
+
+    where: Callable[[Any], Any] = eqx.field(static=True)
+    distribution: AbstractDistribution
+    apply: Callable[[Scalar, Scalar], Scalar] = eqx.field(default=replace, static=True)
+
+
+Inputs = dict[str, Array]
+"""Values of leaves by their addresses; in a batch each with the runs in front."""
+
+
+def draw(
+    dispersions: Mapping[str, Dispersion], key: Key[Array, ""], run: Int[Array, ""]
+) -> dict[str, Array]:
+    """The draws of one run, by the names of the dispersions.
+
+    They depend on the key, the name and the run alone, not on what else is drawn.
+    """
+    draws = {}
+    for name, dispersion in dispersions.items():
+        name_key = jax.random.fold_in(key, zlib.crc32(name.encode()))
+        draws[name] = dispersion.distribution.sample(jax.random.fold_in(name_key, run))
+    return draws
+
+
+def disperse(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion],
+    draws: Mapping[str, Array],
+) -> Inputs:
+    """The values that the dispersed leaves take in one run.
+
+    Raises `ValueError` for a dispersion that reaches no leaf, one that is no single
+    number, or one that would discard what another has done to the same leaf.
+    """
+    leaves = leaves_by_address(scenario)
+    inputs: Inputs = {}
+    for name, dispersion in dispersions.items():
+        try:
+            reached = addresses_of(scenario, dispersion.where)
+        except (ValueError, AttributeError, KeyError, TypeError) as error:
+            raise ValueError(f"dispersion {name!r}: {error}") from error
+        for address in reached:
+            if leaves[address].shape != ():
+                raise ValueError(
+                    f"dispersion {name!r} reaches {address}, a table of shape "
+                    f"{leaves[address].shape}: disperse a factor on it instead"
+                )
+            if address in inputs and dispersion.apply is replace:
+                raise ValueError(
+                    f"dispersion {name!r} replaces {address}, which another dispersion "
+                    "has moved already: use add or multiply, or remove one"
+                )
+            nominal = inputs.get(address, leaves[address])
+            inputs[address] = dispersion.apply(nominal, draws[name])
+    return inputs
+
+
+@eqx.filter_jit
+def dispersed_inputs(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion],
+    key: Key[Array, ""],
+    runs: Int[Array, " runs"],
+) -> dict[str, Float[Array, " runs"]]:
+    """Inputs of many runs, by address."""
+
+    def one(run):
+        return disperse(scenario, dispersions, draw(dispersions, key, run))
+
+    inputs = jax.vmap(one)(runs)
+    return jax.tree.map(jnp.asarray, inputs)

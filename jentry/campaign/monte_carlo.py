@@ -1,0 +1,180 @@
+"""Fly many dispersed runs of one scenario, fast and on all cores."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.sharding import PartitionSpec
+from jaxtyping import Array, Key
+
+from .._addresses import field_metadata, leaves_by_address, replace_leaves, require_address
+from ..flight.fly import Flight, fly
+from ..flight.misses import Misses, misses
+from ..flight.scenario import Scenario, check, check_values
+from ..flight.solver import AbstractSolver, FixedStep
+from .dispersions import Dispersion, dispersed_inputs
+
+
+LANES = 64
+"""Flights side by side: few enough to stay in the cache, and always as many, so that a
+run does not depend on the batch that it is flown in."""
+
+_CHUNKS = 8
+"""Of lanes, for each core, between two reports to the host."""
+
+
+class Campaign(eqx.Module):
+    """Flown runs; every array has the runs in front, as numpy arrays."""
+
+    runs: np.ndarray
+    """Indices of the runs"""
+    inputs: dict[str, np.ndarray]
+    """Values of the dispersed leaves by address"""
+    flights: Flight
+    misses: Misses
+
+
+def monte_carlo(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion] | None = None,
+    key: Key[Array, ""] | None = None,
+    runs: int | Sequence[int] | np.ndarray = 1000,
+    *,
+    inputs: Mapping[str, Any] | None = None,
+    solver: AbstractSolver = FixedStep(),
+    history: float | None = None,
+) -> Campaign:
+    """Fly a scenario many times, with drawn or with given inputs.
+
+    A run is the same alone and in any batch: it depends on the key and on its index
+    alone. All CPU devices share the work (see `jentry.setup`).
+
+    **Arguments:**
+
+    - `scenario`: the nominal one.
+    - `dispersions`: what is drawn, by name; with `key`.
+    - `runs`: how many, or which.
+    - `inputs`: in place of dispersions, values by address, each of shape (runs,).
+    - `solver`, `history`: as for `fly`.
+
+    **Raises:** `ValueError` for an empty batch, a dispersion or an address that reaches no
+    leaf, inputs of unequal length, and inputs that cannot be flown.
+
+        campaign = monte_carlo(scenario, dispersions, jax.random.key(0))
+        np.std(campaign.misses.downrange)
+    """
+    blocks = fly_in_blocks(
+        scenario, dispersions, key, runs, inputs=inputs, solver=solver, history=history
+    )
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *blocks)
+
+
+def fly_in_blocks(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion] | None,
+    key: Key[Array, ""] | None,
+    runs: int | Sequence[int] | np.ndarray,
+    *,
+    inputs: Mapping[str, Any] | None = None,
+    solver: AbstractSolver = FixedStep(),
+    history: float | None = None,
+) -> Iterator[Campaign]:
+    """As `monte_carlo`, part by part in the order of the runs, in constant memory."""
+    check(scenario)
+    indices = np.arange(runs) if isinstance(runs, int) else np.asarray(runs, dtype=int)
+    if inputs is not None:
+        if dispersions:
+            raise ValueError("give dispersions or inputs, not both")
+        given = _check_inputs(scenario, inputs)
+        count = len(next(iter(given.values())))
+        if isinstance(runs, int) and runs > count:
+            indices = np.arange(count)
+        if indices.size and indices.max() >= count:
+            raise ValueError(f"run {indices.max()} was asked for, of {count} given")
+    elif dispersions:
+        if key is None:
+            raise ValueError("dispersions need a key: jax.random.key(seed)")
+        given = None
+    else:
+        raise ValueError("nothing is dispersed: give dispersions or inputs")
+    if indices.size == 0:
+        raise ValueError(f"no runs to fly: runs is {runs}")
+    return _blocks(scenario, dispersions, key, indices, given, solver, history)
+
+
+def _check_inputs(scenario: Scenario, inputs: Mapping[str, Any]) -> dict[str, Array]:
+    if not inputs:
+        raise ValueError("the inputs are empty: give values by address")
+    known = leaves_by_address(scenario)
+    given = {}
+    for address, values in inputs.items():
+        require_address(known, address)
+        given[address] = np.asarray(values, dtype=float)
+        if given[address].ndim != 1 or known[address].shape != ():
+            raise ValueError(
+                f"input {address} has shape {given[address].shape}: give one number a run"
+            )
+        check_values(address, given[address], field_metadata(scenario, address))
+    lengths = {address: len(values) for address, values in given.items()}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(f"inputs of unequal length: {lengths}")
+    return given
+
+
+def _blocks(scenario, dispersions, key, indices, given, solver, history):
+    devices = len(jax.devices())
+    most = LANES * _CHUNKS * devices
+    for begin in range(0, len(indices), most):
+        runs = indices[begin : begin + most]
+        padded = -len(runs) % (LANES * devices)
+        # The padding flies the last run again, and is dropped.
+        filled = np.concatenate([runs, np.repeat(runs[-1:], padded)])
+        if given is None:
+            inputs = dispersed_inputs(scenario, dispersions, key, jnp.asarray(filled))
+            for address, values in inputs.items():
+                metadata = field_metadata(scenario, address)
+                check_values(address, np.asarray(values), metadata)
+        else:
+            inputs = {a: jnp.asarray(v[filled]) for a, v in given.items()}
+        flown = _fly_block(scenario, inputs, solver, history, devices)
+        flights, missed = jax.tree.map(lambda x: np.asarray(x)[: len(runs)], flown)
+        inputs = {a: np.asarray(v)[: len(runs)] for a, v in inputs.items()}
+        yield Campaign(runs, inputs, flights, missed)
+
+
+@eqx.filter_jit
+def _fly_block(
+    scenario: Scenario,
+    inputs: dict[str, Array],
+    solver: AbstractSolver,
+    history: float | None,
+    devices: int,
+) -> tuple[Flight, Misses]:
+    numbers, structure = eqx.partition(scenario, eqx.is_array)
+
+    def on_one_device(numbers, inputs):
+        scenario = eqx.combine(numbers, structure)
+
+        def one(inputs):
+            dispersed = replace_leaves(scenario, inputs)
+            flight = fly(dispersed, solver, history)
+            return flight, misses(dispersed, flight)
+
+        return lax.map(one, inputs, batch_size=LANES)
+
+    if devices == 1:
+        return on_one_device(numbers, inputs)
+    mesh = jax.make_mesh((devices,), ("flights",))
+    split = PartitionSpec("flights")
+    on_all = jax.shard_map(
+        on_one_device,
+        mesh=mesh,
+        in_specs=(PartitionSpec(), split),
+        out_specs=split,
+        check_vma=False,
+    )
+    return on_all(numbers, inputs)

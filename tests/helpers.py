@@ -1,0 +1,174 @@
+"""Scenarios, laws and compiled functions that several test files share.
+
+Compiling is most of the time of the tests: what is compiled here is compiled once for a
+session. Every number of a scenario is a leaf, so that one compiled flight serves every
+scenario of the same structure.
+"""
+
+import csv
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from jentry._types import Scalar, scalar
+from jentry.flight import (
+    AltitudeAbove,
+    AltitudeBelow,
+    Outcome,
+    Scenario,
+    Target,
+    Termination,
+    VelocityBelow,
+    fly,
+)
+from jentry.guidance import (
+    AbstractContinuousLaw,
+    BankProfile,
+    ErrorGains,
+    ObserverDragTracking,
+    ObserverGains,
+    Sampled,
+    StateFeedbackDragTracking,
+)
+from jentry.motion import Controls, EntryState
+from jentry.onboard import OnboardModel, PolynomialProfile
+from jentry.units import degree, km
+from jentry.world import (
+    ConstantAerodynamics,
+    ExponentialAtmosphere,
+    InverseSquareGravity,
+    Planet,
+    Vehicle,
+)
+
+
+TRUTHS = Path(__file__).parent / "truths"
+
+MARS_ROTATION = 7.088e-5
+"""rad/s"""
+
+
+fly_compiled = eqx.filter_jit(fly)
+"""One cache for all tests: the same structure, solver and history compile once."""
+
+fly_batch = eqx.filter_jit(lambda scenarios, *how: jax.vmap(lambda s: fly(s, *how))(scenarios))
+
+
+class ConstantBank(AbstractContinuousLaw[None]):
+    """The smallest law: one bank angle, rad, of either sign."""
+
+    bank_angle: Scalar = scalar(0.0, unit="rad")
+
+    def init(self, measurement):
+        return None
+
+    def __call__(self, time, measurement, memory):
+        angle_of_attack = jnp.zeros_like(self.bank_angle)
+        bank = self.bank_angle
+        return Controls(angle_of_attack, jnp.cos(bank), jnp.sin(bank)), None
+
+
+def truths(name: str) -> dict[str, dict[str, float]]:
+    """`case -> quantity -> value` of a file in `tests/truths/`, its comments left out."""
+    found: dict[str, dict[str, float]] = {}
+    with open(TRUTHS / name) as file:
+        lines = [line for line in file if not line.startswith("#")]
+    for row in csv.DictReader(lines):
+        found.setdefault(row["case"], {})[row["quantity"]] = float(row["value"])
+    return found
+
+
+def mars_planet(**changes) -> Planet:
+    return Planet(
+        3397 * km,
+        gravity=InverseSquareGravity(4.28283e13),
+        atmosphere=ExponentialAtmosphere(0.0158, 9354.5),
+        **changes,
+    )
+
+
+def mars_vehicle() -> Vehicle:
+    drag_coefficient = 992.0 / (115.0 * 16.0)
+    aerodynamics = ConstantAerodynamics(0.18 * drag_coefficient, drag_coefficient)
+    return Vehicle(992.0, 16.0, aerodynamics=aerodynamics)
+
+
+def mars_entry() -> EntryState:
+    return EntryState(126.1 * km, 0.0, 0.0, 6750.0, -14.4 * degree, 90 * degree)
+
+
+def bank_profile() -> BankProfile:
+    """Close to the planned reference, and far from where the cosine is clipped."""
+    return BankProfile(PolynomialProfile([0.62, 0.05], 503.0, 6247.0))
+
+
+def mars_scenario(guidance=None, time_limit=400.0, in_plane=True) -> Scenario:
+    """The entry of Yan and He; open loop if no law is given."""
+    ends = {"velocity": VelocityBelow(503.0), "altitude": AltitudeBelow(10 * km)}
+    return Scenario(
+        mars_planet(),
+        mars_vehicle(),
+        mars_entry(),
+        bank_profile() if guidance is None else guidance,
+        Termination(ends, time_limit),
+        Target(10 * km, 503.0, 723.32 * km),
+        in_plane=in_plane,
+    )
+
+
+def free_scenario(bank_angle=50 * degree, time_limit=300.0) -> Scenario:
+    """Constant bank in three dimensions, with an end condition for each outcome."""
+    ends = {
+        "ceiling": AltitudeAbove(140 * km),
+        "ground": AltitudeBelow(0.0, outcome=Outcome.CRASHED),
+        "velocity": VelocityBelow(503.0),
+    }
+    scenario = mars_scenario(ConstantBank(bank_angle), in_plane=False)
+    return with_leaf(scenario, lambda s: s.termination, Termination(ends, time_limit))
+
+
+def with_leaf(tree, where, value):
+    """The tree with another value in one place."""
+    if eqx.is_array(where(tree)):
+        value = jnp.asarray(value, dtype=float)
+    return eqx.tree_at(where, tree, value)
+
+
+def error_gains() -> ErrorGains:
+    return ErrorGains(5.0, 1.982, 3.0)
+
+
+def state_feedback(reference) -> StateFeedbackDragTracking:
+    model = OnboardModel(mars_planet(), mars_vehicle())
+    return StateFeedbackDragTracking(error_gains(), reference, model)
+
+
+def observer_law(reference) -> ObserverDragTracking:
+    model = OnboardModel(mars_planet(), mars_vehicle())
+    gains = ObserverGains(0.481, 2.0, 1.0)
+    return ObserverDragTracking(error_gains(), gains, reference, model)
+
+
+all_laws = {
+    "bank profile": lambda reference: bank_profile(),
+    "state feedback": state_feedback,
+    "observer": observer_law,
+    "sampled bank profile": lambda reference: Sampled(bank_profile(), 1.0),
+    "sampled observer": lambda reference: Sampled(observer_law(reference), 1.0),
+}
+"""Makers of every law, each from a drag reference over energy."""
+
+
+def central_difference(f, x, step):
+    """Derivative of f at the number x, and what the next order adds to it.
+
+    Richardson's extrapolation of central differences with `step` and half of it: the
+    truncation error is of fourth order in the step.
+    """
+    wide, narrow = (
+        jax.tree.map(lambda a, b, h=h: (a - b) / (2.0 * h), f(x + h), f(x - h))
+        for h in (step, 0.5 * step)
+    )
+    return jax.tree.map(lambda w, n: n + (n - w) / 3.0, wide, narrow)
