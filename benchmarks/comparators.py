@@ -166,14 +166,6 @@ def rates(altitude, velocity, path, error, error_rate, lift_factor, drag_factor,
     )
 
 
-def first_error(mission: Mission, drag_factor, p: Plan, table) -> float:
-    """Drag error at entry, where the observer starts."""
-    # The observer's own equation returns it: with estimates of zero, and no other term,
-    # the rate of the first estimate is the innovation.
-    start = mission.altitude, mission.velocity, mission.flight_path_angle
-    return rates(*start, 0.0, 0.0, 0.0, drag_factor, p, table)[4] / p.innovation_error
-
-
 @functools.cache
 def _numba_program(fastmath: bool, parallel: bool):
     import numba
@@ -228,8 +220,11 @@ def _numba_program(fastmath: bool, parallel: bool):
         )
 
     @numba.njit(fastmath=fastmath)
-    def fly(h, v, g, e, lift, drag, mission, p, table, dt):
+    def fly(lift, drag, mission, p, table, dt):
+        h, v, g = mission.altitude, mission.velocity, mission.flight_path_angle
         t, s, d = 0.0, 0.0, 0.0
+        # With estimates of zero the first estimate grows by the innovation alone.
+        e = flow(h, v, g, 0.0, 0.0, lift, drag, p, table)[4] / p.innovation_error
         margin = min(v - mission.end_velocity, h - mission.end_altitude)
         while t < mission.time_limit:
             y = step(h, s, v, g, e, d, lift, drag, p, table, dt)
@@ -260,12 +255,10 @@ def _numba_program(fastmath: bool, parallel: bool):
     each = numba.prange if parallel else range
 
     @numba.njit(fastmath=fastmath, parallel=parallel)
-    def fly_all(lift, drag, error, mission, p, table, dt):
-        n = lift.size
-        out = np.empty((4, n))
-        h, v, g = mission.altitude, mission.velocity, mission.flight_path_angle
-        for i in each(n):
-            end = fly(h, v, g, error[i], lift[i], drag[i], mission, p, table, dt)
+    def fly_all(lift, drag, mission, p, table, dt):
+        out = np.empty((4, lift.size))
+        for i in each(lift.size):
+            end = fly(lift[i], drag[i], mission, p, table, dt)
             out[0, i], out[1, i], out[2, i], out[3, i] = end
         return out
 
@@ -287,10 +280,173 @@ def numba_flights(
     p = plan(mission, reference)
     lift, drag = force_factors(mission, mass, density_scale, lift_scale, drag_scale)
     table = np.ascontiguousarray(reference).ravel()
-    error = np.array([first_error(mission, d, p, table) for d in drag])
     if threads > 1:
         import numba
 
         numba.set_num_threads(threads)
     fly_all = _numba_program(fastmath, threads > 1)
-    return tuple(fly_all(lift, drag, error, mission, p, table, step))
+    return tuple(fly_all(lift, drag, mission, p, table, step))
+
+
+def scipy_flights(
+    mission: Mission,
+    reference: np.ndarray,
+    mass: np.ndarray,
+    density_scale: np.ndarray,
+    lift_scale: np.ndarray,
+    drag_scale: np.ndarray,
+    tolerance: float = 1e-6,
+    method: str = "RK45",
+):
+    """One flight after the other with `solve_ivp`, scalars and `math` inside.
+
+    `DOP853` with a tolerance of 1e-12 is the truth that all programs are judged by.
+    """
+    from scipy.integrate import solve_ivp
+
+    p = plan(mission, reference)
+    factors = force_factors(mission, mass, density_scale, lift_scale, drag_scale)
+    table = reference.ravel().tolist()  # a list is quicker to index than an array
+
+    def field(t, y, lift, drag):
+        h, _, v, g, e, d = y.tolist()
+        return rates(h, v, g, e, d, lift, drag, p, table)
+
+    def slow(t, y, lift, drag):
+        return y[2] - mission.end_velocity
+
+    def low(t, y, lift, drag):
+        return y[0] - mission.end_altitude
+
+    slow.terminal = low.terminal = True
+    ends = []
+    for lift, drag in zip(*(x.tolist() for x in factors), strict=True):
+        start = mission.altitude, 0.0, mission.velocity, mission.flight_path_angle
+        at_rest = (*start, 0.0, 0.0)
+        error = field(0.0, np.array(at_rest), lift, drag)[4] / p.innovation_error
+        solution = solve_ivp(
+            field,
+            (0.0, mission.time_limit),
+            (*start, error, 0.0),
+            method,
+            events=(slow, low),
+            args=(lift, drag),
+            rtol=tolerance,
+            atol=tolerance,
+        )
+        h, s, v = solution.y[:3, -1]
+        ends.append((solution.t[-1], h, s * mission.planet_radius, v))
+    return tuple(np.array(ends).T)
+
+
+def _jax_rates(p: Plan, table, y, lift_factor, drag_factor):
+    """`rates` in jax.numpy; `table` has a row for each interval."""
+    import jax.numpy as jnp
+
+    altitude, _, velocity, path, error, error_rate = y
+    sin, cos = jnp.sin(path), jnp.cos(path)
+    radius = p.planet_radius + altitude
+    gravity = p.gravitational_parameter / radius**2
+    pressure = jnp.exp(-altitude * p.per_scale_height) * velocity**2
+    lift, drag = lift_factor * pressure, drag_factor * pressure
+
+    energy = 0.5 * velocity**2 - p.gravitational_parameter / radius
+    position = (energy - p.reference_start) * p.per_spacing
+    inside = jnp.clip(position, 0.0, p.intervals)
+    interval = jnp.clip(jnp.floor(inside), 0, p.intervals - 1)
+    row = table[interval.astype(int)]
+    x = inside - interval
+    beyond = position - inside
+    wanted = jnp.polyval(row, x)
+    first = jnp.polyval(row[:5] * jnp.arange(5.0, 0.0, -1.0), x)
+    second = jnp.polyval(row[:4] * jnp.array([20.0, 12.0, 6.0, 2.0]), x)
+    wanted = wanted + beyond * (first + 0.5 * beyond * second)
+    first = (first + beyond * second) * p.per_spacing
+    second = second * p.per_spacing**2
+
+    common = -velocity * sin * p.per_scale_height - 2.0 * gravity * sin / velocity
+    drag_rate = drag * (common - 2.0 * drag / velocity)
+    turning = drag**2 + 2.0 * drag * gravity * sin + gravity**2 * (sin**2 - cos**2)
+    f = (common - 4.0 * drag / velocity) * drag_rate + drag * (
+        (drag * sin + gravity) * p.per_scale_height
+        + gravity * (4.0 * sin**2 - 2.0 * cos**2) / radius
+        - 2.0 * turning / velocity**2
+        - velocity**2 * cos**2 * p.per_scale_height / radius
+    )
+    steepness = velocity * p.per_scale_height + 2.0 * gravity / velocity
+    g0 = -steepness * p.lift_to_drag * drag**2 * cos / velocity
+
+    energy_rate = -drag * velocity
+    energy_drift = -drag_rate * velocity + drag * (drag + gravity * sin)
+    wanted_acceleration = second * energy_rate**2 + first * energy_drift
+    x1 = drag - wanted
+    feedback = -p.feedback_error * x1 - p.feedback_rate * error_rate
+    u = jnp.clip((wanted_acceleration - f + feedback) / g0, -1.0, 1.0)
+    innovation = x1 - error
+    turn = velocity * cos / radius
+    return jnp.stack(
+        [
+            velocity * sin,
+            turn,
+            -drag - gravity * sin,
+            (lift * u - gravity * cos) / velocity + turn,
+            error_rate + p.innovation_error * innovation,
+            feedback + p.innovation_rate * innovation,
+        ]
+    )
+
+
+@functools.cache
+def _diffrax_program(mission: Mission, p: Plan, tolerance: float):
+    import diffrax
+    import jax
+    import jax.numpy as jnp
+    import optimistix
+
+    def field(t, y, args):
+        table, lift, drag = args
+        return _jax_rates(p, table, y, lift, drag)
+
+    def margin(t, y, args, **kwargs):
+        return jnp.minimum(y[2] - mission.end_velocity, y[0] - mission.end_altitude)
+
+    def fly(table, lift, drag):
+        start = mission.altitude, 0.0, mission.velocity, mission.flight_path_angle
+        y = jnp.array([*start, 0.0, 0.0])
+        # With estimates of zero the first estimate grows by the innovation alone.
+        error = _jax_rates(p, table, y, lift, drag)[4] / p.innovation_error
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(field),
+            diffrax.Tsit5(),
+            t0=0.0,
+            t1=mission.time_limit,
+            dt0=0.1,
+            y0=y.at[4].set(error),
+            args=(table, lift, drag),
+            stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+            event=diffrax.Event(margin, optimistix.Newton(1e-9, 1e-9)),
+        )
+        h, s, v = solution.ys[0, :3]
+        return solution.ts[0], h, s * mission.planet_radius, v
+
+    return jax.jit(jax.vmap(fly, in_axes=(None, 0, 0)))
+
+
+def diffrax_flights(
+    mission: Mission,
+    reference: np.ndarray,
+    mass: np.ndarray,
+    density_scale: np.ndarray,
+    lift_scale: np.ndarray,
+    drag_scale: np.ndarray,
+    tolerance: float = 1e-6,
+):
+    """All flights at once: `vmap` over `diffeqsolve` with its own steps and event.
+
+    In double precision only where the process has switched JAX to it.
+    """
+    import jax
+
+    lift, drag = force_factors(mission, mass, density_scale, lift_scale, drag_scale)
+    program = _diffrax_program(mission, plan(mission, reference), tolerance)
+    return jax.block_until_ready(program(reference, lift, drag))

@@ -1,0 +1,34 @@
+"""Guided atmospheric entry as one pure, differentiable function.
+
+import jentry
+
+jentry.setup()
+scenario = jentry.find_mission("mars-drag-tracking").scenario()
+flight = jentry.fly(scenario)
+campaign = jentry.monte_carlo(scenario, dispersions, key)
+"""
+
+from ._setup import setup as setup
+from .campaign import (
+    Campaign as Campaign,
+    CampaignError as CampaignError,
+    Dispersion as Dispersion,
+    Normal as Normal,
+    TruncatedNormal as TruncatedNormal,
+    Uniform as Uniform,
+    monte_carlo as monte_carlo,
+    open_campaign as open_campaign,
+    run_campaign as run_campaign,
+)
+from .flight import (
+    Adaptive as Adaptive,
+    FixedStep as FixedStep,
+    Flight as Flight,
+    Outcome as Outcome,
+    Scenario as Scenario,
+    Target as Target,
+    Termination as Termination,
+    fly as fly,
+    misses as misses,
+)
+from .missions import find_mission as find_mission

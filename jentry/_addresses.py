@@ -73,7 +73,9 @@ def require_address(known: Iterable[str], address: str) -> None:
     """Refuse an address that is not in the tree, with the nearest ones that are."""
     known = list(known)
     if address not in known:
-        raise ValueError(f"no leaf {address!r} in this scenario; {nearest(address, known)}")
+        raise ValueError(
+            f"no leaf {address!r} in this scenario; {nearest(address, known)}"
+        )
 
 
 def replace_leaves(tree: Tree, values: Mapping[str, Any]) -> Tree:

@@ -98,7 +98,10 @@ def _turn_on_fast_options() -> None:
         return
     environment = {**os.environ, "XLA_FLAGS": wanted, "JAX_PLATFORMS": "cpu"}
     test = subprocess.run(
-        [sys.executable, "-c", _SELF_TEST], env=environment, capture_output=True, text=True
+        [sys.executable, "-c", _SELF_TEST],
+        env=environment,
+        capture_output=True,
+        text=True,
     )
     if test.returncode == 0:
         os.environ["XLA_FLAGS"] = wanted

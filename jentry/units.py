@@ -1,8 +1,8 @@
 """Factors between the units of the edge and SI: multiply in, divide out.
 
-    altitude = 125 * km
-    flight_path_angle = -14.2 * degree
-    altitude / km
+altitude = 125 * km
+flight_path_angle = -14.2 * degree
+altitude / km
 """
 
 import math

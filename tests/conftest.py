@@ -18,6 +18,7 @@ def key():
 def planned():
     """The planned Mars reference: bank profile, flight, and drag over energy and time."""
     from helpers import mars_scenario
+
     from jentry.design.planning import (
         ReferenceFlight,
         open_loop,

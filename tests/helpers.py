@@ -53,7 +53,9 @@ MARS_ROTATION = 7.088e-5
 fly_compiled = eqx.filter_jit(fly)
 """One cache for all tests: the same structure, solver and history compile once."""
 
-fly_batch = eqx.filter_jit(lambda scenarios, *how: jax.vmap(lambda s: fly(s, *how))(scenarios))
+fly_batch = eqx.filter_jit(
+    lambda scenarios, *how: jax.vmap(lambda s: fly(s, *how))(scenarios)
+)
 
 
 class ConstantBank(AbstractContinuousLaw[None]):

@@ -13,8 +13,8 @@ from jentry.world import (
     ExponentialAtmosphere,
     TabulatedAtmosphere,
     USStandardAtmosphere1976,
+    us_standard_atmosphere as standard,
 )
-from jentry.world import us_standard_atmosphere as standard
 
 
 QUANTITIES = ("density", "temperature", "pressure", "speed_of_sound")

@@ -12,4 +12,7 @@ from .dispersions import (
     multiply as multiply,
     replace as replace,
 )
+from .errors import CampaignError as CampaignError
 from .monte_carlo import Campaign as Campaign, monte_carlo as monte_carlo
+from .results import dataset as dataset
+from .store import open_campaign as open_campaign, run_campaign as run_campaign

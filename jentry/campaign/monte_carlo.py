@@ -1,5 +1,6 @@
 """Fly many dispersed runs of one scenario, fast and on all cores."""
 
+import functools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -8,10 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.sharding import PartitionSpec
+from jax.sharding import AxisType, PartitionSpec
 from jaxtyping import Array, Key
 
-from .._addresses import field_metadata, leaves_by_address, replace_leaves, require_address
+from .._addresses import (
+    field_metadata,
+    leaves_by_address,
+    replace_leaves,
+    require_address,
+)
 from ..flight.fly import Flight, fly
 from ..flight.misses import Misses, misses
 from ..flight.scenario import Scenario, check, check_values
@@ -141,9 +147,12 @@ def _blocks(scenario, dispersions, key, indices, given, solver, history):
         else:
             inputs = {a: jnp.asarray(v[filled]) for a, v in given.items()}
         flown = _fly_block(scenario, inputs, solver, history, devices)
-        flights, missed = jax.tree.map(lambda x: np.asarray(x)[: len(runs)], flown)
-        inputs = {a: np.asarray(v)[: len(runs)] for a, v in inputs.items()}
-        yield Campaign(runs, inputs, flights, missed)
+        block = Campaign(filled, inputs, *flown)
+        yield jax.tree.map(functools.partial(_first, len(runs)), block)
+
+
+def _first(count: int, values: Any) -> np.ndarray:
+    return np.asarray(values)[:count]
 
 
 @eqx.filter_jit
@@ -168,7 +177,7 @@ def _fly_block(
 
     if devices == 1:
         return on_one_device(numbers, inputs)
-    mesh = jax.make_mesh((devices,), ("flights",))
+    mesh = jax.make_mesh((devices,), ("flights",), axis_types=(AxisType.Auto,))
     split = PartitionSpec("flights")
     on_all = jax.shard_map(
         on_one_device,

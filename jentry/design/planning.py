@@ -5,7 +5,6 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import optimistix
 from jax import lax
 from jaxtyping import Array, Float
 
@@ -56,16 +55,55 @@ def plan_bank_profile(
         state = fly(flown, solver).state
         downrange, _ = ground_track(scenario.planet, start, state)
         target = scenario.target
-        return jnp.stack([state.altitude - target.altitude, downrange - target.downrange])
+        return jnp.stack(
+            [state.altitude - target.altitude, downrange - target.downrange]
+        )
 
-    solution = optimistix.root_find(
-        lambda c, given: misses(c, given) / 1e5,
-        optimistix.Newton(rtol=1e-11, atol=1e-11),
+    def scaled_misses(coefficients):
+        return misses(coefficients, (scenario, curvature)) / 1e5
+
+    coefficients, missed = lax.custom_root(
+        scaled_misses,
         jnp.asarray(guess, dtype=float),
-        args=(scenario, jnp.asarray(curvature, float)),
-        max_steps=30,
+        solve=_secant_newton,
+        tangent_solve=lambda g, y: jnp.linalg.solve(jax.jacobian(g)(y), y),
+        has_aux=True,
     )
-    return profile(solution.value, curvature)
+    coefficients = eqx.error_if(
+        coefficients,
+        ~(missed < _PLANNED_TO),
+        "no bank profile meets the target: altitude, downrange and end velocity of the "
+        "target do not go together for this vehicle; try another curvature or guess",
+    )
+    return profile(coefficients, curvature)
+
+
+_PLANNED_TO = 1e-9
+"""Of 100 km"""
+
+
+def _secant_newton(function, guess):
+    """Root of a function of two variables, and its last largest value but one.
+
+    The Jacobian is one of differences: they serve as well as derivatives here, and
+    compile in a third of the time.
+    """
+    step = 1e-5
+    offsets = jnp.concatenate([jnp.zeros((1, 2)), step * jnp.eye(2)])
+
+    def improve(_, found):
+        x, _ = found
+        values = jax.vmap(function)(x[None, :] + offsets)
+        jacobian = (values[1:] - values[:1]).T / step
+        better = x - jnp.linalg.solve(jacobian, values[0])
+        return better, jnp.max(jnp.abs(values[0]))
+
+    start = guess, jnp.full((), jnp.inf)
+    return lax.fori_loop(0, _IMPROVEMENTS, improve, start)
+
+
+_IMPROVEMENTS = 8
+"""From a guess 0.2 off to rounding, with two to spare."""
 
 
 def open_loop(

@@ -62,5 +62,7 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
         lane.bracket,
         jnp.zeros_like(lane.running),
     )
-    outcome = jnp.where(met, jnp.array(conditions.outcomes)[ended_by], Outcome.NOT_FINITE)
+    outcome = jnp.where(
+        met, jnp.array(conditions.outcomes)[ended_by], Outcome.NOT_FINITE
+    )
     return End(ended, outcome, ended_by)

@@ -121,7 +121,10 @@ def track(
 
 
 def observe(
-    gains: ErrorGains, observer: ObserverGains, tracking: Tracking, estimate: ObserverState
+    gains: ErrorGains,
+    observer: ObserverGains,
+    tracking: Tracking,
+    estimate: ObserverState,
 ) -> ObserverState:
     """Rate of the observer's state, equation (25), driven by the unclipped command."""
     a, b, epsilon0 = gains.a, gains.b, gains.epsilon0

@@ -29,12 +29,15 @@ class BankProfile(AbstractContinuousLaw[None]):
         return vertical_lift_command(cos_bank, self.angle_of_attack), None
 
 
-def vertical_lift_command(cos_bank: Scalar, angle_of_attack: Scalar) -> Controls:
-    """Bank to the right with a wanted cosine, the wish clipped to [-1, 1].
+def vertical_lift_command(
+    cos_bank: Scalar, angle_of_attack: Scalar, sign: Scalar | float = 1.0
+) -> Controls:
+    """Bank with a wanted cosine, the wish clipped to [-1, 1]; to the right by default.
 
-    The sine has derivative zero where the wish is clipped.
+    A `sign` of -1 banks to the left. The sine has derivative zero where the wish is
+    clipped.
     """
     clipped = jnp.clip(cos_bank, -1.0, 1.0)
     inside = jnp.abs(cos_bank) < 1.0
     sine = jnp.sqrt(jnp.where(inside, 1.0 - clipped * clipped, 1.0))
-    return Controls(angle_of_attack, clipped, jnp.where(inside, sine, 0.0))
+    return Controls(angle_of_attack, clipped, sign * jnp.where(inside, sine, 0.0))

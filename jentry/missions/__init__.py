@@ -9,7 +9,7 @@ ALL = {mission.name: mission for mission in (MARS_DRAG_TRACKING,)}
 """Every mission by its name."""
 
 
-def find(name: str) -> Mission:
+def find_mission(name: str) -> Mission:
     """A mission by its name. Raises `ValueError` with the nearest names otherwise."""
     if name not in ALL:
         raise ValueError(f"no mission {name!r}; {nearest(name, ALL)}")

@@ -30,10 +30,14 @@ class Mission:
     source: str
     variants: Mapping[str, Callable[[], Scenario]]
     """Builders of the scenario; the first is the mission's own"""
-    dispersions: Mapping[str, Mapping[str, Dispersion]]
-    """Readings of the dispersion table; the first is the mission's own"""
+    dispersions: Mapping[str, Callable[[], Mapping[str, Dispersion]]]
+    """Readings of the dispersion table; the first is the mission's own. Functions, so
+    that importing a mission makes no array"""
     published: tuple[PublishedValue, ...] = ()
     published_note: str = ""
+    published_variant: str = ""
+    published_dispersions: str = ""
+    """What the published values belong to"""
 
     def scenario(self, variant: str | None = None) -> Scenario:
         """The nominal scenario. Raises `ValueError` for an unknown variant."""
@@ -41,10 +45,12 @@ class Mission:
 
     def dispersion_table(self, reading: str | None = None) -> Mapping[str, Dispersion]:
         """What is dispersed. Raises `ValueError` for an unknown reading."""
-        return _choose(self.dispersions, reading, "dispersions", self.name)
+        return _choose(self.dispersions, reading, "dispersions", self.name)()
 
 
-def _choose(options: Mapping[str, Any], name: str | None, what: str, mission: str) -> Any:
+def _choose(
+    options: Mapping[str, Any], name: str | None, what: str, mission: str
+) -> Any:
     if name is None:
         return next(iter(options.values()))
     if name not in options:

@@ -1,6 +1,9 @@
 """Floor 2: state, forces, equations of motion, derived quantities."""
 
-from .dynamics import entry_dynamics as entry_dynamics, with_respect_to as with_respect_to
+from .dynamics import (
+    entry_dynamics as entry_dynamics,
+    with_respect_to as with_respect_to,
+)
 from .forces import AirData as AirData, air_data as air_data
 from .quantities import (
     detra_kemp_riddell_heat_rate as detra_kemp_riddell_heat_rate,

@@ -39,7 +39,8 @@ def entry_dynamics(
         latitude=ground_rate * cos_heading,
         velocity=along
         - gravity * sin_path
-        + centrifugal * (sin_path * cos_latitude - cos_path * sin_latitude * cos_heading),
+        + centrifugal
+        * (sin_path * cos_latitude - cos_path * sin_latitude * cos_heading),
         flight_path_angle=(
             above
             - gravity * cos_path
@@ -51,7 +52,8 @@ def entry_dynamics(
         + ground_rate,
         heading=(
             right
-            - coriolis * (sin_path * cos_latitude * cos_heading - cos_path * sin_latitude)
+            - coriolis
+            * (sin_path * cos_latitude * cos_heading - cos_path * sin_latitude)
             + centrifugal * sin_latitude * sin_heading
         )
         / (velocity * cos_path)

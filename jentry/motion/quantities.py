@@ -49,7 +49,12 @@ def detra_kemp_riddell_heat_rate(
     Reference: R. W. Detra, N. H. Kemp, F. R. Riddell, Jet Propulsion 27(12), 1957.
     """
     ratio = jnp.sqrt(density / surface_density)
-    return 1.1037e8 / jnp.sqrt(nose_radius) * ratio * (velocity / circular_velocity) ** 3.15
+    return (
+        1.1037e8
+        / jnp.sqrt(nose_radius)
+        * ratio
+        * (velocity / circular_velocity) ** 3.15
+    )
 
 
 def _direction(longitude: Scalar, latitude: Scalar) -> tuple:

@@ -52,7 +52,9 @@ class EnergyIndex(AbstractIndex):
         state, drag = measurement.state, measurement.drag
         velocity = state.velocity
         sin, _ = sincos(state.flight_path_angle)
-        gravity = model.planet.gravity.acceleration(model.planet.radius + state.altitude)
+        gravity = model.planet.gravity.acceleration(
+            model.planet.radius + state.altitude
+        )
         acceleration = -drag - gravity * sin
         return IndexMotion(
             value=self.value(model.planet, time, state),

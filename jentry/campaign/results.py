@@ -1,0 +1,94 @@
+"""Flown runs as an `xarray.Dataset`, with units and long names."""
+
+from typing import Any
+
+import numpy as np
+
+from .._addresses import unit_of
+from ..flight.scenario import Scenario
+from ..flight.termination import Outcome
+from .monte_carlo import Campaign
+
+
+_STATE = {
+    "altitude": "m",
+    "longitude": "rad",
+    "latitude": "rad",
+    "velocity": "m/s",
+    "flight_path_angle": "rad",
+    "heading": "rad",
+}
+_CONTROLS = {"bank_angle": "rad", "angle_of_attack": "rad"}
+_CONSTRAINTS = {
+    "drag": "m/s2",
+    "dynamic_pressure": "Pa",
+    "heat_rate": "W/m2",
+    "load_factor": "1",
+}
+_MISSES = {"downrange": "m", "crossrange": "m", "altitude": "m", "velocity": "m/s"}
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
+
+
+def dataset(scenario: Scenario, campaign: Campaign, history: float | None = None):
+    """Inputs by address, outcome, final state, misses, peaks and, if kept, histories.
+
+    Dimensions: run, and time for histories, whose interval is `history` (s). Errors are
+    actual minus desired.
+    """
+    import xarray
+
+    flights = campaign.flights
+    variables: dict[str, Any] = {}
+
+    def put(name, values, unit, long_name, dims=("run",), **attributes):
+        described = {"units": unit, "long_name": long_name, **attributes}
+        variables[name] = (dims, np.asarray(values), described)
+
+    for address, values in campaign.inputs.items():
+        put(address, values, unit_of(scenario, address), f"input {address}")
+    names = scenario.termination.names
+    put(
+        "outcome",
+        flights.outcome.astype(np.int8),
+        "1",
+        "how the flight ended",
+        flag_values=np.array([int(o) for o in Outcome], dtype=np.int8),
+        flag_meanings=" ".join(o.name.lower() for o in Outcome),
+    )
+    put(
+        "ended_by",
+        flights.ended_by.astype(np.int8),
+        "1",
+        "end condition that was met",
+        flag_values=np.arange(len(names), dtype=np.int8),
+        flag_meanings=" ".join(names),
+    )
+    put("end_time", flights.time, "s", "time at the end")
+    for name, unit in _STATE.items():
+        values = getattr(flights.state, name)
+        put(f"end_{name}", values, unit, f"{_words(name)} at the end")
+    for name, unit in _MISSES.items():
+        values = getattr(campaign.misses, name)
+        put(f"{name}_error", values, unit, f"{name} error, actual minus desired")
+    for name, unit in _CONSTRAINTS.items():
+        put(f"peak_{name}", getattr(flights.peaks, name), unit, f"peak {_words(name)}")
+
+    coordinates: dict[str, Any] = {"run": campaign.runs}
+    kept = flights.history
+    if kept is not None:
+        if history is None:
+            raise ValueError("the campaign kept histories: give their interval")
+        grid = history * np.arange(kept.time.shape[1])
+        described = {"units": "s", "long_name": "time since the start"}
+        coordinates["time"] = ("time", grid, described)
+        both = ("run", "time")
+        for name, unit in _STATE.items():
+            put(name, getattr(kept.states, name), unit, _words(name), both)
+        for name, unit in _CONTROLS.items():
+            put(name, getattr(kept.controls, name), unit, _words(name), both)
+        for name, unit in _CONSTRAINTS.items():
+            put(name, getattr(kept.constraints, name), unit, _words(name), both)
+    return xarray.Dataset(variables, coordinates)

@@ -1,0 +1,300 @@
+"""Campaigns on disk: written part by part, resumed after a kill, read as one dataset.
+
+A campaign is a folder: `campaign.json` says what is flown, and each `runs-*.nc` holds a
+range of runs. A part is written under another name, flushed to the disk and then renamed,
+so that whatever stands there is whole.
+"""
+
+import json
+import os
+import re
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from .._addresses import addresses_of, leaves_by_address, unit_of
+from ..flight.fly import Flight
+from ..flight.misses import misses
+from ..flight.scenario import Scenario
+from ..flight.solver import AbstractSolver, FixedStep
+from .dispersions import Dispersion
+from .errors import CampaignError
+from .monte_carlo import Campaign, fly_in_blocks
+from .results import dataset
+
+
+MANIFEST = "campaign.json"
+_PART = re.compile(r"runs-(\d{9})-(\d{9})\.nc")
+_PACKAGES = ("jentry", "jax", "equinox", "diffrax", "numpy")
+
+
+def describe(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion] | None,
+    seed: int,
+    solver: AbstractSolver,
+    history: float | None,
+    inputs: Mapping[str, Any] | None = None,
+    **labels: str,
+) -> dict[str, Any]:
+    """What a campaign is, as plain values: two that are equal fly the same runs."""
+    leaves = leaves_by_address(scenario)
+    return {
+        **labels,
+        "seed": seed,
+        "history_interval": history,
+        "solver": str(solver),
+        "structure": str(scenario),
+        "dispersions": {
+            name: {
+                "addresses": addresses_of(scenario, dispersion.where),
+                "distribution": type(dispersion.distribution).__name__,
+                **{
+                    field: float(value)
+                    for field, value in leaves_by_address(
+                        dispersion.distribution
+                    ).items()
+                },
+                "apply": getattr(dispersion.apply, "__name__", str(dispersion.apply)),
+            }
+            for name, dispersion in (dispersions or {}).items()
+        },
+        "inputs": {
+            address: np.asarray(values, dtype=float).tolist()
+            for address, values in (inputs or {}).items()
+        },
+        "scenario": {
+            address: {
+                "value": np.asarray(leaf).tolist(),
+                "unit": unit_of(scenario, address),
+            }
+            for address, leaf in leaves.items()
+        },
+        "versions": {name: version(name) for name in _PACKAGES},
+    }
+
+
+def run_campaign(
+    out: Path | str,
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion] | None,
+    seed: int,
+    runs: int,
+    *,
+    inputs: Mapping[str, Any] | None = None,
+    solver: AbstractSolver = FixedStep(),
+    history: float | None = None,
+    report: Callable[[int], None] = lambda stored: None,
+    **labels: str,
+) -> None:
+    """Fly a campaign into a folder, or what of it is not there yet.
+
+    Interrupted at any moment, it is resumed by the same call and ends with the same
+    numbers. More runs of the same campaign are added by a larger `runs`.
+
+    **Arguments:**
+
+    - `out`: folder; made if it does not exist.
+    - `inputs`: in place of dispersions, values by address.
+    - `report`: is told how many runs are stored, whenever that changes.
+    - `labels`: such as the mission; kept in the results.
+
+    **Raises:** `CampaignError` for a folder with another campaign or with something else,
+    `ValueError` for what cannot be flown.
+    """
+    out = Path(out)
+    if runs < 1:
+        raise ValueError(f"no runs to fly: runs is {runs}")
+    description = describe(
+        scenario, dispersions, seed, solver, history, inputs, **labels
+    )
+    _claim(out, description)
+    done = int(np.sum(_stored(out, runs)))
+    report(done)
+    key = jax.random.key(seed)
+    for missing in _unbroken(np.flatnonzero(~_stored(out, runs))):
+        blocks = fly_in_blocks(
+            scenario,
+            None if inputs is not None else dispersions,
+            None if inputs is not None else key,
+            missing,
+            inputs=inputs,
+            solver=solver,
+            history=history,
+        )
+        for block in blocks:
+            _write_part(out, scenario, block, description)
+            done += len(block.runs)
+            report(done)
+
+
+def write_flight(
+    path: Path | str,
+    scenario: Scenario,
+    flight: Flight,
+    history: float | None,
+    **labels: str,
+) -> None:
+    """Write one flight as a campaign of one run, a netCDF file."""
+    alone = Campaign(np.arange(1), {}, flight, misses(scenario, flight))
+    block = jax.tree.map(lambda x: np.asarray(x)[None], alone)
+    block = eqx.tree_at(lambda block: block.runs, block, np.arange(1))
+    part = dataset(scenario, block, history)
+    description = describe(scenario, None, 0, FixedStep(), history, **labels)
+    part.attrs["campaign"] = json.dumps(description)
+    _write_whole(Path(path), lambda path: part.to_netcdf(path, engine="h5netcdf"))
+
+
+def open_campaign(out: Path | str, runs: int | None = None):
+    """The stored runs as one `xarray.Dataset`, in the order of the runs.
+
+    **Arguments:**
+
+    - `out`: folder of a campaign.
+    - `runs`: the first so many only.
+
+    **Raises:** `CampaignError` for a folder that holds no campaign, or a part that cannot
+    be read.
+    """
+    import xarray
+
+    out = Path(out)
+    description = _read_manifest(out)
+    parts = _parts(out)
+    if not parts:
+        raise CampaignError(f"{out} holds no runs yet: run its campaign first")
+    opened = []
+    for _, _, path in parts:
+        try:
+            with xarray.open_dataset(path, engine="h5netcdf") as part:
+                opened.append(part.load())
+        except (OSError, ValueError, KeyError) as error:
+            raise CampaignError(
+                f"{path} cannot be read ({error}): delete it and run the same campaign "
+                "again, which flies what is missing"
+            ) from error
+    result = xarray.concat(
+        opened, dim="run", data_vars="minimal", combine_attrs="drop_conflicts"
+    )
+    if runs is not None:
+        result = result.isel(run=slice(0, runs))
+    result.attrs["campaign"] = json.dumps(description)
+    return result
+
+
+def _claim(out: Path, description: Mapping[str, Any]) -> None:
+    """Make the folder this campaign's, or find that it is already."""
+    manifest = out / MANIFEST
+    if out.exists() and not out.is_dir():
+        raise CampaignError(f"{out} is a file: give a folder for the campaign")
+    if not manifest.exists():
+        if out.exists() and any(_PART.fullmatch(path.name) for path in out.iterdir()):
+            raise CampaignError(
+                f"{out} has runs but no {MANIFEST}: it is not known what was flown; give "
+                "another folder"
+            )
+        out.mkdir(parents=True, exist_ok=True)
+        _write_whole(manifest, lambda path: path.write_text(json.dumps(description)))
+        return
+    known = _read_manifest(out)
+    wanted = json.loads(json.dumps(description))
+    different = _first_difference(known, wanted)
+    if different:
+        raise CampaignError(
+            f"{out} holds another campaign: {different}. Give another folder, or the "
+            "same options as before"
+        )
+
+
+def _read_manifest(out: Path) -> dict[str, Any]:
+    manifest = out / MANIFEST
+    if not manifest.exists():
+        raise CampaignError(f"{out} holds no campaign: there is no {MANIFEST} in it")
+    try:
+        known = json.loads(manifest.read_text())
+        known["scenario"], known["seed"], known["versions"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise CampaignError(f"{manifest} is no campaign of jentry ({error})") from error
+    return known
+
+
+def _first_difference(known: Any, wanted: Any, place: str = "") -> str | None:
+    if isinstance(known, dict) and isinstance(wanted, dict):
+        for name in [*known, *(n for n in wanted if n not in known)]:
+            inner = f"{place}.{name}" if place else name
+            if name not in known or name not in wanted:
+                where = "there" if name in known else "now"
+                return f"{inner} is given only {where}"
+            difference = _first_difference(known[name], wanted[name], inner)
+            if difference:
+                return difference
+        return None
+    if known == wanted:
+        return None
+    if isinstance(known, list) or len(str(known)) > 60:
+        return f"{place} differs"
+    return f"{place} is {known} there and {wanted} now"
+
+
+def _parts(out: Path) -> list[tuple[int, int, Path]]:
+    """First run, last run and file of each part, in order."""
+    found = []
+    for path in out.iterdir():
+        match = _PART.fullmatch(path.name)
+        if match:
+            found.append((int(match[1]), int(match[2]), path))
+    return sorted(found)
+
+
+def _stored(out: Path, runs: int) -> np.ndarray:
+    """Which of the first runs are stored."""
+    stored = np.zeros(runs, dtype=bool)
+    for first, last, _ in _parts(out):
+        stored[first : last + 1] = True
+    return stored
+
+
+def _unbroken(indices: np.ndarray) -> list[np.ndarray]:
+    """Indices in rising order, split where they are not consecutive."""
+    if not indices.size:
+        return []
+    return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1)
+
+
+def _write_part(
+    out: Path, scenario: Scenario, block: Campaign, description: Mapping[str, Any]
+) -> None:
+    part = dataset(scenario, block, description["history_interval"])
+    for name in ("seed", "versions"):
+        part.attrs[name] = json.dumps(description[name])
+    scalars = {
+        address: leaf
+        for address, leaf in description["scenario"].items()
+        if not isinstance(leaf["value"], list)
+    }
+    part.attrs["scenario"] = json.dumps(scalars)
+    name = f"runs-{block.runs[0]:09d}-{block.runs[-1]:09d}.nc"
+    _write_whole(out / name, lambda path: part.to_netcdf(path, engine="h5netcdf"))
+
+
+def _write_whole(path: Path, write: Callable[[Path], Any]) -> None:
+    """Write a file so that it is there whole or not at all, also after a crash."""
+    unfinished = path.with_name(f".{path.name}.unfinished")
+    try:
+        write(unfinished)
+        with open(unfinished, "rb") as file:
+            os.fsync(file.fileno())
+        os.replace(unfinished, path)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
+    except OSError:
+        unfinished.unlink(missing_ok=True)
+        raise

@@ -1,0 +1,3 @@
+"""Floor 8: the command `jentry`."""
+
+from .main import main as main

@@ -1,0 +1,234 @@
+"""The commands and their options; what they print is in `report`."""
+
+import errno
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+app = typer.Typer(
+    help="Guided atmospheric entry: fly missions, one by one or in Monte Carlo campaigns.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+MissionName = Annotated[
+    str, typer.Argument(help="Name of a mission: see `jentry list`.")
+]
+Variant = Annotated[
+    str | None, typer.Option(help="Variant of the mission: see `jentry list`.")
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="ADDRESS=VALUE",
+        help="Change a number of the scenario, in SI units or with a unit: "
+        "initial_state.flight_path_angle=-14.2deg. May be repeated.",
+    ),
+]
+Config = Annotated[
+    Path | None,
+    typer.Option(
+        exists=True,
+        dir_okay=False,
+        help="TOML file with `variant`, `[set]` and `[dispersions]`.",
+    ),
+]
+Step = Annotated[float, typer.Option(help="Largest step of the solver, s.")]
+
+
+@app.command("list")
+def list_missions() -> None:
+    """The missions, their variants and their dispersions."""
+    from ..missions import ALL
+    from .report import print_missions
+
+    print_missions(ALL.values())
+
+
+@app.command()
+def show(
+    mission: MissionName,
+    variant: Variant = None,
+    set_: Set = None,
+    config: Config = None,
+) -> None:
+    """Every number of a mission: address, value and unit."""
+    _set_up(workers=1)
+    from .report import print_leaves
+
+    print_leaves(_scenario(mission, variant, config, set_)[1])
+
+
+@app.command()
+def fly(
+    mission: MissionName,
+    variant: Variant = None,
+    set_: Set = None,
+    config: Config = None,
+    step: Step = 0.1,
+    history: Annotated[
+        float | None, typer.Option(help="Keep the flight at this interval, s.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Result file (netCDF) to write, with the history."),
+    ] = None,
+) -> None:
+    """Fly a mission once, without dispersions."""
+    _set_up(workers=1)
+    import equinox as eqx
+
+    from ..campaign.store import write_flight
+    from ..flight.fly import fly as fly_once
+    from ..flight.solver import FixedStep
+    from .report import print_flight
+
+    if out is not None and history is None:
+        history = 1.0
+    chosen, scenario, _ = _scenario(mission, variant, config, set_)
+    flight = eqx.filter_jit(fly_once)(scenario, FixedStep(step), history)
+    print_flight(chosen, scenario, flight)
+    if out is not None:
+        write_flight(out, scenario, flight, history, mission=mission)
+        typer.echo(f"written: {out}")
+
+
+@app.command("monte-carlo")
+def monte_carlo(
+    mission: MissionName,
+    runs: Annotated[int, typer.Option(help="Number of runs.")] = 1000,
+    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the results; results/MISSION if not given. The same command "
+            "resumes what is there."
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(help="Cores to use; all if not given.")
+    ] = None,
+    variant: Variant = None,
+    dispersions: Annotated[
+        str | None,
+        typer.Option(help="Reading of the dispersions: see `jentry list`."),
+    ] = None,
+    inputs: Annotated[
+        Path | None,
+        typer.Option(
+            exists=True,
+            dir_okay=False,
+            help="Fly given inputs in place of drawn ones: csv, addresses in the first "
+            "line, a run in each other.",
+        ),
+    ] = None,
+    set_: Set = None,
+    config: Config = None,
+    step: Step = 0.1,
+    history: Annotated[
+        float | None, typer.Option(help="Keep all trajectories at this interval, s.")
+    ] = None,
+    fast: Annotated[
+        bool,
+        typer.Option(
+            help="XLA options that double the speed, and the time to compile: for some "
+            "ten thousand runs and more."
+        ),
+    ] = False,
+    figures: Annotated[
+        bool, typer.Option(help="Draw figures into OUT/figures.")
+    ] = True,
+) -> None:
+    """Fly dispersed runs, store them, print their statistics and draw figures."""
+    _set_up(workers, fast)
+    from ..campaign.store import open_campaign, run_campaign
+    from ..flight.solver import FixedStep
+    from ..overrides import read_inputs, require_addresses
+    from .figures import draw_figures
+    from .report import print_campaign, progress
+
+    chosen, scenario, overrides = _scenario(mission, variant, config, set_)
+    reading = dispersions or overrides.reading
+    table = overrides.dispersions
+    if table is None or dispersions is not None:
+        table = chosen.dispersion_table(reading)
+    require_addresses(scenario, table)
+    given = None
+    if inputs is not None:
+        given = read_inputs(inputs)
+        runs = min(runs, len(next(iter(given.values()))))
+    folder = Path("results") / mission if out is None else out
+    solver = FixedStep(step)
+    with progress(runs) as report:
+        run_campaign(
+            folder,
+            scenario,
+            table if given is None else None,
+            seed,
+            runs,
+            inputs=given,
+            solver=solver,
+            history=history,
+            report=report,
+            mission=mission,
+            variant=variant or overrides.variant or next(iter(chosen.variants)),
+        )
+    results = open_campaign(folder, runs)
+    print_campaign(chosen, results)
+    typer.echo(f"stored: {folder}")
+    if figures:
+        drawn = draw_figures(folder, chosen, scenario, results, solver)
+        typer.echo(f"figures: {drawn}")
+
+
+def _set_up(workers: int | None = None, fast: bool = False) -> None:
+    from .._setup import setup
+
+    setup(workers, fast=fast)
+
+
+def _scenario(name, variant, config, assignments):
+    """Mission, its scenario with all overrides, and these."""
+    from ..flight.scenario import check
+    from ..missions import find_mission
+    from ..overrides import apply_values, read_overrides
+
+    chosen = find_mission(name)
+    overrides = read_overrides(config, assignments or ())
+    scenario = chosen.scenario(variant or overrides.variant)
+    scenario = apply_values(scenario, overrides.values)
+    check(scenario)
+    return chosen, scenario, overrides
+
+
+def main() -> None:
+    """Run the command; errors that a person can act on are one line, without a traceback.
+
+    Exit codes: 0 done, 2 wrong input, 3 results that cannot be used, 4 the disk (no
+    space, no permission), 130 interrupted.
+    """
+    from ..campaign.errors import CampaignError
+
+    try:
+        app()
+    except CampaignError as error:
+        _fail(str(error), 3)
+    except ValueError as error:
+        _fail(str(error), 2)
+    except OSError as error:
+        advice = ""
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            advice = "; free some space and run the same command, which resumes"
+        _fail(f"{error}{advice}", 4)
+    except KeyboardInterrupt:
+        _fail("interrupted; the same command resumes", 130)
+
+
+def _fail(message: str, code: int) -> None:
+    print(f"jentry: {message}", file=sys.stderr)
+    sys.exit(code)

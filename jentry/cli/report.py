@@ -1,0 +1,200 @@
+"""What the commands print."""
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterable, Iterator
+
+import numpy as np
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from .._addresses import leaves_by_address, unit_of
+from ..flight.fly import Flight
+from ..flight.misses import misses
+from ..flight.scenario import Scenario
+from ..flight.termination import Outcome
+from ..missions.mission import Mission
+from ..units import degree, km
+
+
+_EDGE_UNITS = {"m": (km, "km"), "rad": (degree, "deg"), "Pa": (1e3, "kPa")}
+_EDGE_UNITS |= {"W/m2": (1e4, "W/cm2")}
+_PERCENTILES = (1, 5, 50, 95, 99)
+
+
+def _console() -> Console:
+    return Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+
+
+def _table(title: str, *columns: str) -> Table:
+    table = Table(title=title, title_justify="left", title_style="bold")
+    table.add_column(columns[0])
+    for column in columns[1:]:
+        table.add_column(column, justify="right")
+    return table
+
+
+def _at_edge(values, unit: str):
+    factor, edge_unit = _EDGE_UNITS.get(unit, (1.0, unit))
+    return np.asarray(values) / factor, edge_unit
+
+
+def print_missions(missions: Iterable[Mission]) -> None:
+    """Name, title, source, variants and dispersions of each."""
+    console = _console()
+    for mission in missions:
+        console.print(f"[bold]{mission.name}[/]: {mission.title}")
+        console.print(f"  source       {mission.source}")
+        console.print(f"  variants     {', '.join(mission.variants)}")
+        console.print(f"  dispersions  {', '.join(mission.dispersions)}")
+
+
+def print_leaves(scenario: Scenario) -> None:
+    """Address, value and unit of every leaf."""
+    table = _table("scenario", "address", "value", "unit")
+    for address, leaf in leaves_by_address(scenario).items():
+        shape = " x ".join(str(n) for n in leaf.shape)
+        value = f"{float(leaf):.10g}" if leaf.shape == () else f"table of {shape}"
+        table.add_row(address, value, unit_of(scenario, address))
+    console = _console()
+    console.width = max(console.width, 100)
+    console.print(table)
+
+
+def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
+    """Outcome, final state, misses and peaks of one flight."""
+    outcome = Outcome(int(flight.outcome))
+    ended_by = scenario.termination.names[int(flight.ended_by)]
+    table = _table(
+        f"{mission.name}: {outcome.message} ({ended_by})", "", "value", "unit"
+    )
+    table.add_row("time", f"{float(flight.time):.4f}", "s")
+    groups = (
+        ("", scenario.initial_state, flight.state),
+        (" error", misses(scenario, flight), misses(scenario, flight)),
+        ("peak ", flight.peaks, flight.peaks),
+    )
+    for label, described, values in groups:
+        table.add_section()
+        for name, leaf in leaves_by_address(values).items():
+            unit = _unit(described, name)
+            value, unit = _at_edge(leaf, unit)
+            words = name.replace("_", " ")
+            words = label + words if label.endswith(" ") else words + label
+            table.add_row(words, f"{float(value):.6f}", unit)
+    _console().print(table)
+
+
+_OTHER_UNITS = {
+    "downrange": "m",
+    "crossrange": "m",
+    "altitude": "m",
+    "velocity": "m/s",
+    "drag": "m/s2",
+    "dynamic_pressure": "Pa",
+    "heat_rate": "W/m2",
+    "load_factor": "g",
+}
+
+
+def _unit(described, name: str) -> str:
+    unit = unit_of(described, name)
+    return _OTHER_UNITS.get(name, unit) if unit == "1" else unit
+
+
+def print_campaign(mission: Mission, results) -> None:
+    """Outcomes, statistics, and the published values beside ours."""
+    console = _console()
+    count = results.sizes["run"]
+    codes, numbers = np.unique(results["outcome"], return_counts=True)
+    for code, number in zip(codes, numbers, strict=True):
+        console.print(f"{number} of {count} runs {Outcome(int(code)).message}")
+    finite = results["outcome"] != Outcome.NOT_FINITE
+    flown = results.isel(run=np.flatnonzero(finite))
+    if flown.sizes["run"] < count:
+        console.print(f"statistics are of the {flown.sizes['run']} that are finite")
+    if flown.sizes["run"] == 0:
+        return
+    _print_statistics(console, mission, flown)
+    if mission.published:
+        _print_published(console, mission, flown)
+
+
+def _print_statistics(console: Console, mission: Mission, results) -> None:
+    percentiles = [f"{p} %" for p in _PERCENTILES]
+    table = _table(
+        f"{mission.name}: errors are actual minus desired",
+        *("", "unit", "minimum", "maximum", "mean", "std", *percentiles),
+    )
+    for name in results.data_vars:
+        if not str(name).startswith(("end_time", "peak_")) and "_error" not in str(
+            name
+        ):
+            continue
+        values, unit = _at_edge(results[name], results[name].attrs["units"])
+        spread = np.std(values, ddof=1) if values.size > 1 else np.nan
+        numbers = [values.min(), values.max(), values.mean(), spread]
+        numbers += list(np.percentile(values, _PERCENTILES))
+        words = str(name).replace("_", " ")
+        table.add_row(words, unit, *(f"{number:.4f}" for number in numbers))
+    console.print(table)
+
+
+def _print_published(console: Console, mission: Mission, results) -> None:
+    table = _table(
+        mission.published_note, "", "unit", "published", "jentry", "difference"
+    )
+    for published in mission.published:
+        ours = published.statistic(results)
+        table.add_row(
+            published.name,
+            published.unit,
+            f"{published.value:.4f}",
+            f"{ours:.4f}",
+            f"{ours - published.value:+.4f}",
+        )
+    console.print(table)
+
+
+class _Rate(ProgressColumn):
+    """Runs per second since the start of this process."""
+
+    def render(self, task: Task) -> str:
+        speed = task.finished_speed or task.speed
+        return "" if speed is None else f"{speed:.0f} runs/s"
+
+
+@contextlib.contextmanager
+def progress(runs: int) -> Iterator[Callable[[int], None]]:
+    """A bar with rate and time left on a terminal; nothing otherwise.
+
+    Gives the function to report the number of stored runs to.
+    """
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda stored: None
+        return
+    bar = Progress(
+        TextColumn("runs"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        _Rate(),
+        TimeRemainingColumn(),
+        console=console,
+    )
+    with bar:
+        task = bar.add_task("runs", total=runs)
+
+        def report(stored: int) -> None:
+            bar.update(task, completed=stored)
+
+        yield report

@@ -1,0 +1,395 @@
+"""`fly`: solvers, outcomes, history, batches, and what it refuses."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import (
+    all_laws,
+    bank_profile,
+    fly_batch,
+    fly_compiled,
+    free_scenario,
+    mars_scenario,
+    with_leaf,
+)
+
+from jentry.flight import (
+    Adaptive,
+    AltitudeBelow,
+    FixedStep,
+    Outcome,
+    Termination,
+    VelocityBelow,
+    check,
+    fly,
+)
+from jentry.guidance import Sampled
+from jentry.motion import EntryState
+from jentry.units import degree, km
+
+
+STEP = FixedStep(0.1)
+
+
+def entry(velocity=6750.0, path=-14.4 * degree, altitude=126.1 * km):
+    return EntryState(altitude, 0.0, 0.0, velocity, path, 90 * degree)
+
+
+def changed(**changes):
+    """The free scenario with another start, velocity at the end, lift or density."""
+    scenario = free_scenario()
+    places = {
+        "start": lambda s: s.initial_state,
+        "end_velocity": lambda s: s.termination.conditions["velocity"].velocity,
+        "bank_angle": lambda s: s.guidance.bank_angle,
+        "lift_scale": lambda s: s.vehicle.lift_scale,
+        "density_scale": lambda s: s.planet.density_scale,
+    }
+    for name, value in changes.items():
+        scenario = with_leaf(scenario, places[name], value)
+    return scenario
+
+
+ENDS = {
+    "reached": ({}, Outcome.REACHED, "velocity"),
+    "crashed": (
+        {"start": entry(path=-40 * degree), "density_scale": 0.3},
+        Outcome.CRASHED,
+        "ground",
+    ),
+    "skipped out": (
+        {"start": entry(path=-9 * degree), "bank_angle": 0.0},
+        Outcome.SKIPPED_OUT,
+        "ceiling",
+    ),
+    "timed out": ({"start": entry(3500.0, 0.0)}, Outcome.TIMED_OUT, "time_limit"),
+    "not finite": ({"lift_scale": 1e300}, Outcome.NOT_FINITE, None),
+}
+
+
+def assert_ends(flight, scenario, outcome, name):
+    assert flight.outcome == outcome
+    if name is not None:
+        assert scenario.termination.names[int(flight.ended_by)] == name
+        margins = scenario.termination.margins(flight.time, flight.state)
+        # The condition that ended it is met: rounding of one altitude in metres.
+        assert abs(margins[flight.ended_by]) < 1e-9
+        others = jnp.delete(margins, int(flight.ended_by))
+        assert jnp.all(others > 0.0)
+
+
+@pytest.mark.parametrize("case", ENDS)
+def test_outcomes(case):
+    changes, outcome, name = ENDS[case]
+    scenario = changed(**changes)
+    flight = fly_compiled(scenario, STEP)
+    assert_ends(flight, scenario, outcome, name)
+    if outcome == Outcome.TIMED_OUT:
+        # Exactly at the limit, up to rounding of the sum of the steps.
+        np.testing.assert_allclose(flight.time, 300.0, rtol=1e-14)
+
+
+@pytest.mark.parametrize("case", ["reached", "crashed", "skipped out", "timed out"])
+def test_fixed_steps_agree_with_adaptive_ones(case):
+    changes, outcome, name = ENDS[case]
+    scenario = changed(**changes)
+    fixed = fly_compiled(scenario, STEP)
+    adaptive = fly_compiled(scenario, Adaptive())
+    assert_ends(adaptive, scenario, outcome, name)
+    # RK4 with 0.1 s errs by a millimetre at most, 1e-9 of the way; the adaptive solver
+    # by its tolerance of 1e-10 in each of some hundred steps.
+    np.testing.assert_allclose(fixed.time, adaptive.time, rtol=1e-8)
+    for one, other in zip(*map(jax.tree.leaves, (fixed.state, adaptive.state)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-8)
+
+
+def test_solvers_agree_on_a_sampled_law(reference):
+    scenario = mars_scenario(all_laws["sampled observer"](reference))
+    fixed = fly_compiled(scenario, STEP)
+    adaptive = fly_compiled(scenario, Adaptive())
+    assert fixed.outcome == adaptive.outcome == Outcome.REACHED
+    # The observer's poles near -1/0.48 s make the step of 0.1 s err by some
+    # (0.1 / 0.48)^4 / 120 = 2e-5 of what the observer does, 1e-6 of the whole.
+    np.testing.assert_allclose(fixed.time, adaptive.time, rtol=1e-6)
+    for name in ("altitude", "longitude", "velocity"):
+        one, other = getattr(fixed.state, name), getattr(adaptive.state, name)
+        np.testing.assert_allclose(one, other, rtol=1e-6)
+
+
+@pytest.mark.parametrize("solver", [STEP, Adaptive()], ids=["fixed", "adaptive"])
+def test_a_condition_met_at_the_start_ends_the_flight_there(solver):
+    scenario = changed(end_velocity=7000.0)
+    flight = fly_compiled(scenario, solver)
+    assert flight.outcome == Outcome.REACHED
+    assert scenario.termination.names[int(flight.ended_by)] == "velocity"
+    assert flight.time == 0.0
+    assert eqx.tree_equal(flight.state, scenario.initial_state)
+
+
+def test_flight_ends_at_the_first_of_two_conditions_that_are_close():
+    """Metres and metres per second meet zero within a step, in either order."""
+    scenario = changed()
+    at_velocity = fly_compiled(scenario, STEP)
+    for metres, name, outcome in (
+        (-1.0, "velocity", Outcome.REACHED),
+        (1.0, "ground", Outcome.CRASHED),
+    ):
+        close = with_leaf(
+            scenario,
+            lambda s: s.termination.conditions["ground"].altitude,
+            at_velocity.state.altitude + metres,
+        )
+        flight = fly_compiled(close, STEP)
+        assert_ends(flight, close, outcome, name)
+
+
+LIMITS = [20.0, 20.037]
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+@pytest.mark.parametrize(
+    ("period", "step"),
+    [
+        pytest.param(
+            1.0,
+            1.0,
+            marks=pytest.mark.xfail(
+                strict=True,
+                reason="cycles of one step: too few of them to locate the time limit",
+            ),
+        ),
+        (1.0, 0.5),
+        (1.0, 0.25),
+    ],
+)
+def test_time_limit_of_a_sampled_law(period, step, limit):
+    scenario = mars_scenario(Sampled(bank_profile(), period), time_limit=limit)
+    flight = fly_compiled(scenario, FixedStep(step))
+    assert flight.outcome == Outcome.TIMED_OUT
+    # Rounding of a sum of a few steps.
+    np.testing.assert_allclose(flight.time, limit, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [
+        STEP,
+        pytest.param(
+            Adaptive(),
+            marks=pytest.mark.xfail(
+                strict=True, raises=ValueError, reason="takes the minimum of nothing"
+            ),
+        ),
+    ],
+    ids=["fixed", "adaptive"],
+)
+def test_time_limit_alone(solver):
+    scenario = mars_scenario()
+    scenario = with_leaf(scenario, lambda s: s.termination, Termination({}, 10.0))
+    flight = fly_compiled(scenario, solver)
+    assert flight.outcome == Outcome.TIMED_OUT
+    np.testing.assert_allclose(flight.time, 10.0, rtol=1e-14)
+
+
+# Batches and repetition.
+
+
+def test_vmap_equals_loop():
+    scenarios = [changed(**changes) for changes, _, _ in ENDS.values()]
+    batch = fly_batch(jax.tree.map(lambda *x: jnp.stack(x), *scenarios), STEP)
+    for lane, scenario in enumerate(scenarios):
+        alone = fly_compiled(scenario, STEP)
+        together = jax.tree.map(lambda x, lane=lane: x[lane], batch)
+        assert together.outcome == alone.outcome
+        if alone.outcome == Outcome.NOT_FINITE:
+            continue
+        assert together.ended_by == alone.ended_by
+        ours, theirs = (jax.tree.leaves((f.time, f.state, f.peaks)) for f in (alone, together))
+        for one, other in zip(ours, theirs, strict=True):
+            # The compiler may order sums differently in the two programs: rounding,
+            # grown along the flight.
+            np.testing.assert_allclose(other, one, rtol=1e-11, atol=1e-13)
+
+
+def test_same_scenario_same_flight():
+    one, other = (fly_compiled(changed(), STEP) for _ in range(2))
+    assert eqx.tree_equal(one, other)
+
+
+def test_traces_once():
+    """Other numbers, and other end values, do not compile again."""
+    traced = eqx.filter_jit(eqx.debug.assert_max_traces(fly, max_traces=1))
+    coarse = FixedStep(1.0)
+    traced(changed(), coarse)
+    traced(changed(end_velocity=600.0, lift_scale=0.9, start=entry(6000.0)), coarse)
+
+
+# History.
+
+
+def sampled_scenario():
+    return mars_scenario(Sampled(bank_profile(), 1.0))
+
+
+@pytest.fixture(scope="module")
+def sampled_flight():
+    return fly_compiled(sampled_scenario(), FixedStep(0.25))
+
+
+@pytest.mark.parametrize("interval", [0.5, 1.0, 4.0])
+def test_history_does_not_change_the_flight(interval, sampled_flight):
+    """Intervals that divide the guidance period, equal it, and are multiples of it."""
+    flight = fly_compiled(sampled_scenario(), FixedStep(0.25), interval)
+    history = flight.history
+    assert flight.outcome == sampled_flight.outcome
+    # The same steps in another program: rounding, grown along the flight.
+    ours, theirs = (
+        jax.tree.leaves((f.time, f.state, f.peaks)) for f in (flight, sampled_flight)
+    )
+    for one, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-15)
+    # Entries at multiples of the interval while it flew, then nothing.
+    count = int(np.ceil(float(flight.time) / interval))
+    assert history.time.shape == (400 / interval,)
+    for leaf in jax.tree.leaves(history):
+        assert np.all(np.isfinite(leaf[:count]))
+        assert np.all(np.isnan(leaf[count:]))
+    np.testing.assert_allclose(history.time[:count], interval * np.arange(count))
+    assert history.states.velocity[0] == 6750.0
+
+
+def test_history_shows_what_was_commanded_and_met():
+    flight = fly_compiled(sampled_scenario(), FixedStep(0.25), 0.5)
+    history = flight.history
+    there = np.isfinite(history.time)
+    cosine = history.controls.cos_bank[there]
+    # Held through each cycle of 1 s: two entries of 0.5 s each, equal to the last bit. At
+    # the start of a cycle, before the law decides, it is still what was held until then.
+    pairs = cosine[1 : 1 + (len(cosine) - 1) // 2 * 2].reshape(-1, 2)
+    assert np.array_equal(pairs[:, 0], pairs[:, 1])
+    assert len(np.unique(pairs[:, 0])) > 0.9 * len(pairs)
+    np.testing.assert_allclose(
+        cosine[0], bank_profile().cos_bank(flight.history.states.velocity[0]), rtol=1e-14
+    )
+    # Peaks are those of all steps: the history of every second one comes close.
+    for name in ("drag", "dynamic_pressure", "heat_rate", "load_factor"):
+        seen = np.nanmax(getattr(history.constraints, name))
+        peak = getattr(flight.peaks, name)
+        assert seen <= peak * (1 + 1e-12)
+        np.testing.assert_allclose(seen, peak, rtol=1e-3)  # 0.25 s beside the peak
+
+
+def test_history_is_where_direct_flights_end():
+    history = fly_compiled(changed(), STEP, 10.0).history
+    for entry_number in (9, 13, 20):
+        velocity = history.states.velocity[entry_number]
+        flight = fly_compiled(changed(end_velocity=velocity), STEP)
+        # Two programs with the same truncation error: the last partial step to the end is
+        # a whole step in the other, which leaves rounding.
+        np.testing.assert_allclose(flight.time, history.time[entry_number], rtol=1e-10)
+        for one, other in zip(
+            jax.tree.leaves(flight.state), jax.tree.leaves(history.states), strict=True
+        ):
+            np.testing.assert_allclose(one, other[entry_number], rtol=1e-10, atol=1e-12)
+
+
+# What is refused.
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "message"),
+    [
+        (lambda s: s.vehicle.mass, 0.0, "vehicle.mass is 0 kg"),
+        (lambda s: s.vehicle.mass, -5.0, "vehicle.mass is -5 kg"),
+        (lambda s: s.planet.density_scale, np.nan, "planet.density_scale is nan"),
+        (lambda s: s.initial_state.velocity, np.inf, "initial_state.velocity is inf"),
+        (lambda s: s.guidance.bank_angle, np.nan, "guidance.bank_angle is nan"),
+        (
+            lambda s: s.termination.conditions["velocity"].velocity,
+            -1.0,
+            "termination.conditions.velocity.velocity is -1 m/s",
+        ),
+    ],
+)
+def test_numbers_that_cannot_be_flown_are_refused(where, value, message):
+    scenario = with_leaf(free_scenario(), where, value)
+    with pytest.raises(ValueError, match=message):
+        check(scenario)
+    with pytest.raises(ValueError, match=message):
+        fly(scenario)
+
+
+def test_a_good_scenario_is_not_refused():
+    check(free_scenario())
+    check(mars_scenario())
+
+
+@pytest.mark.parametrize("law", ["state feedback", "observer", "sampled observer"])
+def test_planned_laws_are_not_refused(law, reference):
+    check(mars_scenario(all_laws[law](reference)))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: FixedStep(-0.1), "step is -0.1 s"),
+        (lambda: FixedStep(0.0), "step is 0.0 s"),
+        (lambda: Sampled(bank_profile(), 0.0), "period is 0.0 s"),
+        (lambda: Termination({}, -1.0), "time_limit is -1.0 s"),
+        (lambda: fly(mars_scenario(), history=0.0), "history is 0.0 s"),
+        (lambda: fly(mars_scenario(), history=-1.0), "history is -1.0 s"),
+        (
+            lambda: fly(sampled_scenario(), history=0.3),
+            "history is 0.3 s and the guidance period 1.0 s",
+        ),
+        (
+            lambda: fly(sampled_scenario(), history=1.5),
+            "history is 1.5 s and the guidance period 1.0 s",
+        ),
+    ],
+)
+def test_options_that_cannot_be_meant_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_names_and_outcomes_of_end_conditions_go_together():
+    ends = {"b": VelocityBelow(1.0), "a": AltitudeBelow(2.0, outcome=Outcome.CRASHED)}
+    termination = Termination(ends, 5.0)
+    assert termination.names == ("a", "b", "time_limit")
+    assert termination.outcomes == (
+        Outcome.CRASHED,
+        Outcome.REACHED,
+        Outcome.TIMED_OUT,
+    )
+    assert all(outcome.message for outcome in Outcome)
+
+
+_IN_FLOAT32 = """
+import warnings
+import jax
+from helpers import mars_scenario
+from jentry.flight import fly
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    jax.eval_shape(fly, mars_scenario())
+assert any("float64 is off" in str(w.message) for w in caught), caught
+"""
+
+
+def test_fly_warns_without_float64():
+    """In a fresh process, where nothing has set it."""
+    here = Path(__file__).parent
+    run = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path.append({str(here)!r})" + _IN_FLOAT32],
+        capture_output=True,
+        text=True,
+        cwd=here.parent,
+    )
+    assert run.returncode == 0, run.stderr

@@ -1,0 +1,236 @@
+"""Derivatives of a flight: forward, reverse and differences agree, alone and in batches.
+
+One table of cases: a law, the leaves that are varied, and how far for the differences.
+What is looked at is one vector of numbers of the flight; its Jacobian is compiled once in
+forward and once in reverse mode for each kind of law.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import all_laws, mars_scenario
+
+from jentry.flight import FixedStep, fly
+
+
+STEP = FixedStep(0.1)
+
+SCALE = jnp.array([1e2, 1e4, 0.1, 1e3, 0.1])
+"""Of time (s), altitude (m), longitude, velocity and flight-path angle"""
+
+PHYSICS = {
+    "density_scale": (lambda s: s.planet.density_scale, 1e-4),
+    "mass": (lambda s: s.vehicle.mass, 0.1),
+    "path": (lambda s: s.initial_state.flight_path_angle, 1e-5),
+}
+"""Leaf, and half the width of a central difference"""
+
+BANK = {"bank coefficients": (lambda s: s.guidance.cos_bank.coefficients, 1e-3)}
+SAMPLED_BANK = {"bank coefficients": (lambda s: s.guidance.law.cos_bank.coefficients, 1e-3)}
+TRACKING = {
+    "epsilon0": (lambda s: s.guidance.gains.epsilon0, 1e-2),
+    "epsilon": (lambda s: s.guidance.observer.epsilon, 1e-3),
+}
+SAMPLED = {
+    "epsilon0": (lambda s: s.guidance.law.gains.epsilon0, 1e-2),
+    "epsilon": (lambda s: s.guidance.law.observer.epsilon, 1e-3),
+}
+
+CASES = {
+    "bank profile": PHYSICS | BANK,
+    "observer": PHYSICS | TRACKING,
+    "sampled observer": PHYSICS | SAMPLED,
+    "sampled bank profile": {**PHYSICS, **SAMPLED_BANK},
+}
+
+
+def scenario_of(law, planned):
+    """From 60 s of the planned flight on, a little off it, to the final velocity.
+
+    Off by so little that the command is not clipped: there the law has no derivative.
+    """
+    _, flight, references = planned
+    scenario = mars_scenario(all_laws[law](references["energy"]))
+    state = jax.tree.map(lambda x: x[600], flight.states)
+    return eqx.tree_at(
+        lambda s: (
+            s.initial_state,
+            s.planet.density_scale,
+            s.termination.conditions["altitude"].altitude,
+        ),
+        scenario,
+        (state, jnp.asarray(1.0002), jnp.asarray(5e3)),
+    )
+
+
+def leaves_of(scenario, table):
+    return {name: where(scenario) for name, (where, _) in table.items()}
+
+
+def put(scenario, table, leaves):
+    wheres = [where for where, _ in table.values()]
+    return eqx.tree_at(
+        lambda s: [where(s) for where in wheres],
+        scenario,
+        [leaves[name] for name in table],
+    )
+
+
+def end_of(leaves, scenario, law):
+    """The end of a flight as one vector of numbers of order one."""
+    flight = fly(put(scenario, CASES[law], leaves), STEP)
+    state = flight.state
+    end = [
+        flight.time,
+        state.altitude,
+        state.longitude,
+        state.velocity,
+        state.flight_path_angle,
+    ]
+    return jnp.stack(end) / SCALE
+
+
+value = eqx.filter_jit(end_of)
+forward = eqx.filter_jit(jax.jacfwd(end_of))
+reverse = eqx.filter_jit(jax.jacrev(end_of))
+
+
+def differences(f, leaves, table):
+    """Jacobian by Richardson's extrapolation of central differences."""
+
+    def along(name, tangent, step):
+        def central(h):
+            up, down = (
+                f({**leaves, name: leaves[name] + sign * h * tangent})
+                for sign in (1.0, -1.0)
+            )
+            return (np.asarray(up) - np.asarray(down)) / (2.0 * h)
+
+        wide, narrow = central(step), central(0.5 * step)
+        return narrow + (narrow - wide) / 3.0
+
+    found = {}
+    for name, (_, step) in table.items():
+        basis = np.eye(leaves[name].size).reshape(-1, *leaves[name].shape)
+        columns = [along(name, jnp.asarray(tangent), step) for tangent in basis]
+        found[name] = np.stack(columns, axis=-1).reshape(-1, *leaves[name].shape)
+    return found
+
+
+def assert_close(found, expected, rtol):
+    """Relative to the largest derivative with respect to the same leaf."""
+    for name in found:
+        scale = np.max(np.abs(expected[name]))
+        np.testing.assert_allclose(
+            found[name], expected[name], rtol=0, atol=rtol * scale, err_msg=name
+        )
+
+
+@pytest.fixture(scope="module")
+def given(planned):
+    return lambda law: scenario_of(law, planned)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        "bank profile",
+        "sampled observer",
+        pytest.param("observer", marks=pytest.mark.slow),
+    ],
+)
+def test_derivatives_of_the_end(law, given):
+    scenario = given(law)
+    leaves = leaves_of(scenario, CASES[law])
+    pushed = forward(leaves, scenario, law)
+    pulled = reverse(leaves, scenario, law)
+    # Both are the exact derivative of one program: rounding, summed along 2000 steps.
+    assert_close(pulled, pushed, rtol=1e-10)
+    numbers = differences(lambda x: value(x, scenario, law), leaves, CASES[law])
+    print({n: np.max(np.abs(numbers[n]-pushed[n]))/np.max(np.abs(pushed[n])) for n in numbers})
+    # Richardson leaves the fourth power of the step; rounding of 1e-13 over 1e-3.
+    assert_close(numbers, pushed, rtol=1e-6)
+
+
+def test_the_velocity_that_ends_the_flight_does_not_move(given):
+    scenario = given("bank profile")
+    leaves = leaves_of(scenario, CASES["bank profile"])
+    pushed = forward(leaves, scenario, "bank profile")
+    time, velocity = 0, 3
+    for name, derivative in pushed.items():
+        # Rounding: the correction of the end cancels a rate of the same size.
+        assert np.all(np.abs(derivative[velocity]) < 1e-12 * np.abs(derivative).max())
+        assert np.all(derivative[time] != 0.0), name
+
+
+# Batches.
+
+
+def batch_of(scenario, law):
+    """Three lanes, of different length, by the density."""
+    leaves = leaves_of(scenario, CASES[law])
+    factors = jnp.array([0.98, 1.0, 1.03])
+    lanes = jax.tree.map(lambda x: jnp.stack([x] * 3), leaves)
+    scale = factors * leaves["density_scale"]
+    return lanes | {"density_scale": scale}, leaves
+
+
+def test_gradient_of_a_batch_and_batch_of_gradients(given):
+    law = "sampled bank profile"
+    scenario = given(law)
+    lanes, _ = batch_of(scenario, law)
+
+    def altitude(leaves, scenario):
+        return end_of(leaves, scenario, law)[1]
+
+    def mean(lanes, scenario):
+        return jnp.mean(jax.vmap(altitude, in_axes=(0, None))(lanes, scenario))
+
+    each = eqx.filter_jit(jax.vmap(jax.grad(altitude), in_axes=(0, None)))
+    alone = eqx.filter_jit(jax.grad(altitude))
+    together = eqx.filter_jit(jax.grad(mean))(lanes, scenario)
+    apart = each(lanes, scenario)
+    for lane in range(3):
+        leaves = jax.tree.map(lambda x, lane=lane: x[lane], lanes)
+        # Three programs for the same sums: rounding, summed along 2000 steps.
+        for name, expected in alone(leaves, scenario).items():
+            np.testing.assert_allclose(apart[name][lane], expected, rtol=1e-9)
+            np.testing.assert_allclose(together[name][lane] * 3.0, expected, rtol=1e-9)
+
+
+# Of the history.
+
+
+def test_derivatives_of_the_history(given):
+    """A cotangent on every entry, and on the end: entries after the end have none."""
+    law = "bank profile"
+    scenario = given(law)
+    leaves = leaves_of(scenario, CASES[law])
+
+    def weighted(leaves, scenario):
+        flight = fly(put(scenario, CASES[law], leaves), STEP, 4.0)
+        history = flight.history
+        flying = jnp.isfinite(history.time)
+        seen = [
+            jnp.where(flying, x, 0.0) / scale
+            for x, scale in (
+                (history.states.altitude, 1e5),
+                (history.states.velocity, 1e3),
+                (history.constraints.drag, 1e2),
+                (history.controls.cos_bank, 1.0),
+            )
+        ]
+        weights = jnp.cos(jnp.arange(history.time.size, dtype=float))
+        end = flight.state.altitude / 1e4 + flight.time / 1e2
+        return jnp.sum(weights * sum(seen))[None] + end
+
+    pushed = eqx.filter_jit(jax.jacfwd(weighted))(leaves, scenario)
+    pulled = eqx.filter_jit(jax.jacrev(weighted))(leaves, scenario)
+    # As for the end of the flight.
+    assert_close(pulled, pushed, rtol=1e-10)
+    function = eqx.filter_jit(weighted)
+    numbers = differences(lambda x: function(x, scenario), leaves, CASES[law])
+    print({n: np.max(np.abs(numbers[n]-pushed[n]))/np.max(np.abs(pushed[n])) for n in numbers})
+    assert_close(numbers, pushed, rtol=1e-6)

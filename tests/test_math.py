@@ -1,0 +1,87 @@
+"""Small numerical functions: accuracy, and gradients where they have a limit."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jentry._math import derivatives_along, horner, safe_arccos, safe_sqrt, sincos
+
+
+def test_sincos_is_accurate_where_angles_lie():
+    angles = np.concatenate(
+        [np.linspace(-10.0, 10.0, 20001), np.arange(-8, 9) * np.pi / 4]
+    )
+    sine, cosine = jax.jit(jax.vmap(sincos))(angles)
+    # Its own promise: a few roundings of numbers up to one (2.2e-16 each).
+    np.testing.assert_allclose(sine, np.sin(angles), rtol=0.0, atol=2e-15)
+    np.testing.assert_allclose(cosine, np.cos(angles), rtol=0.0, atol=2e-15)
+
+
+def test_sincos_is_accurate_after_many_turns(key):
+    angles = 1e3 + np.asarray(jax.random.uniform(key, (2000,), minval=-5.0, maxval=5.0))
+    sine, cosine = jax.jit(jax.vmap(sincos))(angles)
+    # The same promise: two-part pi/2 reduces angles of a few thousand without loss.
+    np.testing.assert_allclose(sine, np.sin(angles), rtol=0.0, atol=2e-15)
+    np.testing.assert_allclose(cosine, np.cos(angles), rtol=0.0, atol=2e-15)
+
+
+def test_sincos_lies_on_the_unit_circle():
+    sine, cosine = jax.jit(jax.vmap(sincos))(jnp.linspace(-10.0, 10.0, 4001))
+    # Two squares of numbers that are each good to a few roundings.
+    np.testing.assert_allclose(sine**2 + cosine**2, 1.0, rtol=0.0, atol=4e-15)
+
+
+@pytest.mark.parametrize("angle", [-3.0, 0.0, np.pi / 4, 1.5, 7.0])
+def test_sincos_derivatives(angle):
+    angle = jnp.asarray(angle)
+    sine, cosine = sincos(angle)
+    forward = jax.jacfwd(sincos)(angle)
+    reverse = jax.jacrev(sincos)(angle)
+    second = jax.jacfwd(jax.jacfwd(sincos))(angle)
+    # The rule returns the computed cosine and -sine themselves: equal to the last bit.
+    assert forward == (cosine, -sine)
+    assert reverse == (cosine, -sine)
+    assert second == (-sine, -cosine)
+
+
+@pytest.mark.parametrize(
+    ("function", "x", "value", "slope"),
+    [
+        (safe_sqrt, 4.0, 2.0, 0.25),
+        (safe_sqrt, 0.0, 0.0, 0.0),
+        (safe_sqrt, -1.0, 0.0, 0.0),
+        (safe_arccos, 0.5, np.pi / 3, -1.0 / np.sqrt(0.75)),
+        (safe_arccos, 1.0, 0.0, 0.0),
+        (safe_arccos, -1.0, np.pi, 0.0),
+        (safe_arccos, 1.5, 0.0, 0.0),
+        (safe_arccos, -1.5, np.pi, 0.0),
+    ],
+)
+def test_safe_functions_and_their_gradients_at_the_limits(function, x, value, slope):
+    x = jnp.asarray(x)
+    found, gradient = jax.value_and_grad(function)(x)
+    # Rounding of one library call.
+    np.testing.assert_allclose(found, value, rtol=1e-15)
+    np.testing.assert_allclose(gradient, slope, rtol=1e-15)
+    assert jax.jacfwd(function)(x) == gradient
+
+
+def test_horner_takes_the_highest_power_first():
+    # Small whole numbers: exact.
+    assert horner([2.0, -3.0, 5.0], 4.0) == 2.0 * 16.0 - 3.0 * 4.0 + 5.0
+
+
+def test_derivatives_along_a_flow():
+    """A pendulum: of y = sin(angle) the derivatives follow by hand."""
+    angle, rate = 0.7, -0.3
+
+    def flow(point):
+        return point[1], -jnp.sin(point[0])
+
+    y, first, second = derivatives_along(flow, lambda p: jnp.sin(p[0]), (angle, rate))
+    sine, cosine = np.sin(angle), np.cos(angle)
+    # A handful of operations on numbers of order one.
+    np.testing.assert_allclose(y, sine, rtol=1e-15)
+    np.testing.assert_allclose(first, cosine * rate, rtol=1e-15)
+    np.testing.assert_allclose(second, -sine * rate**2 - cosine * sine, rtol=1e-15)

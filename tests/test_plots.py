@@ -1,0 +1,249 @@
+"""Figures show what the runs hold; synthetic runs, nothing is flown."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import xarray
+from matplotlib.figure import Figure
+
+from jentry.flight.termination import Outcome
+from jentry.plots import (
+    at_velocity,
+    campaign_figures,
+    overview,
+    save_figures,
+    velocity_grid,
+)
+
+
+RUNS, TIMES = 40, 61
+LABELS = ["5–95 %", "25–75 %", "median", "nominal"]
+
+
+def synthetic(runs=RUNS, spread=1.0):
+    """Runs that slow from 6 km/s, each with drag and bank linear in velocity.
+
+    Later runs stop earlier: run i flies 61 - i // 4 samples.
+    """
+    rng = np.random.default_rng(0)
+    time = np.linspace(0.0, 120.0, TIMES)
+    velocity = np.tile(6000.0 - 45.0 * time, (runs, 1))
+    samples = TIMES - np.arange(runs) // 4
+    velocity[np.arange(TIMES) >= samples[:, None]] = np.nan
+    slope = 0.01 + spread * rng.uniform(0.0, 0.01, (runs, 1))
+    both = ("run", "time")
+    return xarray.Dataset(
+        {
+            "velocity": (both, velocity),
+            "drag": (both, slope * velocity),
+            "altitude": (both, 10.0 * velocity + 1e6 * slope),
+            # Numbers after the end, as controls have.
+            "bank_angle": (both, np.where(np.isnan(velocity), np.pi, -50.0 * slope)),
+            "downrange_error": ("run", spread * rng.normal(2e3, 5e3, runs)),
+            "crossrange_error": ("run", np.zeros(runs)),
+            "altitude_error": ("run", spread * rng.normal(0.0, 800.0, runs)),
+            "outcome": ("run", np.zeros(runs, dtype=np.int8)),
+            "ended_by": (
+                "run",
+                (np.arange(runs) % 2).astype(np.int8),
+                {
+                    "flag_values": np.arange(3, dtype=np.int8),
+                    "flag_meanings": "velocity altitude skip_out",
+                },
+            ),
+        },
+        {"time": time, "run": np.arange(runs)},
+    )
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return synthetic()
+
+
+@pytest.fixture(scope="module")
+def figures(runs):
+    return campaign_figures(runs, runs, runs.isel(run=[0]), "A title")
+
+
+def line(axes, label):
+    (found,) = [line for line in axes.lines if line.get_label() == label]
+    return found.get_data()
+
+
+def band(axes, label):
+    """Lower and upper edge of a band over its grid."""
+    (found,) = [c for c in axes.collections if c.get_label() == label]
+    outline = found.get_paths()[0].vertices
+    grid = np.unique(outline[:, 0])
+    edges = [outline[outline[:, 0] == at, 1] for at in grid]
+    return grid, np.array([(edge.min(), edge.max()) for edge in edges]).T
+
+
+def counts(axes):
+    return [bar.get_height() for bar in axes.patches]
+
+
+def test_all_figures_with_their_labels(figures):
+    axes = {name: figure.axes[0] for name, figure in figures.items()}
+    labels = {name: (a.get_xlabel(), a.get_ylabel()) for name, a in axes.items()}
+    assert labels == {
+        "drag": ("Velocity (km/s)", "Drag acceleration (m/s²)"),
+        "altitude": ("Velocity (km/s)", "Altitude (km)"),
+        "bank": ("Time (s)", "Bank angle magnitude (deg)"),
+        "downrange": ("Downrange error, actual − desired (km)", "Runs"),
+        "footprint": ("Downrange error (km)", "Altitude error (km)"),
+    }
+    for figure in figures.values():
+        assert isinstance(figure, Figure)
+        assert figure.get_suptitle() == "A title"
+        assert len(figure.axes) == 1
+
+
+@pytest.mark.parametrize("name", ["drag", "altitude", "bank"])
+def test_histories_have_two_bands_a_median_and_the_nominal(figures, name):
+    (axes,) = figures[name].axes
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == LABELS
+    assert len(axes.lines) == 2
+    assert axes.get_title(loc="left") == "40 runs"
+
+
+@pytest.mark.parametrize(
+    ("name", "factor"), [("drag", 1.0), ("altitude", 1e-3)], ids=str
+)
+def test_bands_are_percentiles_at_equal_velocity(runs, figures, name, factor):
+    """The quantities are linear in velocity: interpolation is exact to rounding."""
+    (axes,) = figures[name].axes
+    grid, (low, high) = band(axes, "5–95 %")
+    at = np.searchsorted(grid, 5.0)
+    slope = runs["drag"].values[:, 0] / 6000.0
+    value = slope if name == "drag" else 10.0
+    offset = 0.0 if name == "drag" else 1e6 * slope
+    exact = factor * (value * grid[at] * 1e3 + offset)
+    assert [low[at], high[at]] == pytest.approx(np.percentile(exact, [5, 95]), rel=1e-9)
+    speeds, median = line(axes, "median")
+    there = np.argmin(abs(speeds - grid[at]))
+    assert median[there] == pytest.approx(np.median(exact), rel=1e-9)
+
+
+def test_bank_bands_are_at_equal_time_and_end_with_half_of_the_runs(runs, figures):
+    (axes,) = figures["bank"].axes
+    time, (low, high) = band(axes, "25–75 %")
+    magnitude = np.degrees(np.abs(runs["bank_angle"].values[:, 0]))
+    assert [low[0], high[0]] == pytest.approx(np.percentile(magnitude, [25, 75]))
+    # Runs 0 to 19, half of them, fly 57 samples or more.
+    assert time[-1] == runs["time"].values[56]
+    nominal, _ = line(axes, "nominal")
+    assert nominal[-1] == 120.0
+
+
+def test_velocity_grid_is_where_half_of_the_runs_fly(runs):
+    grid = velocity_grid(runs["velocity"].values)
+    # Half of the runs reach the 57th sample.
+    slowest = runs["velocity"].values[0, 56]
+    step = np.diff(grid).max()
+    assert slowest <= grid[0] < slowest + step
+    assert grid[-1] == 6000.0
+
+
+def test_velocity_that_rises_first_is_taken_from_its_peak():
+    velocity = np.array([[5.0, 7.0, 6.0, 6.5, 4.0, np.nan]])
+    values = np.array([[0.0, 1.0, 2.0, 3.0, 4.0, 9.0]])
+    found = at_velocity(velocity, values, np.array([3.0, 4.0, 5.0, 6.5, 7.0, 8.0]))
+    assert np.allclose(found, [[np.nan, 4.0, 3.0, 1.5, 1.0, np.nan]], equal_nan=True)
+
+
+def test_histogram_counts_every_run_and_states_its_moments(runs, figures):
+    (axes,) = figures["downrange"].axes
+    assert sum(counts(axes)) == RUNS
+    errors = runs["downrange_error"].values / 1e3
+    mean, deviation = errors.mean(), errors.std(ddof=1)
+    marked = sorted(line.get_xdata()[0] for line in axes.lines)
+    assert marked == pytest.approx([mean - deviation, mean, mean + deviation])
+    title = axes.get_title(loc="left")
+    assert title == f"40 runs, mean {mean:+.2f} km, std {deviation:.2f} km"
+
+
+def test_footprint_tells_the_end_conditions_apart(runs, figures):
+    (axes,) = figures["footprint"].axes
+    texts = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert texts == ["ended by velocity", "ended by altitude", "nominal"]
+    shown = np.concatenate([c.get_offsets() for c in axes.collections])
+    assert len(shown) == RUNS
+    assert set(shown[:, 0]) == set(runs["downrange_error"].values / 1e3)
+
+
+def test_crossrange_has_a_panel_when_it_spreads(runs):
+    across = runs.assign(crossrange_error=("run", np.linspace(-5e3, 5e3, RUNS)))
+    _, right = campaign_figures(across)["footprint"].axes
+    assert right.get_ylabel() == "Crossrange error (km)"
+    shown = np.concatenate([c.get_offsets() for c in right.collections])
+    assert sorted(shown[:, 1]) == pytest.approx(np.linspace(-5.0, 5.0, RUNS))
+
+
+def test_runs_that_are_not_finite_are_left_out_and_counted(runs):
+    errors = runs["downrange_error"].values.copy()
+    errors[:3] = [np.nan, np.inf, np.nan]
+    outcome = runs["outcome"].values.copy()
+    outcome[5] = Outcome.NOT_FINITE
+    lost = runs.assign(downrange_error=("run", errors), outcome=("run", outcome))
+    figures = campaign_figures(lost, lost)
+    for figure in [*figures.values(), overview(lost, lost)]:
+        assert figure.get_supxlabel() == "4 of 40 runs not finite: left out"
+        assert figure.axes[0].get_title(loc="left").startswith("36 runs")
+    assert sum(counts(figures["downrange"].axes[0])) == 36
+    assert campaign_figures(runs)["downrange"].get_supxlabel() == ""
+
+
+def test_without_trajectories_only_errors(runs):
+    assert list(campaign_figures(runs)) == ["downrange", "footprint"]
+    histogram, footprint = overview(runs).axes
+    assert histogram.get_ylabel() == "Runs"
+    assert footprint.get_ylabel() == "Altitude error (km)"
+
+
+def test_overview_is_wide_and_names_the_bands_once(runs):
+    figure = overview(runs, runs, runs.isel(run=[0]))
+    assert tuple(figure.get_size_inches()) == (11.0, 3.6)
+    assert [axes.get_legend() is not None for axes in figure.axes] == [1, 0, 0]
+    assert figure.axes[1].get_ylabel() == "Bank angle magnitude (deg)"
+    assert sum(counts(figure.axes[2])) == RUNS
+
+
+def nowhere(name):
+    """Runs without a finite value of a variable."""
+    runs = synthetic()
+    return runs.assign({name: runs[name] * np.nan})
+
+
+DEGENERATE = {
+    "one run": synthetic(1),
+    "equal errors": synthetic(spread=0.0),
+    "no run finite": nowhere("downrange_error"),
+    "no history finite": nowhere("velocity"),
+}
+
+
+@pytest.mark.parametrize("runs", DEGENERATE.values(), ids=DEGENERATE)
+def test_degenerate_runs_are_drawn(runs, tmp_path):
+    figures = campaign_figures(runs, runs, runs.isel(run=[0]))
+    save_figures({"overview": overview(runs, runs)}, tmp_path)
+    finite = np.isfinite(runs["downrange_error"].values).sum()
+    assert sum(counts(figures["downrange"].axes[0])) == finite
+
+
+def test_files_are_named_after_the_figures(runs, tmp_path):
+    figures = campaign_figures(runs)
+    paths = save_figures(figures, tmp_path / "new")
+    assert [path.name for path in paths] == ["downrange.png", "footprint.png"]
+    for path in paths:
+        assert path.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_module_alone_loads_no_plotting():
+    code = (
+        "import sys, jentry.plots; assert not {'matplotlib', 'xarray'} & {*sys.modules}"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
