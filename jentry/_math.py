@@ -73,9 +73,9 @@ def safe_sqrt(x: Scalar) -> Scalar:
 
 
 def safe_arccos(x: Scalar) -> Scalar:
-    """Arc cosine of x clipped to [-1, 1], with derivative zero outside (-1, 1)."""
+    """Arc cosine of x clipped to [-1, 1], with derivative zero outside; NaN of NaN."""
     inside = jnp.abs(x) < 1.0
-    end = jnp.where(x > 0.0, 0.0, jnp.pi)
+    end = jnp.where(x >= 1.0, 0.0, jnp.where(x <= -1.0, jnp.pi, jnp.nan))
     return jnp.where(inside, jnp.arccos(jnp.where(inside, x, 0.0)), end)
 
 
