@@ -89,7 +89,9 @@ def force_factors(mission: Mission, mass, density_scale, lift_scale, drag_scale)
     return lift, common * drag_scale * mission.drag_coefficient
 
 
-def rates(altitude, velocity, path, error, error_rate, lift_factor, drag_factor, p, table):
+def rates(
+    altitude, velocity, path, error, error_rate, lift_factor, drag_factor, p, table
+):
     """Time derivative of a flight: scalars in, scalars out, for Python and numba alike.
 
     `table` holds the reference row after row. The downrange angle drives nothing.
@@ -132,7 +134,9 @@ def rates(altitude, velocity, path, error, error_rate, lift_factor, drag_factor,
     drag_rate = drag * (common - slowing)
     sin2 = sin * sin
     cos2 = cos * cos
-    turning = drag * drag + 2.0 * drag * gravity_along + gravity * gravity * (sin2 - cos2)
+    turning = (
+        drag * drag + 2.0 * drag * gravity_along + gravity * gravity * (sin2 - cos2)
+    )
     f = (common - 2.0 * slowing) * drag_rate + drag * (
         (drag * sin + gravity) * p.per_scale_height
         + (gravity * (4.0 * sin2 - 2.0 * cos2) - square * cos2 * p.per_scale_height)

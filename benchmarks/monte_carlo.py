@@ -11,6 +11,7 @@ machine is shared by all; the table has medians over the rounds.
 """
 
 import argparse
+import functools
 import importlib.metadata
 import multiprocessing
 import os
@@ -138,7 +139,7 @@ def draw_inputs(runs: int) -> dict[str, np.ndarray]:
 
 
 def jentry_mission() -> tuple[comparators.Mission, np.ndarray]:
-    """jentry's mission in plain numbers, with the table of its reference drag."""
+    """jentry's mission in plain numbers, and the table of its reference drag."""
     import jentry
 
     jentry.setup(1)
@@ -194,13 +195,12 @@ def available_cores() -> int:
 
 
 def serve(pipe, cores: int, prepare: Callable, *given) -> None:
-    """Life of a process: prepare, answer with the result, then time every round."""
+    """Life of a process: prepare, fly once for the result, then fly and time each round."""
     pin(cores)
     try:
         began = time.perf_counter()
         fly = prepare(*given)
-        result = fly() if callable(fly) else fly
-        result = np.asarray(result) if callable(fly) else result
+        result = fly()
         pipe.send((time.perf_counter() - began, result))
         while pipe.recv():
             began = time.perf_counter()
@@ -233,7 +233,7 @@ class Worker:
 
 def in_own_process(function: Callable, *given):
     """Result of one call that leaves this process untouched."""
-    worker = Worker(1, function, *given)
+    worker = Worker(1, functools.partial, function, *given)
     worker.stop()
     return worker.result
 
@@ -248,7 +248,9 @@ def machine() -> str:
     name = platform.processor() or platform.machine()
     if os.path.exists("/proc/cpuinfo"):
         with open("/proc/cpuinfo") as file:
-            names = [x.split(":")[1].strip() for x in file if x.startswith("model name")]
+            names = [
+                x.split(":")[1].strip() for x in file if x.startswith("model name")
+            ]
         name = names[0] if names else name
     packages = "jax", "diffrax", "numba", "scipy", "numpy"
     versions = ", ".join(f"{p} {importlib.metadata.version(p)}" for p in packages)
@@ -294,8 +296,8 @@ def main() -> None:
         given = first_flights(problem, count)
         workers.append(Worker(program.cores, program.prepare, given, program.cores))
         flights.append(count)
-        miss = (workers[-1].result[1:3, : options.judged] - truth[1:3]) ** 2
-        errors.append(np.sqrt(np.mean(np.sum(miss, axis=0))))
+        miss = np.array(workers[-1].result)[1:3, : options.judged] - truth[1:3]
+        errors.append(np.sqrt(np.mean(np.sum(miss**2, axis=0))))
 
     seconds = np.array([[w.time() for w in workers] for _ in range(options.rounds)]).T
     speeds = np.array(flights)[:, None] / seconds

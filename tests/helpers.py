@@ -161,16 +161,3 @@ all_laws = {
     "sampled observer": lambda reference: Sampled(observer_law(reference), 1.0),
 }
 """Makers of every law, each from a drag reference over energy."""
-
-
-def central_difference(f, x, step):
-    """Derivative of f at the number x, and what the next order adds to it.
-
-    Richardson's extrapolation of central differences with `step` and half of it: the
-    truncation error is of fourth order in the step.
-    """
-    wide, narrow = (
-        jax.tree.map(lambda a, b, h=h: (a - b) / (2.0 * h), f(x + h), f(x - h))
-        for h in (step, 0.5 * step)
-    )
-    return jax.tree.map(lambda w, n: n + (n - w) / 3.0, wide, narrow)

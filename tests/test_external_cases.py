@@ -205,9 +205,9 @@ def straight_entry(
 EARTH = (1.225, 7200.0, 7500.0, 10 * degree, 300.0)
 
 ALLEN_EGGERS = {
-    # In feet and slugs: there is no gravity, so that the unit of length is free. A state that is
-    # exactly vertical has cos(gamma) = 6e-17 in floating point, which is harmless here:
-    # nothing turns the flight.
+    # In feet and slugs: there is no gravity, so that the unit of length is free. A state
+    # that is exactly vertical has cos(gamma) = 6e-17 in floating point, which is harmless
+    # here: nothing turns the flight.
     "nasa_sphere": (0.0034, 22000.0, 30000.0, 90 * degree, 10.1853882),
     "earth": EARTH,
     "mars": (0.020, 11100.0, 5500.0, 14.5 * degree, 120.0),
@@ -430,7 +430,9 @@ GLIDES = [
 ]
 
 
-@pytest.mark.parametrize(("lift_to_drag", "velocity", "end_velocity", "percent"), GLIDES)
+@pytest.mark.parametrize(
+    ("lift_to_drag", "velocity", "end_velocity", "percent"), GLIDES
+)
 def test_range_of_equilibrium_glide(lift_to_drag, velocity, end_velocity, percent):
     error = glide_error(lift_to_drag, velocity, end_velocity, 7200.0)
     half = glide_error(lift_to_drag, velocity, end_velocity, 3600.0)

@@ -105,7 +105,9 @@ def test_fixed_steps_agree_with_adaptive_ones(case):
     # RK4 with 0.1 s errs by a millimetre at most, 1e-9 of the way; the adaptive solver
     # by its tolerance of 1e-10 in each of some hundred steps.
     np.testing.assert_allclose(fixed.time, adaptive.time, rtol=1e-8)
-    for one, other in zip(*map(jax.tree.leaves, (fixed.state, adaptive.state)), strict=True):
+    for one, other in zip(
+        *map(jax.tree.leaves, (fixed.state, adaptive.state)), strict=True
+    ):
         np.testing.assert_allclose(one, other, rtol=1e-8, atol=1e-8)
 
 
@@ -210,7 +212,9 @@ def test_vmap_equals_loop():
         if alone.outcome == Outcome.NOT_FINITE:
             continue
         assert together.ended_by == alone.ended_by
-        ours, theirs = (jax.tree.leaves((f.time, f.state, f.peaks)) for f in (alone, together))
+        ours, theirs = (
+            jax.tree.leaves((f.time, f.state, f.peaks)) for f in (alone, together)
+        )
         for one, other in zip(ours, theirs, strict=True):
             # The compiler may order sums differently in the two programs: rounding,
             # grown along the flight.
@@ -275,7 +279,9 @@ def test_history_shows_what_was_commanded_and_met():
     assert np.array_equal(pairs[:, 0], pairs[:, 1])
     assert len(np.unique(pairs[:, 0])) > 0.9 * len(pairs)
     np.testing.assert_allclose(
-        cosine[0], bank_profile().cos_bank(flight.history.states.velocity[0]), rtol=1e-14
+        cosine[0],
+        bank_profile().cos_bank(flight.history.states.velocity[0]),
+        rtol=1e-14,
     )
     # Peaks are those of all steps: the history of every second one comes close.
     for name in ("drag", "dynamic_pressure", "heat_rate", "load_factor"):
@@ -387,7 +393,11 @@ def test_fly_warns_without_float64():
     """In a fresh process, where nothing has set it."""
     here = Path(__file__).parent
     run = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path.append({str(here)!r})" + _IN_FLOAT32],
+        [
+            sys.executable,
+            "-c",
+            f"import sys; sys.path.append({str(here)!r})" + _IN_FLOAT32,
+        ],
         capture_output=True,
         text=True,
         cwd=here.parent,

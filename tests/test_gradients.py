@@ -28,21 +28,19 @@ PHYSICS = {
 """Leaf, and half the width of a central difference"""
 
 BANK = {"bank coefficients": (lambda s: s.guidance.cos_bank.coefficients, 1e-3)}
-SAMPLED_BANK = {"bank coefficients": (lambda s: s.guidance.law.cos_bank.coefficients, 1e-3)}
 TRACKING = {
-    "epsilon0": (lambda s: s.guidance.gains.epsilon0, 1e-2),
-    "epsilon": (lambda s: s.guidance.observer.epsilon, 1e-3),
+    "epsilon0": (lambda s: s.guidance.gains.epsilon0, 3e-2),
+    "epsilon": (lambda s: s.guidance.observer.epsilon, 1e-2),
 }
 SAMPLED = {
-    "epsilon0": (lambda s: s.guidance.law.gains.epsilon0, 1e-2),
-    "epsilon": (lambda s: s.guidance.law.observer.epsilon, 1e-3),
+    "epsilon0": (lambda s: s.guidance.law.gains.epsilon0, 3e-2),
+    "epsilon": (lambda s: s.guidance.law.observer.epsilon, 1e-2),
 }
 
 CASES = {
     "bank profile": PHYSICS | BANK,
     "observer": PHYSICS | TRACKING,
     "sampled observer": PHYSICS | SAMPLED,
-    "sampled bank profile": {**PHYSICS, **SAMPLED_BANK},
 }
 
 
@@ -149,8 +147,8 @@ def test_derivatives_of_the_end(law, given):
     # Both are the exact derivative of one program: rounding, summed along 2000 steps.
     assert_close(pulled, pushed, rtol=1e-10)
     numbers = differences(lambda x: value(x, scenario, law), leaves, CASES[law])
-    print({n: np.max(np.abs(numbers[n]-pushed[n]))/np.max(np.abs(pushed[n])) for n in numbers})
-    # Richardson leaves the fourth power of the step; rounding of 1e-13 over 1e-3.
+    # Richardson leaves the fourth power of the step; and the rounding of the end, of which
+    # the time is good to 1e-12 s, counts over the step.
     assert_close(numbers, pushed, rtol=1e-6)
 
 
@@ -178,7 +176,7 @@ def batch_of(scenario, law):
 
 
 def test_gradient_of_a_batch_and_batch_of_gradients(given):
-    law = "sampled bank profile"
+    law = "bank profile"
     scenario = given(law)
     lanes, _ = batch_of(scenario, law)
 
@@ -189,13 +187,13 @@ def test_gradient_of_a_batch_and_batch_of_gradients(given):
         return jnp.mean(jax.vmap(altitude, in_axes=(0, None))(lanes, scenario))
 
     each = eqx.filter_jit(jax.vmap(jax.grad(altitude), in_axes=(0, None)))
-    alone = eqx.filter_jit(jax.grad(altitude))
     together = eqx.filter_jit(jax.grad(mean))(lanes, scenario)
     apart = each(lanes, scenario)
     for lane in range(3):
         leaves = jax.tree.map(lambda x, lane=lane: x[lane], lanes)
+        alone = jax.tree.map(lambda x: x[1], reverse(leaves, scenario, law))
         # Three programs for the same sums: rounding, summed along 2000 steps.
-        for name, expected in alone(leaves, scenario).items():
+        for name, expected in alone.items():
             np.testing.assert_allclose(apart[name][lane], expected, rtol=1e-9)
             np.testing.assert_allclose(together[name][lane] * 3.0, expected, rtol=1e-9)
 
@@ -232,5 +230,5 @@ def test_derivatives_of_the_history(given):
     assert_close(pulled, pushed, rtol=1e-10)
     function = eqx.filter_jit(weighted)
     numbers = differences(lambda x: function(x, scenario), leaves, CASES[law])
-    print({n: np.max(np.abs(numbers[n]-pushed[n]))/np.max(np.abs(pushed[n])) for n in numbers})
+    # As there; entries that appear or vanish at the end are none within these steps.
     assert_close(numbers, pushed, rtol=1e-6)

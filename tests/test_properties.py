@@ -2,12 +2,10 @@
 
 import cartesian
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import (
     MARS_ROTATION,
-    ConstantBank,
     bank_profile,
     fly_compiled,
     free_scenario,
@@ -102,10 +100,12 @@ def test_coasting_flight_is_a_kepler_arc():
     mean_motion = np.sqrt(MU / axis**3)
     sine, cosine = start @ velocity / np.sqrt(MU * axis), 1.0 - distance / axis
     turned = brentq(
-        lambda E: E
-        - cosine * np.sin(E)
-        + sine * (1.0 - np.cos(E))
-        - mean_motion * float(flight.time),
+        lambda E: (
+            E
+            - cosine * np.sin(E)
+            + sine * (1.0 - np.cos(E))
+            - mean_motion * float(flight.time)
+        ),
         0.0,
         np.pi,
         xtol=1e-15,
@@ -116,7 +116,9 @@ def test_coasting_flight_is_a_kepler_arc():
     g = float(flight.time) - (turned - np.sin(turned)) / mean_motion
     end, _ = cartesian.from_entry_state(RADIUS, flight.state)
     # 1e-11 of the distance is 0.03 mm: rounding of 3000 steps.
-    np.testing.assert_allclose(end, f * start + g * velocity, rtol=0, atol=1e-11 * RADIUS)
+    np.testing.assert_allclose(
+        end, f * start + g * velocity, rtol=0, atol=1e-11 * RADIUS
+    )
     speed2 = MU * (2.0 / np.linalg.norm(end) - 1.0 / axis)
     np.testing.assert_allclose(flight.state.velocity, np.sqrt(speed2), rtol=1e-11)
 
@@ -149,7 +151,9 @@ def test_flight_is_the_same_wherever_it_starts():
     )
 
 
-@pytest.mark.parametrize("rotation_rate", [0.0, MARS_ROTATION], ids=["still", "turning"])
+@pytest.mark.parametrize(
+    "rotation_rate", [0.0, MARS_ROTATION], ids=["still", "turning"]
+)
 def test_mirrored_bank_flies_the_mirrored_flight(rotation_rate):
     start = EntryState(126.1 * km, 0.2, 0.0, 6750.0, -14.4 * degree, 90 * degree)
     right = flight_from(start, 50 * degree, rotation_rate)

@@ -12,12 +12,12 @@ from .._math import derivatives_along
 from .._types import Scalar
 from ..flight.closed_loop import vector_field
 from ..flight.fly import fly
+from ..flight.misses import misses
 from ..flight.scenario import Scenario
 from ..flight.solver import FixedStep
 from ..flight.termination import Termination, VelocityBelow
 from ..guidance.open_loop import BankProfile
 from ..motion.forces import air_data
-from ..motion.quantities import ground_track
 from ..motion.state import EntryState
 from ..onboard.profiles import PolynomialProfile, QuinticProfile, quintic_profile
 from ..onboard.reference import AbstractIndex, DragReference
@@ -42,68 +42,76 @@ def plan_bank_profile(
 
     **Raises:** a runtime error if no such profile is found.
     """
-    start = scenario.initial_state
-    span = start.velocity - end_velocity
-
-    def profile(coefficients, curvature):
-        c = jnp.stack([coefficients[0], coefficients[1], jnp.asarray(curvature, float)])
-        return PolynomialProfile(c, end_velocity, span)
-
-    def misses(coefficients: Float[Array, " 2"], given) -> Float[Array, " 2"]:
-        scenario, curvature = given
-        flown = open_loop(scenario, profile(coefficients, curvature), end_velocity)
-        state = fly(flown, solver).state
-        downrange, _ = ground_track(scenario.planet, start, state)
-        target = scenario.target
-        return jnp.stack(
-            [state.altitude - target.altitude, downrange - target.downrange]
-        )
-
-    def scaled_misses(coefficients):
-        return misses(coefficients, (scenario, curvature)) / 1e5
-
-    coefficients, missed = lax.custom_root(
-        scaled_misses,
-        jnp.asarray(guess, dtype=float),
-        solve=_secant_newton,
-        tangent_solve=lambda g, y: jnp.linalg.solve(jax.jacobian(g)(y), y),
-        has_aux=True,
-    )
-    coefficients = eqx.error_if(
-        coefficients,
-        ~(missed < _PLANNED_TO),
-        "no bank profile meets the target: altitude, downrange and end velocity of the "
-        "target do not go together for this vehicle; try another curvature or guess",
-    )
-    return profile(coefficients, curvature)
+    curvature = jnp.asarray(curvature, float)
+    end_velocity = jnp.asarray(end_velocity, float)
+    given = scenario, end_velocity, curvature
+    coefficients = _solve(given, jnp.asarray(guess, float), solver)
+    return _profile(given, coefficients)
 
 
-_PLANNED_TO = 1e-9
-"""Of 100 km"""
+def _profile(given, coefficients: Float[Array, " 2"]) -> PolynomialProfile:
+    scenario, end_velocity, curvature = given
+    span = scenario.initial_state.velocity - end_velocity
+    return PolynomialProfile(jnp.append(coefficients, curvature), end_velocity, span)
 
 
-def _secant_newton(function, guess):
-    """Root of a function of two variables, and its last largest value but one.
+def _misses(given, coefficients: Float[Array, " 2"], solver: FixedStep):
+    """Altitude and downrange beyond the target, in units of 100 km."""
+    scenario, end_velocity, _ = given
+    flown = open_loop(scenario, _profile(given, coefficients), end_velocity)
+    missed = misses(flown, fly(flown, solver))
+    return jnp.stack([missed.altitude, missed.downrange]) / 1e5
 
-    The Jacobian is one of differences: they serve as well as derivatives here, and
-    compile in a third of the time.
+
+def _search(given, guess: Float[Array, " 2"], solver: FixedStep) -> Float[Array, " 2"]:
+    """Newton's method with a Jacobian of differences.
+
+    They serve as well as derivatives here, and compile in a third of the time.
     """
-    step = 1e-5
-    offsets = jnp.concatenate([jnp.zeros((1, 2)), step * jnp.eye(2)])
+    offsets = jnp.concatenate([jnp.zeros((1, 2)), _DIFFERENCE * jnp.eye(2)])
 
     def improve(_, found):
         x, _ = found
-        values = jax.vmap(function)(x[None, :] + offsets)
-        jacobian = (values[1:] - values[:1]).T / step
-        better = x - jnp.linalg.solve(jacobian, values[0])
-        return better, jnp.max(jnp.abs(values[0]))
+        values = jax.vmap(lambda c: _misses(given, c, solver))(x[None, :] + offsets)
+        jacobian = (values[1:] - values[:1]).T / _DIFFERENCE
+        return x - _solve_two(jacobian, values[0]), jnp.max(jnp.abs(values[0]))
 
     start = guess, jnp.full((), jnp.inf)
-    return lax.fori_loop(0, _IMPROVEMENTS, improve, start)
+    found, missed = lax.fori_loop(0, _IMPROVEMENTS, improve, start)
+    return eqx.error_if(
+        found,
+        ~(missed < _PLANNED_TO),
+        "no bank profile meets the target: its altitude, downrange and the end velocity "
+        "do not go together for this vehicle; try another curvature or guess",
+    )
 
 
+_DIFFERENCE = 1e-5
 _IMPROVEMENTS = 8
 """From a guess 0.2 off to rounding, with two to spare."""
+_PLANNED_TO = 1e-9
+"""In units of 100 km, before the last improvement."""
+
+
+_solve = eqx.filter_custom_jvp(_search)
+
+
+@_solve.def_jvp
+def _solve_jvp(primals, tangents):
+    """The implicit function theorem: what moves the misses is balanced by the profile."""
+    given, guess, solver = primals
+    moved, _, _ = tangents
+    found = _search(given, guess, solver)
+    jacobian = jax.jacfwd(lambda c: _misses(given, c, solver))(found)
+    _, drift = eqx.filter_jvp(lambda g: _misses(g, found, solver), (given,), (moved,))
+    return found, -_solve_two(jacobian, drift)
+
+
+def _solve_two(matrix: Float[Array, "2 2"], right: Float[Array, " 2"]):
+    """Cramer's rule: compiles in no time."""
+    (a, b), (c, d) = matrix
+    e, f = right
+    return jnp.stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)
 
 
 def open_loop(

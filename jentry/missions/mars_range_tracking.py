@@ -20,10 +20,10 @@ from ..units import km
 from .mars_drag_tracking import END_VELOCITY, TABULATED_TO, entry
 
 @functools.cache
-def _planner(gate):
+def _planner(gate, curvature=0.0):
     @eqx.filter_jit
     def plan(start):
-        profile = plan_bank_profile(start, END_VELOCITY)
+        profile = plan_bank_profile(start, END_VELOCITY, curvature)
         flight = ReferenceFlight.of(open_loop(start, profile, TABULATED_TO))
         drag = plan_drag_reference(flight, EnergyIndex(), gate)
 
@@ -36,9 +36,9 @@ def _planner(gate):
         return drag, flown
     return plan
 
-def range_tracking(gate=4.0, gains=(5.0,1.982,3.0), obs=(0.481,2.0,1.0), last=5*km, floor=300., wide=1.0, in_plane=False, tab=None):
+def range_tracking(gate=4.0, gains=(5.0,1.982,3.0), obs=(0.481,2.0,1.0), last=5*km, floor=300., wide=1.0, in_plane=False, tab=None, curvature=0.0):
     start = entry()
-    drag, flown = _planner(tab or gate)(start)
+    drag, flown = _planner(tab or gate, curvature)(start)
     drag = eqx.tree_at(lambda d: d.gate, drag, EnergyIndex and __import__('jax').numpy.asarray(float(gate)))
     t = start.target
     law = RangeTracking(

@@ -1,0 +1,6 @@
+"""`python -m jentry` is the command `jentry`."""
+
+from .cli import main
+
+
+main()
