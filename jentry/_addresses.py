@@ -49,8 +49,9 @@ def addresses_of(tree: PyTree, where: Callable[[Any], Any]) -> list[str]:
         lambda path, leaf: _address(path) if eqx.is_array(leaf) else None, tree
     )
     reached = where(names)
-    found = [name for name in jax.tree.leaves(reached) if isinstance(name, str)]
-    if not found:
+    found = jax.tree.leaves(reached)
+    known = leaves_by_address(tree)
+    if not found or any(name not in known for name in found):
         raise ValueError(
             "a lens reaches no leaf: it must return a number of the scenario, such as "
             f"lambda s: s.planet.density_scale, and returned {reached!r}"

@@ -55,10 +55,11 @@ def setup(
     **Arguments:**
 
     - `workers`: cores for batches of flights; all that are available if not given.
-    - `fast`: two undocumented XLA options that double the speed of long loops on a CPU
-      and double the time to compile them: for large campaigns. They are tried in a
-      process of their own first, and left off with a warning if that fails. An
-      environment with `JENTRY_FAST=0` keeps them off.
+    - `fast`: XLA options, two of them undocumented, that multiply the speed of long
+      loops on a CPU and double the time to compile them: for large campaigns. They are
+      tried in a process of their own first, and left off with a warning if that fails.
+      An environment with `JENTRY_FAST=0` keeps them off. XLA cannot compile the
+      `Adaptive` solver with them.
     - `cache`: keep compiled programs in `cache_directory()`.
 
     **Raises:** `RuntimeError` if JAX has been used before with other settings.
@@ -88,11 +89,17 @@ def setup(
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
 
 
+def fast_options_are_on() -> bool:
+    """Whether this process compiles with the options of `setup(fast=True)`."""
+    return _FAST_OPTIONS[0] in os.environ.get("XLA_FLAGS", "")
+
+
 def _turn_on_fast_options() -> None:
-    flags = os.environ.get("XLA_FLAGS", "")
-    if _FAST_OPTIONS[0] in flags:
+    if fast_options_are_on():
         return
-    wanted = f"{flags} --xla_backend_extra_options={','.join(_FAST_OPTIONS)}".strip()
+    flags = os.environ.get("XLA_FLAGS", "")
+    extra = f"--xla_backend_extra_options={','.join(_FAST_OPTIONS)}"
+    wanted = f"{flags} --xla_cpu_prefer_vector_width=512 {extra}".strip()
     if "xla_backend_extra_options" in flags:
         _warn("XLA_FLAGS has --xla_backend_extra_options of its own")
         return

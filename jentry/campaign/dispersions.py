@@ -7,12 +7,12 @@ from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from .._addresses import addresses_of, leaves_by_address
+from .._addresses import addresses_of, field_metadata, leaves_by_address
 from .._types import Scalar, scalar
-from ..flight.scenario import Scenario
+from ..flight.scenario import Scenario, check_values
 
 
 class AbstractDistribution(eqx.Module):
@@ -115,6 +115,8 @@ def disperse(
 ) -> Inputs:
     """The values that the dispersed leaves take in one run.
 
+    Dispersions that move the same leaf do so one after the other, in their order.
+
     Raises `ValueError` for a dispersion that reaches no leaf, one that is no single
     number, or one that would discard what another has done to the same leaf.
     """
@@ -141,7 +143,23 @@ def disperse(
     return inputs
 
 
-@eqx.filter_jit
+def check_dispersions(dispersions: Mapping[str, Dispersion]) -> None:
+    """Refuse a distribution with a number that cannot be drawn from."""
+    for name, dispersion in dispersions.items():
+        distribution = dispersion.distribution
+        numbers = leaves_by_address(distribution)
+        for field, value in numbers.items():
+            metadata = field_metadata(distribution, field)
+            check_values(f"dispersions.{name}.{field}", np.asarray(value), metadata)
+        if {"lower", "upper"} <= set(numbers):
+            lower, upper = float(numbers["lower"]), float(numbers["upper"])
+            if not lower < upper:
+                raise ValueError(
+                    f"dispersions.{name}.lower is {lower:g}: it must be below upper, "
+                    f"which is {upper:g}"
+                )
+
+
 def dispersed_inputs(
     scenario: Scenario,
     dispersions: Mapping[str, Dispersion],
@@ -149,9 +167,20 @@ def dispersed_inputs(
     runs: Int[Array, " runs"],
 ) -> dict[str, Float[Array, " runs"]]:
     """Inputs of many runs, by address."""
+    # As pairs: JAX sorts the names of a dictionary, and the order is part of the meaning.
+    return _dispersed_inputs(scenario, tuple(dispersions.items()), key, runs)
+
+
+@eqx.filter_jit
+def _dispersed_inputs(
+    scenario: Scenario,
+    pairs: tuple[tuple[str, Dispersion], ...],
+    key: Key[Array, ""],
+    runs: Int[Array, " runs"],
+) -> dict[str, Float[Array, " runs"]]:
+    dispersions = dict(pairs)
 
     def one(run):
         return disperse(scenario, dispersions, draw(dispersions, key, run))
 
-    inputs = jax.vmap(one)(runs)
-    return jax.tree.map(jnp.asarray, inputs)
+    return jax.vmap(one)(runs)

@@ -22,7 +22,7 @@ from ..flight.fly import Flight, fly
 from ..flight.misses import Misses, misses
 from ..flight.scenario import Scenario, check, check_values
 from ..flight.solver import AbstractSolver, FixedStep
-from .dispersions import Dispersion, dispersed_inputs
+from .dispersions import Dispersion, check_dispersions, dispersed_inputs
 
 
 LANES = 64
@@ -48,7 +48,7 @@ def monte_carlo(
     scenario: Scenario,
     dispersions: Mapping[str, Dispersion] | None = None,
     key: Key[Array, ""] | None = None,
-    runs: int | Sequence[int] | np.ndarray = 1000,
+    runs: int | Sequence[int] | np.ndarray | None = None,
     *,
     inputs: Mapping[str, Any] | None = None,
     solver: AbstractSolver = FixedStep(),
@@ -63,7 +63,7 @@ def monte_carlo(
 
     - `scenario`: the nominal one.
     - `dispersions`: what is drawn, by name; with `key`.
-    - `runs`: how many, or which.
+    - `runs`: how many, or which; 1000, or all of the inputs, if not given.
     - `inputs`: in place of dispersions, values by address, each of shape (runs,).
     - `solver`, `history`: as for `fly`.
 
@@ -83,7 +83,7 @@ def fly_in_blocks(
     scenario: Scenario,
     dispersions: Mapping[str, Dispersion] | None,
     key: Key[Array, ""] | None,
-    runs: int | Sequence[int] | np.ndarray,
+    runs: int | Sequence[int] | np.ndarray | None,
     *,
     inputs: Mapping[str, Any] | None = None,
     solver: AbstractSolver = FixedStep(),
@@ -91,24 +91,29 @@ def fly_in_blocks(
 ) -> Iterator[Campaign]:
     """As `monte_carlo`, part by part in the order of the runs, in constant memory."""
     check(scenario)
-    indices = np.arange(runs) if isinstance(runs, int) else np.asarray(runs, dtype=int)
+    given = None
+    count = 1000
     if inputs is not None:
         if dispersions:
             raise ValueError("give dispersions or inputs, not both")
         given = _check_inputs(scenario, inputs)
         count = len(next(iter(given.values())))
-        if isinstance(runs, int) and runs > count:
-            indices = np.arange(count)
-        if indices.size and indices.max() >= count:
-            raise ValueError(f"run {indices.max()} was asked for, of {count} given")
     elif dispersions:
         if key is None:
             raise ValueError("dispersions need a key: jax.random.key(seed)")
-        given = None
+        check_dispersions(dispersions)
     else:
         raise ValueError("nothing is dispersed: give dispersions or inputs")
+    wanted = np.asarray(count if runs is None else runs)
+    if not np.issubdtype(wanted.dtype, np.integer) and wanted.size:
+        raise ValueError(f"runs is {runs}: it must be a number of runs, or their indices")
+    indices = np.arange(wanted) if wanted.ndim == 0 else wanted.astype(int)
     if indices.size == 0:
         raise ValueError(f"no runs to fly: runs is {runs}")
+    if indices.min() < 0:
+        raise ValueError(f"run {indices.min()} was asked for: runs count from 0")
+    if given is not None and indices.max() >= count:
+        raise ValueError(f"run {indices.max()} was asked for, of {count} given")
     return _blocks(scenario, dispersions, key, indices, given, solver, history)
 
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from .._types import Flag, Scalar
 from ..guidance.law import AbstractContinuousLaw, AbstractSampledLaw
-from ..motion.dynamics import entry_dynamics
+from ..motion.dynamics import entry_dynamics, equatorial_dynamics
 from ..motion.forces import air_data
 from ..motion.quantities import load_factor, sutton_graves_heat_rate
 from ..motion.state import Controls, EntryState
@@ -130,14 +130,12 @@ def command(
 
 def vector_field(scenario: Scenario, held: Any):
     """Time derivative of motion and memory within a cycle, `field(flown, y)`."""
+    dynamics = equatorial_dynamics if scenario.in_plane else entry_dynamics
 
     def field(flown: Scalar, y: tuple[EntryState, Any]) -> tuple[EntryState, Any]:
         state, memory = y
         controls, memory_rate = command(scenario, flown, state, memory, held)
-        if scenario.in_plane:
-            level = jnp.zeros_like(controls.sin_bank)
-            controls = eqx.tree_at(lambda c: c.sin_bank, controls, level)
-        rate = entry_dynamics(scenario.planet, scenario.vehicle, state, controls)
+        rate = dynamics(scenario.planet, scenario.vehicle, state, controls)
         return rate, memory_rate
 
     return field

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import optimistix
 from jax import lax
 
+from .._setup import fast_options_are_on
 from .._types import Flag, Scalar
 from .closed_loop import (
     Bracket,
@@ -51,6 +52,11 @@ class Plan(eqx.Module):
 
     @classmethod
     def of(cls, scenario: Scenario, solver: AbstractSolver, history: float | None):
+        if isinstance(solver, Adaptive) and fast_options_are_on():
+            raise ValueError(
+                "the Adaptive solver cannot be compiled with the options of "
+                "jentry.setup(fast=True), which would end this process: leave them off"
+            )
         period = guidance_period(scenario)
         if history is not None and not history > 0.0:
             raise ValueError(f"history is {history} s: the interval must be positive")

@@ -38,7 +38,7 @@ class Scenario(eqx.Module):
     termination: Termination
     target: Target
     in_plane: bool = eqx.field(default=False, static=True)
-    """Leave out the lateral component of lift: flight stays in the vertical plane."""
+    """Fly in the plane of the equator, due east, without the lateral component of lift."""
 
 
 def check(scenario: Scenario) -> None:
@@ -48,6 +48,14 @@ def check(scenario: Scenario) -> None:
     that are not known yet (under `jit`, `vmap` or `grad`) are left to the outcome of
     the flight.
     """
+    start = scenario.initial_state
+    if scenario.in_plane and not isinstance(start.heading, jax.core.Tracer):
+        if abs(start.latitude) > 1e-12 or abs(start.heading - 0.5 * np.pi) > 1e-12:
+            raise ValueError(
+                f"initial_state has latitude {float(start.latitude):g} and heading "
+                f"{float(start.heading):g} rad: an in-plane flight starts at latitude 0 "
+                "and heading pi/2; use in_plane=False for others"
+            )
     for address, leaf in leaves_by_address(scenario).items():
         if not isinstance(leaf, jax.core.Tracer):
             check_values(address, np.asarray(leaf), field_metadata(scenario, address))

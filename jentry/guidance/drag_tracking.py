@@ -60,22 +60,23 @@ def drag_dynamics(model: OnboardModel, measurement: Measurement) -> DragDynamics
     lift is the modelled lift-to-drag ratio times the sensed drag.
     """
     state, D = measurement.state, measurement.drag
-    v, h_s = state.velocity, model.scale_height
+    v = state.velocity
     sin, cos = sincos(state.flight_path_angle)
     r = model.planet.radius + state.altitude
     g = model.planet.gravity.acceleration(r)
+    per_v, per_r, per_h = 1.0 / v, 1.0 / r, 1.0 / model.scale_height
     L = model.lift_to_drag * D
 
-    common = -v * sin / h_s - 2.0 * g * sin / v
-    drag_rate = D * (common - 2.0 * D / v)  # (8)
-    f = (common - 4.0 * D / v) * drag_rate + D * (  # (11), corrected
-        (D * sin + g) / h_s
-        + (4.0 * g * sin * sin - 2.0 * g * cos * cos) / r
+    common = -v * sin * per_h - 2.0 * g * sin * per_v
+    drag_rate = D * (common - 2.0 * D * per_v)  # (8)
+    f = (common - 4.0 * D * per_v) * drag_rate + D * (  # (11), corrected
+        (D * sin + g) * per_h
+        + (4.0 * g * sin * sin - 2.0 * g * cos * cos) * per_r
         - (2.0 * D * D + 4.0 * D * g * sin + 2.0 * g * g * (sin * sin - cos * cos))
-        / (v * v)
-        - v * v * cos * cos / (r * h_s)
+        * (per_v * per_v)
+        - v * v * cos * cos * (per_r * per_h)
     )
-    g0 = -(v / h_s + 2.0 * g / v) * L * D * cos / v
+    g0 = -(v * per_h + 2.0 * g * per_v) * L * D * cos * per_v
     return DragDynamics(drag_rate=drag_rate, f=f, g0=g0)
 
 
@@ -111,7 +112,7 @@ def track(
     else:
         x2 = observed.drag_error_rate
     a, b, epsilon0 = gains.a, gains.b, gains.epsilon0
-    feedback = -a / (epsilon0 * epsilon0) * x1 - b / epsilon0 * x2
+    feedback = -(a / (epsilon0 * epsilon0)) * x1 - (b / epsilon0) * x2
     # D*'' itself contains u where the index does: its part moves over to g0.
     g0 = plant.g0 - scale * wanted.gain
     u = (-plant.f + scale * wanted.acceleration + feedback) / g0
@@ -131,10 +132,10 @@ def observe(
     epsilon = observer.epsilon
     innovation = tracking.x1 - estimate.drag_error
     return ObserverState(
-        drag_error=estimate.drag_error_rate + observer.l1 / epsilon * innovation,
-        drag_error_rate=-a / (epsilon0 * epsilon0) * tracking.x1
-        - b / epsilon0 * estimate.drag_error_rate
-        + observer.l2 / (epsilon * epsilon) * innovation,
+        drag_error=estimate.drag_error_rate + (observer.l1 / epsilon) * innovation,
+        drag_error_rate=-(a / (epsilon0 * epsilon0)) * tracking.x1
+        - (b / epsilon0) * estimate.drag_error_rate
+        + (observer.l2 / (epsilon * epsilon)) * innovation,
     )
 
 

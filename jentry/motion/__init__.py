@@ -2,6 +2,7 @@
 
 from .dynamics import (
     entry_dynamics as entry_dynamics,
+    equatorial_dynamics as equatorial_dynamics,
     with_respect_to as with_respect_to,
 )
 from .forces import AirData as AirData, air_data as air_data

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import jax
+import jax.numpy as jnp
 
 from .._math import sincos
 from .._types import Scalar
@@ -25,17 +26,20 @@ def entry_dynamics(
     sin_latitude, cos_latitude = sincos(state.latitude)
     velocity = state.velocity
     radius = planet.radius + state.altitude
+    # One division for each quantity: products are eight times as fast.
+    per_velocity, per_cos_path = 1.0 / velocity, 1.0 / cos_path
     gravity = planet.gravity.acceleration(radius)
     along, above, right = aerodynamic_acceleration(planet, vehicle, state, controls)
 
     rotation = planet.rotation_rate
     centrifugal = rotation * rotation * radius * cos_latitude
     coriolis = 2.0 * rotation * velocity
-    ground_rate = velocity * cos_path / radius
+    ground_rate = velocity * cos_path * (1.0 / radius)
+    turn = ground_rate * sin_heading * (1.0 / cos_latitude)
 
     return EntryState(
         altitude=velocity * sin_path,
-        longitude=ground_rate * sin_heading / cos_latitude,
+        longitude=turn,
         latitude=ground_rate * cos_heading,
         velocity=along
         - gravity * sin_path
@@ -48,7 +52,7 @@ def entry_dynamics(
             + centrifugal
             * (cos_path * cos_latitude + sin_path * sin_latitude * cos_heading)
         )
-        / velocity
+        * per_velocity
         + ground_rate,
         heading=(
             right
@@ -56,8 +60,37 @@ def entry_dynamics(
             * (sin_path * cos_latitude * cos_heading - cos_path * sin_latitude)
             + centrifugal * sin_latitude * sin_heading
         )
-        / (velocity * cos_path)
-        + ground_rate * sin_heading * sin_latitude / cos_latitude,
+        * (per_velocity * per_cos_path)
+        + turn * sin_latitude,
+    )
+
+
+def equatorial_dynamics(
+    planet: Planet, vehicle: Vehicle, state: EntryState, controls: Controls
+) -> EntryState:
+    """Time derivative of the state in the plane of the equator, flying due east.
+
+    `entry_dynamics` at latitude 0 and heading 90 degrees without the lateral forces, so
+    that both stay: half the work. Over a sphere at rest every in-plane flight can be
+    written like this.
+    """
+    sin_path, cos_path = sincos(state.flight_path_angle)
+    velocity = state.velocity
+    radius = planet.radius + state.altitude
+    along, above, _ = aerodynamic_acceleration(planet, vehicle, state, controls)
+    rotation = planet.rotation_rate
+    weight = planet.gravity.acceleration(radius) - rotation * rotation * radius
+    ground_rate = velocity * cos_path * (1.0 / radius)
+    none = jnp.zeros_like(velocity)
+    return EntryState(
+        altitude=velocity * sin_path,
+        longitude=ground_rate,
+        latitude=none,
+        velocity=along - weight * sin_path,
+        flight_path_angle=(above - weight * cos_path) * (1.0 / velocity)
+        + 2.0 * rotation
+        + ground_rate,
+        heading=none,
     )
 
 

@@ -56,14 +56,14 @@ def air_data(
     mach = airspeed / planet.atmosphere.speed_of_sound(state.altitude)
     dynamic_pressure = 0.5 * density * airspeed * airspeed
     lift, drag = vehicle.coefficients(angle_of_attack, mach)
-    force_to_acceleration = dynamic_pressure * vehicle.reference_area / vehicle.mass
+    area_to_mass = vehicle.reference_area / vehicle.mass
     return AirData(
         density=density,
         airspeed=airspeed,
         dynamic_pressure=dynamic_pressure,
         mach=mach,
-        lift=force_to_acceleration * lift,
-        drag=force_to_acceleration * drag,
+        lift=dynamic_pressure * (area_to_mass * lift),
+        drag=dynamic_pressure * (area_to_mass * drag),
     )
 
 

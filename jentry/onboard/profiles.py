@@ -56,18 +56,22 @@ class QuinticProfile(AbstractProfile):
 
     def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         intervals = self.coefficients.shape[0]
-        position = (index - self.start) / self.spacing
+        per_spacing = 1.0 / self.spacing
+        position = (index - self.start) * per_spacing
         inside = clamp(position, 0.0, float(intervals))
         interval = jnp.clip(jnp.floor(inside), 0, intervals - 1)
         x = inside - interval
-        c = self.coefficients[interval.astype(int)]
-        p = horner([c[0], c[1], c[2], c[3], c[4], c[5]], x)
+        place = interval.astype(jnp.int32)
+        # A gather for each column keeps the flights of a batch next to each other.
+        columns = self.coefficients.T
+        c = [column.at[place].get(mode="clip") for column in columns]
+        p = horner(c, x)
         p1 = horner([5.0 * c[0], 4.0 * c[1], 3.0 * c[2], 2.0 * c[3], c[4]], x)
         p2 = horner([20.0 * c[0], 12.0 * c[1], 6.0 * c[2], 2.0 * c[3]], x)
         beyond = position - inside
         p = p + beyond * (p1 + 0.5 * beyond * p2)
         p1 = p1 + beyond * p2
-        return p, p1 / self.spacing, p2 / (self.spacing * self.spacing)
+        return p, p1 * per_spacing, p2 * (per_spacing * per_spacing)
 
 
 def quintic_profile(

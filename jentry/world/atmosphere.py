@@ -45,7 +45,7 @@ class ExponentialAtmosphere(AbstractAtmosphere):
     heat_capacity_ratio: Scalar = scalar(1.4, positive=True)
 
     def density(self, altitude: Scalar) -> Scalar:
-        return self.surface_density * jnp.exp(-altitude / self.scale_height)
+        return self.surface_density * jnp.exp(-altitude * (1.0 / self.scale_height))
 
     def temperature(self, altitude: Scalar) -> Scalar:
         return self.isothermal_temperature + 0.0 * altitude

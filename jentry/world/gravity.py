@@ -25,10 +25,11 @@ class InverseSquareGravity(AbstractGravity):
     gravitational_parameter: Scalar = scalar(unit="m3/s2", positive=True)
 
     def acceleration(self, radius: Scalar) -> Scalar:
-        return self.gravitational_parameter / (radius * radius)
+        per_radius = 1.0 / radius
+        return self.gravitational_parameter * per_radius * per_radius
 
     def potential(self, radius: Scalar) -> Scalar:
-        return -self.gravitational_parameter / radius
+        return -self.gravitational_parameter * (1.0 / radius)
 
 
 class ConstantGravity(AbstractGravity):
