@@ -143,14 +143,19 @@ def require_addresses(
 
 def read_inputs(path: Path) -> dict[str, np.ndarray]:
     """Inputs of a Monte Carlo from a csv file: addresses in the first line, SI values."""
-    with open(path, encoding="utf-8") as file:
-        header = [name.strip() for name in file.readline().split(",")]
-        try:
-            table = np.loadtxt(file, delimiter=",", ndmin=2)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from None
-    if table.size == 0:
-        raise ValueError(f"{path} has no rows: give one run a line")
+    try:
+        # Spreadsheets begin a file with a mark of its encoding, which "-sig" leaves out.
+        first, *lines = path.read_text(encoding="utf-8-sig").splitlines() or [""]
+        rows = [line for line in lines if line.strip()]
+        if not rows:
+            raise ValueError("there are no rows: give each run a line")
+        table = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    header = [name.strip() for name in first.split(",")]
+    twice = sorted({name for name in header if header.count(name) > 1})
+    if twice:
+        raise ValueError(f"{path} has {', '.join(twice)} twice in its first line")
     if table.shape[1] != len(header):
         raise ValueError(
             f"{path} has {len(header)} addresses in its first line and "
@@ -162,7 +167,7 @@ def read_inputs(path: Path) -> dict[str, np.ndarray]:
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is no valid TOML: {error}") from None
 
 
@@ -203,7 +208,7 @@ def _dispersion(name: str, entry: Any) -> Dispersion:
     if not isinstance(entry, Mapping):
         raise ValueError(f"{place} is {entry!r}: write a table, [{place}]")
     kind = entry.get("distribution")
-    if kind not in _DISTRIBUTIONS:
+    if not isinstance(kind, str) or kind not in _DISTRIBUTIONS:
         raise ValueError(
             f"{place}.distribution is {kind!r}: choose from {', '.join(_DISTRIBUTIONS)}"
         )
@@ -213,9 +218,16 @@ def _dispersion(name: str, entry: Any) -> Dispersion:
     if missing:
         raise ValueError(f"[{place}] lacks {', '.join(missing)}")
     addresses = entry["address"]
-    addresses = (addresses,) if isinstance(addresses, str) else tuple(addresses)
+    addresses = [addresses] if isinstance(addresses, str) else addresses
+    if not isinstance(addresses, list) or not all(
+        isinstance(address, str) for address in addresses
+    ):
+        raise ValueError(
+            f"{place}.address is {addresses!r}: write one, or a list of them"
+        )
     apply = entry.get("apply", "replace")
-    if apply not in _APPLY:
+    if not isinstance(apply, str) or apply not in _APPLY:
         raise ValueError(f"{place}.apply is {apply!r}: choose from {', '.join(_APPLY)}")
     numbers = {p: _number(entry[p], f"{place}.{p}") for p in parameters}
-    return Dispersion(AtAddresses(addresses), distribution(**numbers), _APPLY[apply])
+    where = AtAddresses(tuple(addresses))
+    return Dispersion(where, distribution(**numbers), _APPLY[apply])

@@ -106,7 +106,7 @@ def test_guided_mars_entry(case, law):
     # The bank has two kinks. A step over one errs by its square, here and in the truth:
     # the converged time is 163.0757030 s, 4e-8 before the printed one. The ballistic row
     # has none and agrees to its printed digits.
-    close = 6e-8 if case == "reference" else 0.0
+    close = 1e-7 if case == "reference" else 0.0
     assert flight.outcome == Outcome.REACHED
     path = flight.state.flight_path_angle / degree
     for found, name in (

@@ -15,7 +15,10 @@ from helpers import all_laws, mars_scenario
 from jentry.flight import FixedStep, fly
 
 
-STEP = FixedStep(0.1)
+STEP = FixedStep(0.05)
+"""The last, shorter steps to the end move with it, and with them their truncation error:
+differences see that, derivatives do not. For the observer it is 5e-6 with 0.1 s, and a
+thousand times less with this."""
 
 SCALE = jnp.array([1e2, 1e4, 0.1, 1e3, 0.1])
 """Of time (s), altitude (m), longitude, velocity and flight-path angle"""
@@ -117,13 +120,22 @@ def differences(f, leaves, table):
     return found
 
 
-def assert_close(found, expected, rtol):
-    """Relative to the largest derivative with respect to the same leaf."""
+def assert_close(found, expected, rtol, rounding=None):
+    """Relative to the largest derivative with respect to the same leaf.
+
+    `rounding` is what differences err by besides, by leaf.
+    """
     for name in found:
-        scale = np.max(np.abs(expected[name]))
+        close = rtol * np.max(np.abs(expected[name]))
+        close += 0.0 if rounding is None else rounding[name]
         np.testing.assert_allclose(
-            found[name], expected[name], rtol=0, atol=rtol * scale, err_msg=name
+            found[name], expected[name], rtol=0, atol=close, err_msg=name
         )
+
+
+def rounding_of_differences(table):
+    """The end, of order one, is good to 1e-12 after some thousand steps."""
+    return {name: 1e-12 / step for name, (_, step) in table.items()}
 
 
 @pytest.fixture(scope="module")
@@ -147,9 +159,9 @@ def test_derivatives_of_the_end(law, given):
     # Both are the exact derivative of one program: rounding, summed along 2000 steps.
     assert_close(pulled, pushed, rtol=1e-10)
     numbers = differences(lambda x: value(x, scenario, law), leaves, CASES[law])
-    # Richardson leaves the fourth power of the step; and the rounding of the end, of which
-    # the time is good to 1e-12 s, counts over the step.
-    assert_close(numbers, pushed, rtol=1e-6)
+    # Richardson leaves the fourth power of the step.
+    rounding = rounding_of_differences(CASES[law])
+    assert_close(numbers, pushed, rtol=1e-6, rounding=rounding)
 
 
 def test_the_velocity_that_ends_the_flight_does_not_move(given):

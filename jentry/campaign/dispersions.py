@@ -7,6 +7,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
@@ -90,13 +91,13 @@ class Dispersion(eqx.Module):
     apply: Callable[[Scalar, Scalar], Scalar] = eqx.field(default=replace, static=True)
 
 
-Inputs = dict[str, Array]
-"""Values of leaves by their addresses; in a batch each with the runs in front."""
+Inputs = dict[str, Scalar]
+"""Values of leaves by their addresses."""
 
 
 def draw(
     dispersions: Mapping[str, Dispersion], key: Key[Array, ""], run: Int[Array, ""]
-) -> dict[str, Array]:
+) -> dict[str, Scalar]:
     """The draws of one run, by the names of the dispersions.
 
     They depend on the key, the name and the run alone, not on what else is drawn.
@@ -111,7 +112,7 @@ def draw(
 def disperse(
     scenario: Scenario,
     dispersions: Mapping[str, Dispersion],
-    draws: Mapping[str, Array],
+    draws: Mapping[str, Scalar],
 ) -> Inputs:
     """The values that the dispersed leaves take in one run.
 
@@ -143,8 +144,12 @@ def disperse(
     return inputs
 
 
-def check_dispersions(dispersions: Mapping[str, Dispersion]) -> None:
-    """Refuse a distribution with a number that cannot be drawn from."""
+def check_dispersions(
+    scenario: Scenario, dispersions: Mapping[str, Dispersion]
+) -> None:
+    """Refuse what `disperse` would, and distributions that cannot be drawn from."""
+    draws = {name: jnp.zeros(()) for name in dispersions}
+    jax.eval_shape(lambda draws: disperse(scenario, dispersions, draws), draws)
     for name, dispersion in dispersions.items():
         distribution = dispersion.distribution
         numbers = leaves_by_address(distribution)

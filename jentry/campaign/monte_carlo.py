@@ -101,15 +101,17 @@ def fly_in_blocks(
     elif dispersions:
         if key is None:
             raise ValueError("dispersions need a key: jax.random.key(seed)")
-        check_dispersions(dispersions)
+        check_dispersions(scenario, dispersions)
     else:
         raise ValueError("nothing is dispersed: give dispersions or inputs")
     wanted = np.asarray(count if runs is None else runs)
     if not np.issubdtype(wanted.dtype, np.integer) and wanted.size:
-        raise ValueError(f"runs is {runs}: it must be a number of runs, or their indices")
+        raise ValueError(
+            f"runs is {runs}: it must be a number of runs, or their indices"
+        )
     indices = np.arange(wanted) if wanted.ndim == 0 else wanted.astype(int)
     if indices.size == 0:
-        raise ValueError(f"no runs to fly: runs is {runs}")
+        raise ValueError(f"no runs to fly: runs is {wanted}")
     if indices.min() < 0:
         raise ValueError(f"run {indices.min()} was asked for: runs count from 0")
     if given is not None and indices.max() >= count:
@@ -117,7 +119,9 @@ def fly_in_blocks(
     return _blocks(scenario, dispersions, key, indices, given, solver, history)
 
 
-def _check_inputs(scenario: Scenario, inputs: Mapping[str, Any]) -> dict[str, Array]:
+def _check_inputs(
+    scenario: Scenario, inputs: Mapping[str, Any]
+) -> dict[str, np.ndarray]:
     if not inputs:
         raise ValueError("the inputs are empty: give values by address")
     known = leaves_by_address(scenario)
@@ -152,7 +156,8 @@ def _blocks(scenario, dispersions, key, indices, given, solver, history):
         else:
             inputs = {a: jnp.asarray(v[filled]) for a, v in given.items()}
         flown = _fly_block(scenario, inputs, solver, history, devices)
-        block = Campaign(filled, inputs, *flown)
+        flown_with = {a: np.asarray(v) for a, v in inputs.items()}
+        block = Campaign(filled, flown_with, *flown)
         yield jax.tree.map(functools.partial(_first, len(runs)), block)
 
 

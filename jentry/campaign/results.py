@@ -1,6 +1,6 @@
 """Flown runs as an `xarray.Dataset`, with units and long names."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -9,6 +9,9 @@ from ..flight.scenario import Scenario
 from ..flight.termination import Outcome
 from .monte_carlo import Campaign
 
+
+if TYPE_CHECKING:
+    import xarray
 
 _STATE = {
     "altitude": "m",
@@ -32,7 +35,9 @@ def _words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def dataset(scenario: Scenario, campaign: Campaign, history: float | None = None):
+def dataset(
+    scenario: Scenario, campaign: Campaign, history: float | None = None
+) -> "xarray.Dataset":
     """Inputs by address, outcome, final state, misses, peaks and, if kept, histories.
 
     Dimensions: run, and time for histories, whose interval is `history` (s). Errors are
@@ -52,7 +57,7 @@ def dataset(scenario: Scenario, campaign: Campaign, history: float | None = None
     names = scenario.termination.names
     put(
         "outcome",
-        flights.outcome.astype(np.int8),
+        np.asarray(flights.outcome, dtype=np.int8),
         "1",
         "how the flight ended",
         flag_values=np.array([int(o) for o in Outcome], dtype=np.int8),
@@ -60,7 +65,7 @@ def dataset(scenario: Scenario, campaign: Campaign, history: float | None = None
     )
     put(
         "ended_by",
-        flights.ended_by.astype(np.int8),
+        np.asarray(flights.ended_by, dtype=np.int8),
         "1",
         "end condition that was met",
         flag_values=np.arange(len(names), dtype=np.int8),

@@ -8,12 +8,11 @@ so that whatever stands there is whole.
 import json
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -28,8 +27,12 @@ from .monte_carlo import Campaign, fly_in_blocks
 from .results import dataset
 
 
+if TYPE_CHECKING:
+    import xarray
+
 MANIFEST = "campaign.json"
 _PART = re.compile(r"runs-(\d{9})-(\d{9})\.nc")
+_ESSENTIAL = {"scenario", "seed", "versions"}
 _PACKAGES = ("jentry", "jax", "equinox", "diffrax", "numpy")
 
 
@@ -52,6 +55,7 @@ def describe(
         "structure": str(scenario),
         "dispersions": {
             name: {
+                "order": place,
                 "addresses": addresses_of(scenario, dispersion.where),
                 "distribution": type(dispersion.distribution).__name__,
                 **{
@@ -62,7 +66,7 @@ def describe(
                 },
                 "apply": getattr(dispersion.apply, "__name__", str(dispersion.apply)),
             }
-            for name, dispersion in (dispersions or {}).items()
+            for place, (name, dispersion) in enumerate((dispersions or {}).items())
         },
         "inputs": {
             address: np.asarray(values, dtype=float).tolist()
@@ -108,26 +112,29 @@ def run_campaign(
     `ValueError` for what cannot be flown.
     """
     out = Path(out)
-    if runs < 1:
-        raise ValueError(f"no runs to fly: runs is {runs}")
-    description = describe(
-        scenario, dispersions, seed, solver, history, inputs, **labels
-    )
-    _claim(out, description)
-    done = int(np.sum(_stored(out, runs)))
-    report(done)
-    key = jax.random.key(seed)
-    for missing in _unbroken(np.flatnonzero(~_stored(out, runs))):
-        blocks = fly_in_blocks(
+    key = None if inputs is not None else jax.random.key(seed)
+
+    def blocks_of(runs: int | np.ndarray) -> Iterator[Campaign]:
+        return fly_in_blocks(
             scenario,
-            None if inputs is not None else dispersions,
-            None if inputs is not None else key,
-            missing,
+            dispersions,
+            key,
+            runs,
             inputs=inputs,
             solver=solver,
             history=history,
         )
-        for block in blocks:
+
+    blocks_of(runs)  # flies nothing yet, and refuses what cannot be flown
+    description = describe(
+        scenario, dispersions, seed, solver, history, inputs, **labels
+    )
+    _claim(out, description)
+    stored = _stored(out, runs)
+    done = int(np.sum(stored))
+    report(done)
+    for missing in _unbroken(np.flatnonzero(~stored)):
+        for block in blocks_of(missing):
             _write_part(out, scenario, block, description)
             done += len(block.runs)
             report(done)
@@ -137,20 +144,22 @@ def write_flight(
     path: Path | str,
     scenario: Scenario,
     flight: Flight,
+    solver: AbstractSolver,
     history: float | None,
     **labels: str,
 ) -> None:
     """Write one flight as a campaign of one run, a netCDF file."""
-    alone = Campaign(np.arange(1), {}, flight, misses(scenario, flight))
-    block = jax.tree.map(lambda x: np.asarray(x)[None], alone)
-    block = eqx.tree_at(lambda block: block.runs, block, np.arange(1))
+    flown = flight, misses(scenario, flight)
+    block = Campaign(
+        np.arange(1), {}, *jax.tree.map(lambda x: np.asarray(x)[None], flown)
+    )
     part = dataset(scenario, block, history)
-    description = describe(scenario, None, 0, FixedStep(), history, **labels)
+    description = describe(scenario, None, 0, solver, history, None, **labels)
     part.attrs["campaign"] = json.dumps(description)
-    _write_whole(Path(path), lambda path: part.to_netcdf(path, engine="h5netcdf"))
+    _write_whole(Path(path), _netcdf(part))
 
 
-def open_campaign(out: Path | str, runs: int | None = None):
+def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
     """The stored runs as one `xarray.Dataset`, in the order of the runs.
 
     **Arguments:**
@@ -188,23 +197,26 @@ def open_campaign(out: Path | str, runs: int | None = None):
 
 
 def _claim(out: Path, description: Mapping[str, Any]) -> None:
-    """Make the folder this campaign's, or find that it is already."""
+    """Make the folder this campaign's, or find that it is already.
+
+    A folder of another campaign that has no runs yet holds nothing, and is taken over.
+    """
     manifest = out / MANIFEST
     if out.exists() and not out.is_dir():
         raise CampaignError(f"{out} is a file: give a folder for the campaign")
-    if not manifest.exists():
-        if out.exists() and any(_PART.fullmatch(path.name) for path in out.iterdir()):
-            raise CampaignError(
-                f"{out} has runs but no {MANIFEST}: it is not known what was flown; give "
-                "another folder"
-            )
-        out.mkdir(parents=True, exist_ok=True)
-        _write_whole(manifest, lambda path: path.write_text(json.dumps(description)))
-        return
-    known = _read_manifest(out)
-    wanted = json.loads(json.dumps(description))
-    different = _first_difference(known, wanted)
-    if different:
+    out.mkdir(parents=True, exist_ok=True)
+    has_runs = bool(_parts(out))
+    if has_runs and not manifest.exists():
+        raise CampaignError(
+            f"{out} has runs but no {MANIFEST}: it is not known what was flown; give "
+            "another folder"
+        )
+    text = json.dumps(description)
+    known = _read_manifest(out) if manifest.exists() else None
+    different = known and _first_difference(known, json.loads(text))
+    if known is None or (different and not has_runs):
+        _write_whole(manifest, text.encode())
+    elif different:
         raise CampaignError(
             f"{out} holds another campaign: {different}. Give another folder, or the "
             "same options as before"
@@ -217,9 +229,10 @@ def _read_manifest(out: Path) -> dict[str, Any]:
         raise CampaignError(f"{out} holds no campaign: there is no {MANIFEST} in it")
     try:
         known = json.loads(manifest.read_text())
-        known["scenario"], known["seed"], known["versions"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError) as error:
         raise CampaignError(f"{manifest} is no campaign of jentry ({error})") from error
+    if not isinstance(known, dict) or not _ESSENTIAL <= set(known):
+        raise CampaignError(f"{manifest} is no campaign of jentry: give another folder")
     return known
 
 
@@ -279,15 +292,21 @@ def _write_part(
     }
     part.attrs["scenario"] = json.dumps(scalars)
     name = f"runs-{block.runs[0]:09d}-{block.runs[-1]:09d}.nc"
-    _write_whole(out / name, lambda path: part.to_netcdf(path, engine="h5netcdf"))
+    _write_whole(out / name, _netcdf(part))
 
 
-def _write_whole(path: Path, write: Callable[[Path], Any]) -> None:
+def _netcdf(part: "xarray.Dataset") -> bytes:
+    """A netCDF file in memory. HDF5 itself dies of a full disk; Python only raises."""
+    return bytes(part.to_netcdf(engine="h5netcdf"))
+
+
+def _write_whole(path: Path, contents: bytes) -> None:
     """Write a file so that it is there whole or not at all, also after a crash."""
     unfinished = path.with_name(f".{path.name}.unfinished")
     try:
-        write(unfinished)
-        with open(unfinished, "rb") as file:
+        with open(unfinished, "wb") as file:
+            file.write(contents)
+            file.flush()
             os.fsync(file.fileno())
         os.replace(unfinished, path)
         folder = os.open(path.parent, os.O_RDONLY)
@@ -295,6 +314,6 @@ def _write_whole(path: Path, write: Callable[[Path], Any]) -> None:
             os.fsync(folder)
         finally:
             os.close(folder)
-    except OSError:
+    except BaseException:
         unfinished.unlink(missing_ok=True)
         raise

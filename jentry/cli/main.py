@@ -1,9 +1,11 @@
 """The commands and their options; what they print is in `report`."""
 
 import errno
+import importlib
 import sys
+import threading
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -91,17 +93,21 @@ def fly(
     if out is not None and history is None:
         history = 1.0
     chosen, scenario, _ = _scenario(mission, variant, config, set_)
-    flight = eqx.filter_jit(fly_once)(scenario, FixedStep(step), history)
+    solver = FixedStep(step)
+    flight = eqx.filter_jit(fly_once)(scenario, solver, history)
     print_flight(chosen, scenario, flight)
     if out is not None:
-        write_flight(out, scenario, flight, history, mission=mission)
+        write_flight(out, scenario, flight, solver, history, mission=mission)
         typer.echo(f"written: {out}")
 
 
 @app.command("monte-carlo")
 def monte_carlo(
     mission: MissionName,
-    runs: Annotated[int, typer.Option(help="Number of runs.")] = 1000,
+    runs: Annotated[
+        int | None,
+        typer.Option(help="Number of runs; 1000, or all of --inputs, if not given."),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
     out: Annotated[
         Path | None,
@@ -146,6 +152,7 @@ def monte_carlo(
 ) -> None:
     """Fly dispersed runs, store them, print their statistics and draw figures."""
     _set_up(workers, fast)
+    _import_meanwhile("xarray", "h5netcdf", "rich.table", "rich.progress")
     from ..campaign.store import open_campaign, run_campaign
     from ..flight.solver import FixedStep
     from ..overrides import read_inputs, require_addresses
@@ -158,26 +165,31 @@ def monte_carlo(
     if table is None or dispersions is not None:
         table = chosen.dispersion_table(reading)
     require_addresses(scenario, table)
-    given = None
-    if inputs is not None:
-        given = read_inputs(inputs)
-        runs = min(runs, len(next(iter(given.values()))))
+    given = None if inputs is None else read_inputs(inputs)
+    if given is not None:
+        rows = len(next(iter(given.values())))
+        runs = rows if runs is None else min(runs, rows)
+    elif runs is None:
+        runs = 1000
     folder = Path("results") / mission if out is None else out
     solver = FixedStep(step)
-    with progress(runs) as report:
-        run_campaign(
-            folder,
-            scenario,
-            table if given is None else None,
-            seed,
-            runs,
-            inputs=given,
-            solver=solver,
-            history=history,
-            report=report,
-            mission=mission,
-            variant=variant or overrides.variant or next(iter(chosen.variants)),
-        )
+    try:
+        with progress(runs) as report:
+            run_campaign(
+                folder,
+                scenario,
+                table if given is None else None,
+                seed,
+                runs,
+                inputs=given,
+                solver=solver,
+                history=history,
+                report=report,
+                mission=mission,
+                variant=variant or overrides.variant or next(iter(chosen.variants)),
+            )
+    except KeyboardInterrupt:
+        _fail("interrupted; the same command resumes", 130)
     results = open_campaign(folder, runs)
     print_campaign(chosen, results)
     typer.echo(f"stored: {folder}")
@@ -190,6 +202,16 @@ def _set_up(workers: int | None = None, fast: bool = False) -> None:
     from .._setup import setup
 
     setup(workers, fast=fast)
+
+
+def _import_meanwhile(*modules: str) -> None:
+    """Import what is needed later while XLA compiles, which leaves Python idle."""
+
+    def import_all():
+        for module in modules:
+            importlib.import_module(module)
+
+    threading.Thread(target=import_all, daemon=True).start()
 
 
 def _scenario(name, variant, config, assignments):
@@ -225,10 +247,8 @@ def main() -> None:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             advice = "; free some space and run the same command, which resumes"
         _fail(f"{error}{advice}", 4)
-    except KeyboardInterrupt:
-        _fail("interrupted; the same command resumes", 130)
 
 
-def _fail(message: str, code: int) -> None:
+def _fail(message: str, code: int) -> NoReturn:
     print(f"jentry: {message}", file=sys.stderr)
     sys.exit(code)

@@ -5,7 +5,9 @@ from collections.abc import Callable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._math import derivatives_along
@@ -40,13 +42,27 @@ def plan_bank_profile(
 
     The guidance and the end conditions of the scenario are not used.
 
-    **Raises:** a runtime error if no such profile is found.
+    **Raises:** `ValueError` if no such profile is found; see `require_planned`.
     """
     curvature = jnp.asarray(curvature, float)
     end_velocity = jnp.asarray(end_velocity, float)
     given = scenario, end_velocity, curvature
     coefficients = _solve(given, jnp.asarray(guess, float), solver)
+    require_planned(coefficients)
     return _profile(given, coefficients)
+
+
+def require_planned(coefficients: Array) -> None:
+    """Raise `ValueError` for a plan that was not found, where that is known.
+
+    Under `jit` it is not, and what could not be planned is NaN: call this on the result.
+    (A check inside would keep the program out of the compilation cache.)
+    """
+    if not isinstance(coefficients, Tracer) and np.isnan(coefficients).any():
+        raise ValueError(
+            "no bank profile meets the target: its altitude, downrange and the end "
+            "velocity do not go together for this vehicle; try another curvature or guess"
+        )
 
 
 def _profile(given, coefficients: Float[Array, " 2"]) -> PolynomialProfile:
@@ -78,12 +94,7 @@ def _search(given, guess: Float[Array, " 2"], solver: FixedStep) -> Float[Array,
 
     start = guess, jnp.full((), jnp.inf)
     found, missed = lax.fori_loop(0, _IMPROVEMENTS, improve, start)
-    return eqx.error_if(
-        found,
-        ~(missed < _PLANNED_TO),
-        "no bank profile meets the target: its altitude, downrange and the end velocity "
-        "do not go together for this vehicle; try another curvature or guess",
-    )
+    return jnp.where(missed < _PLANNED_TO, found, jnp.nan)
 
 
 _DIFFERENCE = 1e-5
@@ -202,13 +213,15 @@ class ReferenceFlight(eqx.Module):
             before = jnp.searchsorted(place, falling * wanted, side="right") - 1
             before = jnp.clip(before, 0, last)
             point = jax.tree.map(lambda x: x[before], (self.times, self.states))
-            duration = lax.fori_loop(
-                0,
-                4,
-                lambda _, duration: duration - early(after(point, duration), wanted),
-                jnp.zeros_like(wanted),
-            )
-            return derivatives(after(point, lax.stop_gradient(duration)), wanted)
+
+            def improve(_, found):
+                duration = found[1] - early(found[0], wanted)
+                duration = lax.stop_gradient(duration)
+                return after(point, duration), duration
+
+            start = point, jnp.zeros_like(wanted)
+            found, _ = lax.fori_loop(0, 4, improve, start)
+            return derivatives(found, wanted)
 
         def early(point, wanted):
             """Time since the point had the wanted index, s, to first order."""

@@ -3,8 +3,8 @@
 from collections.abc import Mapping
 
 import equinox as eqx
-import jax
 import numpy as np
+from jax.core import Tracer
 
 from .._addresses import field_metadata, leaves_by_address
 from .._types import Scalar, scalar
@@ -48,17 +48,21 @@ def check(scenario: Scenario) -> None:
     that are not known yet (under `jit`, `vmap` or `grad`) are left to the outcome of
     the flight.
     """
-    start = scenario.initial_state
-    if scenario.in_plane and not isinstance(start.heading, jax.core.Tracer):
-        if abs(start.latitude) > 1e-12 or abs(start.heading - 0.5 * np.pi) > 1e-12:
-            raise ValueError(
-                f"initial_state has latitude {float(start.latitude):g} and heading "
-                f"{float(start.heading):g} rad: an in-plane flight starts at latitude 0 "
-                "and heading pi/2; use in_plane=False for others"
-            )
+    if scenario.in_plane:
+        _check_in_plane(scenario.initial_state)
     for address, leaf in leaves_by_address(scenario).items():
-        if not isinstance(leaf, jax.core.Tracer):
+        if not isinstance(leaf, Tracer):
             check_values(address, np.asarray(leaf), field_metadata(scenario, address))
+
+
+def _check_in_plane(start: EntryState) -> None:
+    for name, wanted in (("latitude", 0.0), ("heading", 0.5 * np.pi)):
+        value = getattr(start, name)
+        if not isinstance(value, Tracer) and abs(np.asarray(value) - wanted) > 1e-12:
+            raise ValueError(
+                f"initial_state.{name} is {float(value):g} rad: a flight in the plane of "
+                f"the equator needs {wanted:g}; take in_plane=False for others"
+            )
 
 
 def check_values(address: str, values: np.ndarray, metadata: Mapping) -> None:

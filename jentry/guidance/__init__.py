@@ -6,6 +6,7 @@ from .drag_tracking import (
     ObserverGains as ObserverGains,
     StateFeedbackDragTracking as StateFeedbackDragTracking,
 )
+from .lateral import LateralCorridor as LateralCorridor
 from .law import (
     AbstractContinuousLaw as AbstractContinuousLaw,
     AbstractLaw as AbstractLaw,
@@ -13,3 +14,8 @@ from .law import (
     Sampled as Sampled,
 )
 from .open_loop import BankProfile as BankProfile
+from .range_tracking import (
+    Aim as Aim,
+    RangeTracking as RangeTracking,
+    ScaleLimits as ScaleLimits,
+)

@@ -13,39 +13,38 @@ from ..world.planet import Planet
 
 
 class LateralCorridor(eqx.Module):
-    """Half the width within which a predicted crossrange is left alone.
+    """Where a predicted crossrange is left alone: |crossrange| < floor + widening V^2.
 
-    It narrows with the velocity, as the lift that is left to correct it does.
+    It narrows along the flight as what one bank can still change does, so that the
+    reversals spread over the flight: a wide corridor has few, a low floor ends close.
     """
 
     floor: Scalar = scalar(unit="m", positive=True)
-    """At rest"""
-    widening: Scalar = scalar(0.0, unit="s")
-    """m of half width for each m/s of velocity"""
+    widening: Scalar = scalar(0.0, unit="s2/m")
 
     def half_width(self, velocity: Scalar) -> Scalar:
         """m"""
-        return self.floor + self.widening * velocity
+        return self.floor + self.widening * velocity * velocity
 
 
 def reverse_bank(sign: Scalar, crossrange: Scalar, half_width: Scalar) -> Scalar:
     """Sign of the bank for a predicted crossrange miss (m, positive to the left).
 
-    Inside the corridor the sign stays; outside it turns back: positive, to the right, if
-    the miss is to the left. A discrete choice, and as such without derivative.
+    Inside the corridor the sign stays. Outside it turns back: to the right, which is
+    positive, if the miss is to the left. A discrete choice, and so without derivative.
     """
-    back = jnp.where(crossrange > 0.0, 1.0, -1.0)
-    chosen = jnp.where(jnp.abs(crossrange) > half_width, back, sign)
-    return lax.stop_gradient(chosen)
+    turning_back = jnp.where(crossrange > 0.0, 1.0, -1.0)
+    outside = jnp.abs(crossrange) > half_width
+    return lax.stop_gradient(jnp.where(outside, turning_back, sign))
 
 
 def predicted_crossrange(
     planet: Planet, origin: EntryState, state: EntryState, distance: Scalar
 ) -> Scalar:
-    """Crossrange where the great circle now flown leads after a distance, m.
+    """Crossrange after a distance (m) along the great circle that is flown now, m.
 
-    To first order in the crossrange, which is small beside the planet's radius. Signed
-    and counted from the origin as in `ground_track`.
+    Counted from the origin as in `ground_track`; to first order in the crossrange, which
+    is small beside the planet's radius.
     """
     sin_heading, cos_heading = sincos(state.heading)
     _, cos_latitude = sincos(state.latitude)
@@ -56,7 +55,7 @@ def predicted_crossrange(
         )
         return ground_track(planet, origin, here)[1]
 
-    along_heading = sin_heading / cos_latitude, cos_heading
-    now, slope = jax.jvp(crossrange, (state.longitude, state.latitude), along_heading)
+    ahead = sin_heading / cos_latitude, cos_heading
+    now, slope = jax.jvp(crossrange, (state.longitude, state.latitude), ahead)
     sine, cosine = sincos(distance / planet.radius)
     return now * cosine + slope * sine

@@ -1,8 +1,7 @@
-"""Track a reference drag that is rescaled each second to fly the range to go.
+"""Track a reference drag that is rescaled each cycle to fly the range to go.
 
-In the family of H. Yan, Y. He, "Drag-Tracking Guidance for Entry Vehicles Without Drag
-Rate Measurement", and beyond it: the reference follows the range that is left, and bank
-reversals keep the flight in its plane.
+Beyond H. Yan, Y. He, "Drag-Tracking Guidance for Entry Vehicles Without Drag Rate
+Measurement", in the same family: between the cycles it is their law with the observer.
 """
 
 import equinox as eqx
@@ -11,24 +10,35 @@ import jax.numpy as jnp
 
 from .._interpolation import clamp
 from .._types import Scalar, scalar
-from ..motion.forces import air_data
 from ..motion.quantities import ground_track
 from ..motion.state import Controls, EntryState
 from ..onboard.model import OnboardModel
-from ..onboard.navigation import Measurement
+from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
-from ..onboard.reference import DragReference
-from .drag_tracking import ErrorGains, ObserverGains, ObserverState, observe, track
+from ..onboard.reference import DragReference, EnergyIndex
+from .drag_tracking import (
+    ErrorGains,
+    ObserverGains,
+    ObserverState,
+    Tracking,
+    observe,
+    track,
+)
 from .lateral import LateralCorridor, predicted_crossrange, reverse_bank
 from .law import AbstractSampledLaw
 from .open_loop import vertical_lift_command
 
 
+_NEWTON_STEPS = 4
+"""From the end of the reference; with half of its density to twice of it the fourth is
+the last that matters: the miss at the end of a flight changes by less than a metre."""
+
+
 class Aim(eqx.Module):
-    """Where the law is to bring the vehicle: its own copy, never dispersed.
+    """Where the law is to bring the vehicle; its own copy, which is never dispersed.
 
     Guided flight ends at the first of the altitude and the velocity, and should then be
-    at the downrange and crossrange, counted from the origin as in `ground_track`.
+    at the downrange and the crossrange, counted from the origin as in `ground_track`.
     """
 
     origin: EntryState
@@ -38,74 +48,134 @@ class Aim(eqx.Module):
     velocity: Scalar = scalar(unit="m/s", positive=True)
 
 
-class RangeScaling(eqx.Module):
-    """When and how far the reference drag may be scaled."""
+class ScaleLimits(eqx.Module):
+    """How far the reference drag may be scaled, and until when."""
 
+    lower: Scalar = scalar(positive=True)
+    upper: Scalar = scalar(positive=True)
     last_range: Scalar = scalar(unit="m", positive=True)
-    """With less than this to go the scale is left as it is"""
-    least: Scalar = scalar(0.5, positive=True)
-    most: Scalar = scalar(2.0, positive=True)
+    """The scale is held when less than this is to go. It must exceed g h_s / D at the
+    end: nearer than that more drag no longer shortens the flight, because what it takes
+    from the range it gives back by an end that is lower."""
 
 
 class Decision(eqx.Module):
     """What is held through a guidance cycle."""
 
     scale: Scalar
-    """Of the reference drag"""
+    """K, of the reference drag"""
+    lift_factor: Scalar
+    """Sensed over modelled lift-to-drag ratio"""
     bank_sign: Scalar
     """1 to the right, -1 to the left"""
 
 
-def scale_to_reach(law, now, to_go, q, steps=5):
-    planet, beta = law.model.planet, law.model.ballistic_coefficient
+def scale_to_reach(
+    aim: Aim,
+    reference: DragReference,
+    range_flown: AbstractProfile,
+    model: OnboardModel,
+    energy: Scalar,
+    range_to_go: Scalar,
+    drag_factor: Scalar,
+) -> Scalar:
+    """Scale K of the reference drag that flies the range to go until the predicted end.
 
-    def end(altitude, kinetic):
-        """Scale for which the profile passes here, and the range error it then makes"""
-        E = kinetic + planet.gravity.potential(planet.radius + altitude)
-        scale = q * planet.density(altitude) * kinetic / (beta * law.reference.drag(E))
-        return scale * to_go - (law.range_flown(E) - now), scale
+    The range flown over an energy interval is the integral of cos(gamma) r0 / (r D), so
+    that the drag K D* flies 1/K of what the reference flies between the same energies:
 
-    aim = law.aim
-    kinetic_end = 0.5 * aim.velocity * aim.velocity
-    altitude, kinetic = aim.altitude, kinetic_end
-    one = jnp.ones_like(altitude)
-    for _ in range(steps):
-        error, slope, _ = jax.jvp(lambda h: end(h, kinetic_end), (altitude,), (one,), has_aux=True)
-        altitude = clamp(altitude - error / slope, 0., 30e3)
-        error, slope, _ = jax.jvp(lambda e: end(aim.altitude, e), (kinetic,), (one,), has_aux=True)
-        kinetic = clamp(kinetic - error / slope, 0.5*kinetic_end, 20.*kinetic_end)
-    _, slow = end(altitude, kinetic_end)
-    _, low = end(aim.altitude, kinetic)
-    return jnp.minimum(slow, low)
+        K range_to_go = S*(E_end) - S*(E)
+
+    On the profile, D = K D*(E) is also q D_m(h, V), the drag of the onboard model times
+    the sensed factor q, at every altitude and velocity: this ties K to where the flight
+    ends. It does so at the end altitude, still faster, or at the end velocity, still
+    higher; which one comes first is told by the sign of the error of the profile
+    through the corner, where both are met. From there Newton's method looks for the
+    end along one of the two, with the energy above the corner as unknown. The error is
+    such (convex one way, concave the other) that it comes near from one side.
+
+    **Arguments:**
+
+    - `range_flown`: S*, by the reference, over the energy; m.
+    - `energy`: now, J/kg.
+    - `range_to_go`: m.
+    - `drag_factor`: q, sensed drag over that of the onboard model.
+    """
+    planet = model.planet
+    radius = planet.radius + aim.altitude
+    gravity = planet.gravity.acceleration(radius)
+    flown = range_flown(energy)
+
+    def through(altitude: Scalar, kinetic: Scalar) -> tuple[Scalar, Scalar]:
+        """Error in range of the profile that ends here (m), and its scale."""
+        end = kinetic + planet.gravity.potential(planet.radius + altitude)
+        modelled = planet.density(altitude) * kinetic / model.ballistic_coefficient
+        scale = drag_factor * modelled / reference.drag(end)
+        return scale * range_to_go - (range_flown(end) - flown), scale
+
+    corner = aim.altitude, 0.5 * aim.velocity * aim.velocity
+    too_short, _ = through(*corner)
+    low = too_short < 0.0
+    climb, speed_up = jnp.where(low, 0.0, 1.0 / gravity), jnp.where(low, 1.0, 0.0)
+
+    def along(excess: Scalar) -> tuple[Scalar, Scalar]:
+        altitude, kinetic = corner
+        return through(altitude + excess * climb, kinetic + excess * speed_up)
+
+    corner_energy = corner[1] + planet.gravity.potential(radius)
+    most = jnp.maximum(energy - corner_energy, 0.0)
+    excess = 0.0 * range_to_go
+    for _ in range(_NEWTON_STEPS):
+        error, slope, _ = jax.jvp(
+            along, (excess,), (jnp.ones_like(excess),), has_aux=True
+        )
+        excess = clamp(excess - error / slope, 0.0, most)
+    _, scale = along(excess)
+    return scale
 
 
 class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
-    """Drag tracking with an observer, of a reference scaled to the range to go.
+    """Drag tracking with an observer, of a reference scaled to fly the range to go.
 
-    Between cycles this is equations (24) and (25), with K D* for D*. At each cycle K is
-    the range that the reference still flies from this energy to the predicted end,
-    over the range to go: range flown over energy is the integral of 1/D. While the drag
-    is below the gate of the reference K stays as it is. The drag error that the observer
-    estimates jumps with K, so that the observer sees no step.
+    Between cycles these are equations (24) and (25) with K D* in place of D*. A cycle
+    decides, from the drag on at which the reference is tracked:
 
-    Bank is reversed when the crossrange predicted at the target leaves the corridor.
+    - the scale K, see `scale_to_reach`, with the sensed drag over the modelled one. The
+      observer's estimates of the drag error D - K D* jump with K, so that it sees no
+      step.
+    - the lift-to-drag ratio by which the bank is computed: the sensed one.
+
+    And from the start on
+
+    - the sign of the bank: it is reversed when the crossrange at which the flight would
+      pass the target leaves the corridor.
     """
 
     gains: ErrorGains
     observer: ObserverGains
     reference: DragReference
+    """Over energy"""
     range_flown: AbstractProfile
-    """By the reference, over its index, m"""
+    """By the reference, over energy, m"""
     model: OnboardModel
     aim: Aim
-    scaling: RangeScaling
+    limits: ScaleLimits
     corridor: LateralCorridor
     first_bank_sign: Scalar = scalar(1.0)
     period: float = eqx.field(default=1.0, static=True)
 
+    def __check_init__(self):
+        if not self.period > 0.0:
+            raise ValueError(f"period is {self.period} s: it must be positive")
+        if not isinstance(self.reference.index, EnergyIndex):
+            raise ValueError(
+                f"the reference is over {type(self.reference.index).__name__}: range "
+                "is scaled by the drag over energy, so it must be an EnergyIndex"
+            )
+
     def init(self, measurement: Measurement) -> tuple[ObserverState, Decision]:
         zero = 0.0 * measurement.drag
-        held = Decision(1.0 + zero, self.first_bank_sign)
+        held = Decision(1.0 + zero, 1.0 + zero, self.first_bank_sign + zero)
         tracking = self._track(zero, measurement, None, held)
         return ObserverState(tracking.x1, zero), held
 
@@ -116,35 +186,77 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
         memory: ObserverState,
         held: Decision,
     ) -> tuple[ObserverState, Decision]:
-        planet, state = self.model.planet, measurement.state
-        downrange, _ = ground_track(planet, self.aim.origin, state)
-        to_go = self.aim.downrange - downrange
-        scale = self._scale(measurement, to_go, held.scale)
-        index = self.reference.index.motion(time,measurement,self.model,0.0*time)
-        D,slope,_ = self.reference.drag.with_derivatives(index.value)
-        jump = scale-held.scale
-        memory = ObserverState(memory.drag_error - jump * D, memory.drag_error_rate - jump*slope*index.rate)
-        crossrange = predicted_crossrange(planet, self.aim.origin, state, to_go)
-        sign = reverse_bank(
-            held.bank_sign,
-            crossrange - self.aim.crossrange,
-            self.corridor.half_width(state.velocity),
+        aim, planet, state = self.aim, self.model.planet, measurement.state
+        downrange, _ = ground_track(planet, aim.origin, state)
+        range_to_go = aim.downrange - downrange
+
+        sensed = measurement.drag > self.reference.gate
+        scales = sensed & (range_to_go > self.limits.last_range)
+        believed = measure(
+            planet, self.model.vehicle, state, self.model.vehicle.trim_angle_of_attack
         )
-        return memory, Decision(scale, sign)
+        scale = scale_to_reach(
+            aim,
+            self.reference,
+            self.range_flown,
+            self.model,
+            self.reference.index.value(planet, time, state),
+            # Where it is not used it may be zero, of which the derivative is not finite.
+            jnp.where(scales, range_to_go, aim.downrange),
+            measurement.drag / believed.drag,
+        )
+        scale = clamp(scale, self.limits.lower, self.limits.upper)
+        lift_factor = (measurement.lift / measurement.drag) / (
+            believed.lift / believed.drag
+        )
+        passing = predicted_crossrange(planet, aim.origin, state, range_to_go)
+        decided = Decision(
+            scale=jnp.where(scales, scale, held.scale),
+            lift_factor=jnp.where(sensed, lift_factor, held.lift_factor),
+            bank_sign=reverse_bank(
+                held.bank_sign,
+                passing - aim.crossrange,
+                self.corridor.half_width(state.velocity),
+            ),
+        )
+        jump = decided.scale - held.scale
+        return self._shifted(time, measurement, memory, jump), decided
 
-    def _scale(self, measurement, to_go, scale):
-        state = measurement.state
-        modelled=self.model.planet.density(state.altitude)*state.velocity**2/2/self.model.ballistic_coefficient
-        q = measurement.drag/modelled
-        energy = self.reference.index.value(self.model.planet, 0.0*to_go, state)
-        scales = (measurement.drag > self.reference.gate) & (to_go > self.scaling.last_range)
-        wanted = scale_to_reach(self, self.range_flown(energy), jnp.where(scales,to_go,1e5), q)
-        wanted = clamp(wanted,self.scaling.least,self.scaling.most)
-        return jnp.where(scales, wanted, scale)
+    def _shifted(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        memory: ObserverState,
+        jump: Scalar,
+    ) -> ObserverState:
+        """The estimates of D - K D* and of its rate after K has jumped."""
+        nothing = jnp.zeros_like(jump)
+        wanted = self.reference.at(time, measurement, self.model, nothing)
+        return ObserverState(
+            drag_error=memory.drag_error - jump * wanted.drag,
+            drag_error_rate=memory.drag_error_rate - jump * wanted.rate,
+        )
 
-    def _track(self, time, measurement, observed, held):
+    def _track(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        observed: ObserverState | None,
+        held: Decision,
+    ) -> Tracking:
+        model = eqx.tree_at(
+            lambda m: m.vehicle.lift_scale,
+            self.model,
+            self.model.vehicle.lift_scale * held.lift_factor,
+        )
         return track(
-            self.gains, self.reference, self.model, time, measurement, observed, held.scale
+            self.gains,
+            self.reference,
+            model,
+            time,
+            measurement,
+            observed,
+            held.scale,
         )
 
     def __call__(
@@ -156,5 +268,5 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
     ) -> tuple[Controls, ObserverState]:
         tracking = self._track(time, measurement, memory, held)
         angle_of_attack = self.model.vehicle.trim_angle_of_attack
-        rate = observe(self.gains, self.observer, tracking, memory)
-        return vertical_lift_command(tracking.u, angle_of_attack, held.bank_sign), rate
+        controls = vertical_lift_command(tracking.u, angle_of_attack, held.bank_sign)
+        return controls, observe(self.gains, self.observer, tracking, memory)

@@ -2,10 +2,11 @@
 
 from .._addresses import nearest
 from .mars_drag_tracking import MISSION as MARS_DRAG_TRACKING
+from .mars_range_tracking import MISSION as MARS_RANGE_TRACKING
 from .mission import Mission as Mission, PublishedValue as PublishedValue
 
 
-ALL = {mission.name: mission for mission in (MARS_DRAG_TRACKING,)}
+ALL = {mission.name: mission for mission in (MARS_DRAG_TRACKING, MARS_RANGE_TRACKING)}
 """Every mission by its name."""
 
 

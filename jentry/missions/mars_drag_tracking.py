@@ -15,6 +15,7 @@ from ..design.planning import (
     open_loop,
     plan_bank_profile,
     plan_drag_reference,
+    require_planned,
 )
 from ..flight.scenario import Scenario, Target
 from ..flight.termination import (
@@ -131,7 +132,9 @@ def reference(
     bank profile cos(bank) = c0 + c1 z + c2 z^2 over the velocity that ends as Table 1
     has it; `curvature` is c2. `gate` in m/s2.
     """
-    return _plan(entry(), index, gate, curvature)
+    planned = _plan(entry(), index, gate, curvature)
+    require_planned(planned.drag.coefficients)
+    return planned
 
 
 def scenario(

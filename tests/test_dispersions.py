@@ -1,0 +1,214 @@
+"""Draws have their distribution, depend on key, name and run alone, and reach leaves."""
+
+import types
+
+import cheap
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from jentry._addresses import leaves_by_address
+from jentry.campaign import (
+    Dispersion,
+    Normal,
+    TruncatedNormal,
+    Uniform,
+    add,
+    disperse,
+    draw,
+    monte_carlo,
+    multiply,
+)
+from jentry.campaign.dispersions import check_dispersions, dispersed_inputs
+from jentry.flight import FixedStep
+from jentry.missions import ALL
+
+
+DRAWS = 40_000
+
+# Each beside scipy's; it counts the bounds of a truncated normal in deviations.
+DISTRIBUTIONS = {
+    "normal": (Normal(3.0, 0.5), stats.norm(3.0, 0.5)),
+    "uniform": (Uniform(-1.0, 3.0), stats.uniform(-1.0, 4.0)),
+    "truncated": (
+        TruncatedNormal(10.0, 2.0, 8.0, 14.0),
+        stats.truncnorm(-1.0, 2.0, 10.0, 2.0),
+    ),
+}
+
+mass = lambda s: s.vehicle.mass
+density = lambda s: s.planet.density_scale
+
+
+@pytest.mark.parametrize("name", DISTRIBUTIONS)
+def test_moments_and_bounds(name, key):
+    distribution, reference = DISTRIBUTIONS[name]
+    deviation = reference.std()
+    lower, upper = reference.support()
+    sample = jax.jit(jax.vmap(distribution.sample))(jax.random.split(key, DRAWS))
+    # Four standard errors; that of a deviation is below that of the mean here.
+    error = 4.0 * deviation / np.sqrt(DRAWS)
+    assert sample.mean() == pytest.approx(reference.mean(), abs=error)
+    assert sample.std() == pytest.approx(deviation, abs=error)
+    assert lower <= sample.min() and sample.max() <= upper
+    assert sample.dtype == jnp.float64
+    # Of 53 bits all are drawn: no two of some ten thousand numbers are equal.
+    assert len(np.unique(sample)) == DRAWS
+
+
+def test_names_runs_and_keys_draw_apart(key):
+    same = Uniform(0.0, 1.0)
+    table = {name: Dispersion(mass, same) for name in ("a", "b")}
+    draws = [
+        draw(table, k, jnp.asarray(run))[name]
+        for k in (key, jax.random.key(1))
+        for run in (0, 1)
+        for name in table
+    ]
+    assert len(np.unique(draws)) == len(draws)
+
+
+def test_a_draw_is_the_same_when_another_dispersion_is_added(key):
+    """For a run alone and in a batch, and wherever the other one stands."""
+    before = {"mass": Dispersion(mass, Normal(1.0, 0.1), apply=multiply)}
+    other = {"density": Dispersion(density, Uniform(0.8, 1.2))}
+    run = jnp.asarray(4)
+    alone = draw(before, key, run)["mass"]
+    runs = jnp.arange(7)
+    scenario = cheap.scenario()
+    batch = dispersed_inputs(scenario, before, key, runs)["vehicle.mass"]
+    for after in (before | other, other | before):
+        assert draw(after, key, run)["mass"] == alone
+        inputs = dispersed_inputs(scenario, after, key, runs)
+        assert jnp.array_equal(inputs["vehicle.mass"], batch)
+    assert (
+        dispersed_inputs(scenario, before, key, runs[4:5])["vehicle.mass"] == batch[4]
+    )
+    assert batch[4] == scenario.vehicle.mass * alone
+
+
+def test_each_way_to_move_a_leaf(key):
+    scenario = cheap.scenario()
+    nominal = {
+        a: float(v) for a, v in leaves_by_address(scenario).items() if not v.ndim
+    }
+    draws = {"mass": 1.04, "density": 0.9, "coefficients": 1.1, "path": 0.001}
+    draws = {name: jnp.asarray(value) for name, value in draws.items()}
+    inputs = disperse(scenario, cheap.dispersions(), draws)
+    path = "initial_state.flight_path_angle"
+    assert {address: float(value) for address, value in inputs.items()} == {
+        "vehicle.mass": nominal["vehicle.mass"] * 1.04,
+        "planet.density_scale": 0.9,
+        "vehicle.lift_scale": 1.1,
+        "vehicle.drag_scale": 1.1,
+        path: nominal[path] + 0.001,
+    }
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "expected"),
+    [(add, multiply, (1.0 + 2.0) * 3.0), (multiply, add, 1.0 * 2.0 + 3.0)],
+    ids=["add, multiply", "multiply, add"],
+)
+@pytest.mark.parametrize("names", [("a", "b"), ("b", "a")], ids=str)
+def test_dispersions_of_one_leaf_compose_in_their_order(
+    key, first, second, expected, names
+):
+    """By hand and in a batch, whatever their names."""
+    narrow = [Uniform(2.0, 2.0 + 1e-12), Uniform(3.0, 3.0 + 1e-12)]
+    table = {
+        name: Dispersion(density, distribution, apply)
+        for name, distribution, apply in zip(
+            names, narrow, (first, second), strict=True
+        )
+    }
+    draws = {name: d.distribution.lower for name, d in table.items()}
+    alone = disperse(cheap.scenario(), table, draws)["planet.density_scale"]
+    assert alone == expected
+    batch = dispersed_inputs(cheap.scenario(), table, key, jnp.arange(2))
+    # As wide as the distributions.
+    assert batch["planet.density_scale"] == pytest.approx(expected, abs=1e-11)
+
+
+def test_a_replacement_may_be_moved_but_not_discard_another(key):
+    draws = {"one": jnp.asarray(2.0), "two": jnp.asarray(0.5)}
+    by_value = Dispersion(density, Uniform(0.8, 1.2))
+    by_factor = Dispersion(density, Uniform(0.8, 1.2), apply=multiply)
+    moved = disperse(cheap.scenario(), {"one": by_value, "two": by_factor}, draws)
+    assert moved["planet.density_scale"] == 1.0
+    for first in (by_value, by_factor):
+        with pytest.raises(ValueError, match="'two' replaces planet.density_scale"):
+            disperse(cheap.scenario(), {"one": first, "two": by_value}, draws)
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        (lambda s: s.in_plane, "dispersion 'x': a lens reaches no leaf"),
+        (lambda s: s.planet.densty, "dispersion 'x': .*densty"),
+        (lambda s: s.termination.conditions["none"], "dispersion 'x': 'none'"),
+        (lambda s: s.vehicle.mass + 1.0, "dispersion 'x'"),
+    ],
+    ids=["static", "no field", "no key", "computed"],
+)
+def test_a_dispersion_that_reaches_no_leaf_is_an_error(key, where, message):
+    table = {"x": Dispersion(where, Uniform(0.0, 1.0))}
+    with pytest.raises(ValueError, match=message):
+        disperse(cheap.scenario(), table, {"x": jnp.asarray(1.0)})
+    with pytest.raises(ValueError, match=message):
+        monte_carlo(cheap.scenario(), table, key, 1)
+
+
+def test_a_table_of_numbers_is_not_dispersed(key):
+    from helpers import mars_scenario
+
+    table = {"x": Dispersion(lambda s: s.guidance.cos_bank.coefficients, Normal(0, 1))}
+    with pytest.raises(ValueError, match=r"table of shape \(2,\)"):
+        monte_carlo(mars_scenario(), table, key, 1)
+
+
+@pytest.mark.parametrize(
+    ("distribution", "message"),
+    [
+        (Normal(1.0, -0.1), "dispersions.x.standard_deviation is -0.1"),
+        (Normal(1.0, 0.0), "dispersions.x.standard_deviation is 0"),
+        (Normal(np.nan, 0.1), "dispersions.x.mean is nan"),
+        (Uniform(1.2, 0.8), "dispersions.x.lower is 1.2: .*below upper.* 0.8"),
+        (TruncatedNormal(1.0, 0.1, 1.0, 1.0), "dispersions.x.lower is 1"),
+    ],
+)
+def test_a_distribution_that_cannot_be_drawn_from_is_an_error(distribution, message):
+    table = {"x": Dispersion(density, distribution)}
+    with pytest.raises(ValueError, match=message):
+        check_dispersions(cheap.scenario(), table)
+
+
+def test_any_mapping_is_a_table(key):
+    table = types.MappingProxyType(cheap.mass_only())
+    given = dispersed_inputs(cheap.scenario(), table, key, jnp.arange(2))
+    assert list(given) == ["vehicle.mass"]
+
+
+@pytest.mark.parametrize("mission", ALL.values(), ids=ALL)
+def test_every_declared_dispersion_changes_the_flight_when_it_alone_is_moved(
+    mission, key
+):
+    scenario = mission.scenario()
+    names, moved = [], []
+    for reading in mission.dispersions:
+        for name, dispersion in mission.dispersion_table(reading).items():
+            draws = draw({name: dispersion}, key, jnp.asarray(0))
+            names.append(f"{reading}: {name}")
+            moved.append(disperse(scenario, {name: dispersion}, draws))
+    leaves = leaves_by_address(scenario)
+    addresses = {address for inputs in moved for address in inputs}
+    rows = [{}, *moved]
+    inputs = {a: [float(row.get(a, leaves[a])) for row in rows] for a in addresses}
+    campaign = monte_carlo(scenario, inputs=inputs, solver=FixedStep(0.5))
+    ends = np.stack([campaign.flights.time, campaign.misses.downrange])
+    change = np.abs(ends - ends[:, :1]).max(axis=0)[1:]
+    # s and m; far above rounding, far below what a tenth of a standard deviation does.
+    unmoved = [name for name, by in zip(names, change, strict=True) if not by > 1e-6]
+    assert not unmoved

@@ -1,0 +1,178 @@
+"""A run is the same in every batch, and what cannot be flown is refused."""
+
+import cheap
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from helpers import fly_compiled
+
+from jentry._addresses import replace_leaves
+from jentry.campaign import monte_carlo
+from jentry.campaign.monte_carlo import LANES, fly_in_blocks
+
+
+def fly(key, runs, **options):
+    return monte_carlo(
+        cheap.scenario(), cheap.dispersions(), key, runs, solver=cheap.SOLVER, **options
+    )
+
+
+def assert_same(one, other):
+    """Bit by bit."""
+    assert jax.tree.structure(one) == jax.tree.structure(other)
+    jax.tree.map(np.testing.assert_array_equal, one, other)
+
+
+def runs_of(campaign, runs):
+    return jax.tree.map(lambda x: x[np.asarray(runs)], campaign)
+
+
+MANY = 3 * LANES + 8
+
+
+@pytest.fixture(scope="module")
+def many():
+    return fly(jax.random.key(3), MANY)
+
+
+def test_every_array_has_the_runs_in_front(many):
+    assert np.array_equal(many.runs, np.arange(MANY))
+    leaves = jax.tree.leaves(many)
+    assert all(isinstance(leaf, np.ndarray) for leaf in leaves)
+    assert {leaf.shape for leaf in leaves} == {(MANY,)}
+    assert len(np.unique(many.misses.downrange)) == MANY
+
+
+@pytest.mark.parametrize("run", [0, 3, LANES + 1, MANY - 1])
+def test_a_run_alone_is_the_run_in_a_batch(many, run):
+    assert_same(fly(jax.random.key(3), [run]), runs_of(many, [run]))
+
+
+def test_a_run_in_a_batch_of_seven_is_the_run_in_a_larger_batch(many):
+    assert_same(fly(jax.random.key(3), 7), runs_of(many, range(7)))
+
+
+def test_runs_are_flown_in_the_order_that_is_asked_for(many):
+    wanted = [5, 190, 5, 0]
+    assert_same(fly(jax.random.key(3), np.array(wanted)), runs_of(many, wanted))
+
+
+@pytest.mark.parametrize("chunks", [1, 2])
+def test_runs_are_the_same_in_any_chunking(many, chunks, monkeypatch):
+    monkeypatch.setattr("jentry.campaign.monte_carlo._CHUNKS", chunks)
+    blocks = list(
+        fly_in_blocks(
+            cheap.scenario(),
+            cheap.dispersions(),
+            jax.random.key(3),
+            MANY,
+            solver=cheap.SOLVER,
+        )
+    )
+    sizes = [len(block.runs) for block in blocks]
+    assert max(sizes) == chunks * LANES and sum(sizes) == MANY
+    assert_same(jax.tree.map(lambda *x: np.concatenate(x), *blocks), many)
+
+
+def test_given_inputs_fly_as_drawn_ones(many):
+    again = monte_carlo(cheap.scenario(), inputs=many.inputs, solver=cheap.SOLVER)
+    assert_same(again, many)
+    some = monte_carlo(
+        cheap.scenario(), inputs=many.inputs, runs=[70, 2], solver=cheap.SOLVER
+    )
+    assert_same(some, runs_of(many, [70, 2]))
+
+
+def test_a_run_is_a_flight_of_the_dispersed_scenario(many):
+    inputs = {address: values[11] for address, values in many.inputs.items()}
+    flight = fly_compiled(replace_leaves(cheap.scenario(), inputs), cheap.SOLVER)
+    flown = runs_of(many, 11).flights
+    # Compiled apart, sums and products are arranged otherwise: to rounding, which grows
+    # over 300 steps.
+    assert eqx.tree_allclose(
+        jax.tree.map(np.asarray, flown), jax.tree.map(np.asarray, flight), rtol=1e-11
+    )
+
+
+def test_another_key_draws_other_runs(many):
+    other = fly(jax.random.key(4), 7)
+    assert not np.any(other.misses.downrange == many.misses.downrange[:7])
+
+
+def test_history_does_not_change_the_runs(many):
+    kept = fly(jax.random.key(3), 7, history=20.0)
+    ends = eqx.tree_at(lambda c: c.flights.history, kept, None)
+    # Compiled apart, as above.
+    assert eqx.tree_allclose(ends, runs_of(many, range(7)), rtol=1e-11)
+    history = kept.flights.history
+    assert history.states.altitude.shape == (7, 15)
+    assert np.array_equal(history.time[0], 20.0 * np.arange(15))
+
+
+GOOD = {"vehicle.mass": [900.0, 950.0]}
+
+REFUSED = {
+    "nothing dispersed": ({}, "nothing is dispersed"),
+    "empty table": ({"dispersions": {}, "key": 0}, "nothing is dispersed"),
+    "no key": ({"dispersions": cheap.dispersions}, "dispersions need a key"),
+    "both": (
+        {"dispersions": cheap.dispersions, "key": 0, "inputs": GOOD},
+        "dispersions or inputs, not both",
+    ),
+    "no runs": ({"dispersions": cheap.dispersions, "key": 0, "runs": 0}, "no runs"),
+    "empty list": ({"dispersions": cheap.dispersions, "key": 0, "runs": []}, "no runs"),
+    "fewer than no runs": ({"inputs": GOOD, "runs": -3}, "no runs to fly: runs is -3"),
+    "negative run": ({"inputs": GOOD, "runs": [-1]}, "run -1 was asked for"),
+    "half a run": ({"inputs": GOOD, "runs": [0.5]}, r"runs is \[0.5\]"),
+    "run not given": ({"inputs": GOOD, "runs": [2]}, "run 2 was asked for, of 2 given"),
+    "more than given": ({"inputs": GOOD, "runs": 3}, "run 2 was asked for, of 2 given"),
+    "no inputs": ({"inputs": {}}, "the inputs are empty"),
+    "no rows": ({"inputs": {"vehicle.mass": []}}, "no runs to fly"),
+    "unknown address": (
+        {"inputs": {"vehicle.mas": [1.0]}},
+        "no leaf 'vehicle.mas'.*nearest: vehicle.mass",
+    ),
+    "one number": ({"inputs": {"vehicle.mass": 900.0}}, "one number a run"),
+    "unequal lengths": (
+        {"inputs": GOOD | {"planet.density_scale": [1.0]}},
+        "inputs of unequal length: .*vehicle.mass.*2.*density_scale.*1",
+    ),
+    "no mass": (
+        {"inputs": {"vehicle.mass": [900.0, 0.0]}},
+        "vehicle.mass is 0 kg: it must be greater than zero",
+    ),
+    "not finite": (
+        {"inputs": {"vehicle.mass": [900.0, np.nan]}},
+        "vehicle.mass is nan: it must be a finite number",
+    ),
+}
+
+
+@pytest.mark.parametrize(("options", "message"), REFUSED.values(), ids=REFUSED)
+def test_what_cannot_be_flown_is_refused(options, message):
+    options = dict(options)
+    if callable(options.get("dispersions")):
+        options["dispersions"] = options["dispersions"]()
+    if "key" in options:
+        options["key"] = jax.random.key(options["key"])
+    with pytest.raises(ValueError, match=message):
+        monte_carlo(cheap.scenario(), **options)
+
+
+def test_a_draw_that_cannot_be_flown_is_refused(key):
+    from jentry.campaign import Dispersion, Uniform
+
+    table = {"mass": Dispersion(lambda s: s.vehicle.mass, Uniform(-2.0, -1.0))}
+    with pytest.raises(ValueError, match="vehicle.mass is -1.* kg: it must be greater"):
+        monte_carlo(cheap.scenario(), table, key, 2)
+
+
+def test_a_scenario_that_cannot_be_flown_is_refused(key):
+    broken = replace_leaves(cheap.scenario(), {"planet.radius": -1.0})
+    with pytest.raises(ValueError, match="planet.radius is -1 m"):
+        monte_carlo(broken, cheap.dispersions(), key, 2)
+
+
+def test_a_numpy_number_of_runs_is_a_number(many):
+    assert_same(fly(jax.random.key(3), np.arange(8)[7]), runs_of(many, range(7)))
