@@ -33,6 +33,10 @@ _CHUNKS = 8
 """Of lanes, for each core, between two reports to the host."""
 
 
+Runs = int | np.integer | Sequence[int] | np.ndarray
+"""How many runs, or the indices of which"""
+
+
 class Campaign(eqx.Module):
     """Flown runs; every array has the runs in front, as numpy arrays."""
 
@@ -48,7 +52,7 @@ def monte_carlo(
     scenario: Scenario,
     dispersions: Mapping[str, Dispersion] | None = None,
     key: Key[Array, ""] | None = None,
-    runs: int | Sequence[int] | np.ndarray | None = None,
+    runs: Runs | None = None,
     *,
     inputs: Mapping[str, Any] | None = None,
     solver: AbstractSolver = FixedStep(),
@@ -83,7 +87,7 @@ def fly_in_blocks(
     scenario: Scenario,
     dispersions: Mapping[str, Dispersion] | None,
     key: Key[Array, ""] | None,
-    runs: int | Sequence[int] | np.ndarray | None,
+    runs: Runs | None,
     *,
     inputs: Mapping[str, Any] | None = None,
     solver: AbstractSolver = FixedStep(),

@@ -11,7 +11,7 @@ from ..flight.solver import AbstractSolver
 from ..missions.mission import Mission
 
 
-_INTERVAL = 2.0
+_INTERVAL = 0.5
 """s"""
 
 _TRAJECTORIES = 256

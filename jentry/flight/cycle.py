@@ -33,12 +33,19 @@ _END_TOLERANCE = 1e-9
 """s; what the last correction and its derivative neglect is of this size."""
 
 
+_STEPS_TO_THE_END = 12
+"""It takes four or five, twice as many where two conditions are met at once."""
+
+
 class Plan(eqx.Module):
     """How the time of a flight is divided: into cycles, and these into steps."""
 
     duration: float = eqx.field(static=True)
     """Of a cycle, s"""
+    scheduled: int = eqx.field(static=True)
+    """Cycles up to the time limit"""
     cycles: int = eqx.field(static=True)
+    """And those in which the last steps to the end are taken, at most"""
     decide_every: int = eqx.field(static=True)
     keep_every: int = eqx.field(static=True)
     solver: AbstractSolver
@@ -69,19 +76,23 @@ class Plan(eqx.Module):
                     f"history is {history} s and the guidance period {period} s: one "
                     "must be a multiple of the other"
                 )
-        # One more than fit, since the last steps to the end come in addition.
-        cycles = 1 + math.ceil(scenario.termination.time_limit / duration - 1e-9)
+        scheduled = math.ceil(scenario.termination.time_limit / duration - 1e-9)
+        steps = solver.steps_in(duration) if isinstance(solver, FixedStep) else 1
+        cycles = scheduled + math.ceil(_STEPS_TO_THE_END / steps)
         decide_every = 1 if period is None else round(period / duration)
         keep_every = 1 if history is None else round(history / duration)
-        return cls(duration, cycles, decide_every, keep_every, solver)
+        return cls(duration, scheduled, cycles, decide_every, keep_every, solver)
+
+    def decided(self, scenario: Scenario, lane: Lane) -> Lane:
+        """The lane after what a sampled law decides at this time, if its cycle starts."""
+        if self.decide_every == 1:
+            return decide(scenario, lane, None)
+        index = jnp.round(lane.flown / self.duration).astype(int)
+        return decide(scenario, lane, index % self.decide_every == 0)
 
     def cycle(self, scenario: Scenario, lane: Lane) -> Lane:
-        if self.decide_every == 1:
-            due = None
-        else:
-            index = jnp.round(lane.flown / self.duration).astype(int)
-            due = index % self.decide_every == 0
-        lane = decide(scenario, lane, due)
+        """One guidance cycle, or a part of one where the history wants it finer."""
+        lane = self.decided(scenario, lane)
         if isinstance(self.solver, Adaptive):
             return _adaptive_cycle(scenario, self.solver, self.duration, lane)
         assert isinstance(self.solver, FixedStep)
@@ -104,7 +115,7 @@ def _fixed_cycle(
 
     @jax.checkpoint
     def step(lane: Lane, _: None) -> tuple[Lane, None]:
-        bracket = lax.stop_gradient(lane.bracket)
+        bracket = lane.bracket
         y = lane.state, lane.memory
         y = solver.advance(field, lane.flown, bracket.trial, y)
         flown = lane.flown + bracket.trial
@@ -157,7 +168,8 @@ def _adaptive_cycle(
     flown = jnp.minimum(lane.flown + duration, scenario.termination.time_limit)
 
     def smallest_margin(t, y, args, **kwargs):
-        return jnp.min(scenario.termination.margins(t, y[0])[:-1])
+        margins = scenario.termination.margins(t, y[0])
+        return jnp.min(margins[:-1], initial=jnp.inf)
 
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, args: field(t, y)),

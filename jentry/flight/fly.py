@@ -85,8 +85,8 @@ def fly(
         lane, lanes = while_running_with_history(
             plan.cycle, _running, scenario, lane, plan.cycles
         )
-        lanes = jax.tree.map(lambda x: x[: -1 : plan.keep_every], lanes)
-        kept = jax.vmap(lambda lane: _observe(scenario, lane))(lanes)
+        lanes = jax.tree.map(lambda x: x[: plan.scheduled : plan.keep_every], lanes)
+        kept = jax.vmap(lambda lane: _observe(scenario, plan, lane))(lanes)
     end = end_of_flight(scenario, lane)
     return Flight(
         time=end.lane.flown,
@@ -102,12 +102,13 @@ def _running(lane: Lane) -> Flag:
     return lane.running
 
 
-def _observe(scenario: Scenario, lane: Lane) -> History:
+def _observe(scenario: Scenario, plan: Plan, lane: Lane) -> History:
     """One entry of the history; NaN where the flight had ended."""
     flying = lane.on_schedule
     # Entries past the end are not states of a flight: observe the start in their place.
     first = scenario.initial_state
     state = jax.tree.map(lambda a, b: jnp.where(flying, a, b), lane.state, first)
+    lane = plan.decided(scenario, eqx.tree_at(lambda lane: lane.state, lane, state))
     controls, _ = command(scenario, lane.flown, state, lane.memory, lane.held)
     constraints = path_constraints(scenario, state, controls)
     seen = History(lane.flown, state, controls, constraints)

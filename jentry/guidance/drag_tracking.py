@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import sincos
-from .._types import Scalar, scalar
+from .._types import Flag, Scalar, scalar
 from ..motion.state import Controls
 from ..onboard.model import OnboardModel
 from ..onboard.navigation import Measurement
@@ -89,6 +89,8 @@ class Tracking(eqx.Module):
     """Drag error, m/s2"""
     x2: Scalar
     """Drag error rate that was fed back, m/s3"""
+    begun: Flag
+    """Whether the drag has passed the gate of the reference"""
 
 
 def track(
@@ -116,9 +118,9 @@ def track(
     # D*'' itself contains u where the index does: its part moves over to g0.
     g0 = plant.g0 - scale * wanted.gain
     u = (-plant.f + scale * wanted.acceleration + feedback) / g0
-    before_gate = measurement.drag < reference.gate
-    u = jnp.where(before_gate, reference.cos_bank(measurement.state.velocity), u)
-    return Tracking(u, x1, x2)
+    begun = measurement.drag >= reference.gate
+    u = jnp.where(begun, u, reference.cos_bank(measurement.state.velocity))
+    return Tracking(u, x1, x2, begun)
 
 
 def observe(
@@ -127,15 +129,23 @@ def observe(
     tracking: Tracking,
     estimate: ObserverState,
 ) -> ObserverState:
-    """Rate of the observer's state, equation (25), driven by the unclipped command."""
+    """Rate of the observer's state, equation (25), driven by the unclipped command.
+
+    Before the gate the estimate follows the drag error and its rate stays zero, so that
+    at the gate the observer starts from x1 and 0.
+    """
     a, b, epsilon0 = gains.a, gains.b, gains.epsilon0
     epsilon = observer.epsilon
     innovation = tracking.x1 - estimate.drag_error
-    return ObserverState(
-        drag_error=estimate.drag_error_rate + (observer.l1 / epsilon) * innovation,
-        drag_error_rate=-(a / (epsilon0 * epsilon0)) * tracking.x1
+    error_rate = estimate.drag_error_rate + (observer.l1 / epsilon) * innovation
+    error_rate_rate = (
+        -(a / (epsilon0 * epsilon0)) * tracking.x1
         - (b / epsilon0) * estimate.drag_error_rate
-        + (observer.l2 / (epsilon * epsilon)) * innovation,
+        + (observer.l2 / (epsilon * epsilon)) * innovation
+    )
+    return ObserverState(
+        drag_error=error_rate,
+        drag_error_rate=jnp.where(tracking.begun, error_rate_rate, 0.0),
     )
 
 
