@@ -8,6 +8,7 @@ that share a table this costs once, not once for each flight.
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from ._types import Scalar, Vector
@@ -22,7 +23,7 @@ def check_grid(name: str, grid: Array) -> None:
         raise ValueError(
             f"{name} has shape {grid.shape}: expected one axis with two or more values"
         )
-    if isinstance(grid, jax.core.Tracer):
+    if isinstance(grid, Tracer):
         return
     steps = np.diff(np.asarray(grid))
     if not np.all(steps > 0.0):

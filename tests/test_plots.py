@@ -39,8 +39,7 @@ def synthetic(runs=RUNS, spread=1.0):
             "velocity": (both, velocity),
             "drag": (both, slope * velocity),
             "altitude": (both, 10.0 * velocity + 1e6 * slope),
-            # Numbers after the end, as controls have.
-            "bank_angle": (both, np.where(np.isnan(velocity), np.pi, -50.0 * slope)),
+            "bank_angle": (both, np.where(np.isnan(velocity), np.nan, -50.0 * slope)),
             "downrange_error": ("run", spread * rng.normal(2e3, 5e3, runs)),
             "crossrange_error": ("run", np.zeros(runs)),
             "altitude_error": ("run", spread * rng.normal(0.0, 800.0, runs)),

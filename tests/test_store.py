@@ -199,7 +199,10 @@ OTHERS = {
         "dispersions.mass is given only there",
     ),
     "history": (lambda: {"history": 10.0}, "history_interval is None there and 10.0"),
-    "solver": (lambda: {"solver": type(cheap.SOLVER)(0.5)}, "solver differs"),
+    "solver": (
+        lambda: {"solver": type(cheap.SOLVER)(0.5)},
+        "solver is .*1.0.* there and .*0.5.* now",
+    ),
     "label": (lambda: {"mission": "other"}, "mission is cheap there and other now"),
 }
 

@@ -185,7 +185,8 @@ def _dispersed_inputs(
 ) -> dict[str, Float[Array, " runs"]]:
     dispersions = dict(pairs)
 
-    def one(run):
-        return disperse(scenario, dispersions, draw(dispersions, key, run))
+    def one(run: Int[Array, ""]) -> dict[str, Array]:
+        inputs = disperse(scenario, dispersions, draw(dispersions, key, run))
+        return {address: jnp.asarray(value) for address, value in inputs.items()}
 
     return jax.vmap(one)(runs)

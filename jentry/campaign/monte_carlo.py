@@ -113,7 +113,7 @@ def fly_in_blocks(
         raise ValueError(
             f"runs is {runs}: it must be a number of runs, or their indices"
         )
-    indices = np.arange(wanted) if wanted.ndim == 0 else wanted.astype(int)
+    indices = np.arange(int(wanted)) if wanted.ndim == 0 else wanted.astype(int)
     if indices.size == 0:
         raise ValueError(f"no runs to fly: runs is {wanted}")
     if indices.min() < 0:

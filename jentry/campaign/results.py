@@ -2,11 +2,14 @@
 
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 
 from .._addresses import unit_of
+from .._types import Scalar
 from ..flight.scenario import Scenario
 from ..flight.termination import Outcome
+from ..motion.state import Controls
 from .monte_carlo import Campaign
 
 
@@ -29,6 +32,10 @@ _CONSTRAINTS = {
     "load_factor": "1",
 }
 _MISSES = {"downrange": "m", "crossrange": "m", "altitude": "m", "velocity": "m/s"}
+
+
+def _angles(controls: Controls) -> dict[str, Scalar]:
+    return {name: getattr(controls, name) for name in _CONTROLS}
 
 
 def _words(name: str) -> str:
@@ -92,8 +99,9 @@ def dataset(
         both = ("run", "time")
         for name, unit in _STATE.items():
             put(name, getattr(kept.states, name), unit, _words(name), both)
+        controls = jax.vmap(jax.vmap(_angles))(kept.controls)
         for name, unit in _CONTROLS.items():
-            put(name, getattr(kept.controls, name), unit, _words(name), both)
+            put(name, controls[name], unit, _words(name), both)
         for name, unit in _CONSTRAINTS.items():
             put(name, getattr(kept.constraints, name), unit, _words(name), both)
     return xarray.Dataset(variables, coordinates)

@@ -177,7 +177,7 @@ def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
     parts = _parts(out)
     if not parts:
         raise CampaignError(f"{out} holds no runs yet: run its campaign first")
-    opened = []
+    opened: list[xarray.Dataset] = []
     for _, _, path in parts:
         try:
             with xarray.open_dataset(path, engine="h5netcdf") as part:

@@ -35,12 +35,18 @@ def _console() -> Console:
     return Console(width=None if sys.stdout.isatty() else 120, highlight=False)
 
 
-def _table(title: str, *columns: str) -> Table:
-    table = Table(title=title, title_justify="left", title_style="bold")
+def _table(*columns: str) -> Table:
+    table = Table()
     table.add_column(columns[0])
     for column in columns[1:]:
         table.add_column(column, justify="right")
     return table
+
+
+def _print_under(console: Console, title: str, table: Table) -> None:
+    """A table under its title, which may be wider."""
+    console.print(title, style="bold", markup=False)
+    console.print(table)
 
 
 def _at_edge(values, unit: str):
@@ -60,23 +66,21 @@ def print_missions(missions: Iterable[Mission]) -> None:
 
 def print_leaves(scenario: Scenario) -> None:
     """Address, value and unit of every leaf."""
-    table = _table("scenario", "address", "value", "unit")
+    table = _table("address", "value", "unit")
     for address, leaf in leaves_by_address(scenario).items():
         shape = " x ".join(str(n) for n in leaf.shape)
         value = f"{float(leaf):.10g}" if leaf.shape == () else f"table of {shape}"
         table.add_row(address, value, unit_of(scenario, address))
     console = _console()
     console.width = max(console.width, 100)
-    console.print(table)
+    _print_under(console, "scenario", table)
 
 
 def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     """Outcome, final state, misses and peaks of one flight."""
     outcome = Outcome(int(flight.outcome))
     ended_by = scenario.termination.names[int(flight.ended_by)]
-    table = _table(
-        f"{mission.name}: {outcome.message} ({ended_by})", "", "value", "unit"
-    )
+    table = _table("", "value", "unit")
     table.add_row("time", f"{float(flight.time):.4f}", "s")
     groups = (
         ("", scenario.initial_state, flight.state),
@@ -91,7 +95,8 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
             words = name.replace("_", " ")
             words = label + words if label.endswith(" ") else words + label
             table.add_row(words, f"{float(value):.6f}", unit)
-    _console().print(table)
+    title = f"{mission.name}: {outcome.message} ({ended_by})"
+    _print_under(_console(), title, table)
 
 
 _OTHER_UNITS = {
@@ -131,10 +136,7 @@ def print_campaign(mission: Mission, results) -> None:
 
 def _print_statistics(console: Console, mission: Mission, results) -> None:
     percentiles = [f"{p} %" for p in _PERCENTILES]
-    table = _table(
-        f"{mission.name}: errors are actual minus desired",
-        *("", "unit", "minimum", "maximum", "mean", "std", *percentiles),
-    )
+    table = _table("", "unit", "minimum", "maximum", "mean", "std", *percentiles)
     for name in results.data_vars:
         if not str(name).startswith(("end_time", "peak_")) and "_error" not in str(
             name
@@ -146,13 +148,12 @@ def _print_statistics(console: Console, mission: Mission, results) -> None:
         numbers += list(np.percentile(values, _PERCENTILES))
         words = str(name).replace("_", " ")
         table.add_row(words, unit, *(f"{number:.4f}" for number in numbers))
-    console.print(table)
+    title = f"{mission.name}: errors are actual minus desired"
+    _print_under(console, title, table)
 
 
 def _print_published(console: Console, mission: Mission, results) -> None:
-    table = _table(
-        mission.published_note, "", "unit", "published", "jentry", "difference"
-    )
+    table = _table("", "unit", "published", "jentry", "difference")
     for published in mission.published:
         ours = published.statistic(results)
         table.add_row(
@@ -162,7 +163,7 @@ def _print_published(console: Console, mission: Mission, results) -> None:
             f"{ours:.4f}",
             f"{ours - published.value:+.4f}",
         )
-    console.print(table)
+    _print_under(console, mission.published_note, table)
 
 
 class _Rate(ProgressColumn):

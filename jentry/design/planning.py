@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.core import Tracer
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
 from .._math import derivatives_along
 from .._types import Scalar
@@ -52,13 +52,14 @@ def plan_bank_profile(
     return _profile(given, coefficients)
 
 
-def require_planned(coefficients: Array) -> None:
+def require_planned(plan: PyTree) -> None:
     """Raise `ValueError` for a plan that was not found, where that is known.
 
     Under `jit` it is not, and what could not be planned is NaN: call this on the result.
     (A check inside would keep the program out of the compilation cache.)
     """
-    if not isinstance(coefficients, Tracer) and np.isnan(coefficients).any():
+    known = [x for x in jax.tree.leaves(plan) if not isinstance(x, Tracer)]
+    if any(np.isnan(x).any() for x in known):
         raise ValueError(
             "no bank profile meets the target: its altitude, downrange and the end "
             "velocity do not go together for this vehicle; try another curvature or guess"
@@ -135,7 +136,7 @@ def open_loop(
         (
             BankProfile(cos_bank, scenario.vehicle.trim_angle_of_attack),
             Termination(
-                {"velocity": VelocityBelow(end_velocity)},
+                {"velocity": VelocityBelow(velocity=end_velocity)},
                 scenario.termination.time_limit,
             ),
         ),
@@ -199,7 +200,7 @@ class ReferenceFlight(eqx.Module):
             state, _ = solver.advance(field, time, duration, (state, None))
             return time + duration, state
 
-        along = jax.vmap(index_at)((self.times, self.states))
+        along = jnp.asarray(jax.vmap(index_at)((self.times, self.states)))
         finite = jnp.isfinite(along)
         last = jnp.sum(finite) - 1
         start = along[0] if first_value is None else jnp.asarray(first_value, float)

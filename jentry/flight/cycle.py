@@ -134,7 +134,7 @@ def _fixed_cycle(
         )
         bracket = _next_trial(bracket, margin, taken, duration / steps)
         near = bracket.trial < _END_TOLERANCE
-        running = lane.running & finite & ~near
+        running = lane.running & finite & jnp.logical_not(near)
         return Lane(flown, state, memory, lane.held, peaks, bracket, running), None
 
     return lax.scan(step, lane, None, length=steps)[0]
@@ -143,16 +143,20 @@ def _fixed_cycle(
 def _next_trial(
     bracket: Bracket, margin: Scalar, taken: Flag, full_step: float
 ) -> Bracket:
-    """After a step to a margin, which was taken or was found to cross the end."""
+    """After a step to a margin, which was taken or was found to cross the end.
+
+    The next step is differentiated as one of Newton's method: it moves with the margin.
+    """
     margin, far, far_margin = select(
         taken,
         (margin, bracket.far - bracket.trial, bracket.far_margin),
         (bracket.margin, bracket.trial, margin),
     )
     in_sight = jnp.isfinite(far)
-    slope = jnp.where(in_sight, margin - far_margin, 1.0)
-    aim = _AIM_SHORT * jnp.where(in_sight, far, 0.0) * margin / slope
-    return Bracket(jnp.where(in_sight, aim, full_step), margin, far, far_margin)
+    closing = jnp.where(in_sight, (margin - far_margin) / far, 1.0)
+    closing, far, far_margin = lax.stop_gradient((closing, far, far_margin))
+    aim = jnp.where(in_sight, _AIM_SHORT * margin / closing, full_step)
+    return Bracket(aim, margin, far, far_margin)
 
 
 def is_finite(y: Any) -> Flag:
@@ -172,7 +176,7 @@ def _adaptive_cycle(
         return jnp.min(margins[:-1], initial=jnp.inf)
 
     solution = diffrax.diffeqsolve(
-        diffrax.ODETerm(lambda t, y, args: field(t, y)),
+        diffrax.ODETerm(lambda t, y, args: field(jnp.asarray(t), y)),
         solver.method,
         t0=lane.flown,
         t1=flown,

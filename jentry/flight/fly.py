@@ -111,5 +111,5 @@ def _observe(scenario: Scenario, plan: Plan, lane: Lane) -> History:
     lane = plan.decided(scenario, eqx.tree_at(lambda lane: lane.state, lane, state))
     controls, _ = command(scenario, lane.flown, state, lane.memory, lane.held)
     constraints = path_constraints(scenario, state, controls)
-    seen = History(lane.flown, state, controls, constraints)
+    seen = History(jnp.asarray(lane.flown), state, controls, constraints)
     return jax.tree.map(lambda x: jnp.where(flying, x, jnp.nan), seen)

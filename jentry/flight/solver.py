@@ -88,7 +88,7 @@ class FixedStep(AbstractSolver):
 
     def advance(self, field: VectorField, time: Scalar, duration: Scalar, y: Y) -> Y:
         """One step."""
-        terms = diffrax.ODETerm(lambda t, y, args: field(t, y))
+        terms = diffrax.ODETerm(lambda t, y, args: field(jnp.asarray(t), y))
         y1, *_ = self.method.step(terms, time, time + duration, y, None, None, False)
         return y1
 

@@ -7,6 +7,7 @@ Measurement". What the paper leaves open is stated where it is chosen.
 import functools
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from ..campaign.dispersions import Dispersion, Uniform, multiply
@@ -99,12 +100,12 @@ def entry() -> Scenario:
             flight_path_angle=-14.4 * degree,
             heading=90.0 * degree,
         ),
-        guidance=BankProfile(PolynomialProfile([1.0])),
+        guidance=BankProfile(PolynomialProfile(jnp.ones(1))),
         termination=Termination(
             {
-                "velocity": VelocityBelow(END_VELOCITY),
-                "altitude": AltitudeBelow(10.0 * km),
-                "skip_out": AltitudeAbove(135.0 * km),
+                "velocity": VelocityBelow(velocity=END_VELOCITY),
+                "altitude": AltitudeBelow(altitude=10.0 * km),
+                "skip_out": AltitudeAbove(altitude=135.0 * km),
             },
             time_limit=600.0,
         ),
@@ -133,7 +134,7 @@ def reference(
     has it; `curvature` is c2. `gate` in m/s2.
     """
     planned = _plan(entry(), index, gate, curvature)
-    require_planned(planned.drag.coefficients)
+    require_planned(planned.drag)
     return planned
 
 

@@ -133,7 +133,8 @@ class TabulatedAerodynamics(AbstractAerodynamics):
         drag = np.empty(first_line.shape)
         lift[row, column] = columns["lift_coefficient"]
         drag[row, column] = columns["drag_coefficient"]
-        return cls(angles * degree, machs, lift, drag)
+        tables = angles * degree, machs, lift, drag
+        return cls(*(jnp.asarray(numbers) for numbers in tables))
 
     def coefficients(
         self, angle_of_attack: Scalar, mach: Scalar

@@ -4,9 +4,9 @@ import os
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._interpolation import check_grid, clamp, interpolate
@@ -57,7 +57,7 @@ class TabulatedAtmosphere(AbstractAtmosphere):
                     f"{name} has shape {values.shape}: expected one value for each "
                     f"altitude, {self.altitudes.shape}"
                 )
-            known = not isinstance(values, jax.core.Tracer)
+            known = not isinstance(values, Tracer)
             if known and not np.all(np.asarray(values) > 0.0):
                 raise ValueError(f"{name} must be positive, and one is not: {values}")
 
@@ -77,8 +77,8 @@ class TabulatedAtmosphere(AbstractAtmosphere):
             positive=("density_kg_m3", "temperature_K"),
         )
         return cls(
-            columns["altitude_m"],
-            columns["density_kg_m3"],
+            jnp.asarray(columns["altitude_m"]),
+            jnp.asarray(columns["density_kg_m3"]),
             columns.get("temperature_K"),
             **numbers,
         )

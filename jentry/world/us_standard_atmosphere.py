@@ -281,7 +281,7 @@ def _layer(altitude: Scalar) -> tuple[Scalar, Float[Array, "6"]]:
     """Geopotential altitude above the base of the layer, and the layer's numbers."""
     altitude = clamp(altitude, _LOWEST, _JOIN)
     geopotential = _EARTH_RADIUS * altitude / (_EARTH_RADIUS + altitude)
-    number = sum((geopotential >= base).astype(int) for base, _ in _LAYERS[1:])
+    number = sum(jnp.asarray(geopotential >= base, int) for base, _ in _LAYERS[1:])
     layer = jnp.asarray(_LAYER_TABLE)[number]
     return geopotential - layer[0], layer
 

@@ -71,7 +71,11 @@ class TabulatedWind(AbstractWind):
         columns, _ = read_columns(
             path, ("altitude_m", "east_m_s", "north_m_s"), increasing="altitude_m"
         )
-        return cls(columns["altitude_m"], columns["east_m_s"], columns["north_m_s"])
+        return cls(
+            altitudes=jnp.asarray(columns["altitude_m"]),
+            east=jnp.asarray(columns["east_m_s"]),
+            north=jnp.asarray(columns["north_m_s"]),
+        )
 
     def velocity(self, altitude: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         inside = clamp(altitude, self.altitudes[0], self.altitudes[-1])

@@ -1,0 +1,11 @@
+"""Figures of a campaign: bands over the runs, error histograms and footprints.
+
+They are built without pyplot and its global state, so they need no display.
+"""
+
+from .bands import at_velocity as at_velocity, velocity_grid as velocity_grid
+from .campaign import (
+    campaign_figures as campaign_figures,
+    overview as overview,
+    save_figures as save_figures,
+)

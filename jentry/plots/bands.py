@@ -1,0 +1,77 @@
+"""Bands of percentiles over the runs, at equal velocity or at equal time."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .style import RUNS
+
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+
+
+_SPREADS = ((5.0, 95.0, 0.18), (25.0, 75.0, 0.32))
+"""Percentiles of each band, and its opacity; they overlap"""
+_GRID = 400
+"""Velocities at which the runs are compared"""
+
+
+def velocity_grid(velocity: np.ndarray, points: int = _GRID) -> np.ndarray:
+    """Velocities (m/s) that at least half of the runs pass, rising.
+
+    `velocity` has shape (runs, time), NaN after the end.
+    """
+    finite = np.isfinite(velocity)
+    if not finite.any():
+        return np.empty(0)
+    slowest = np.where(finite, velocity, np.inf).min(axis=1)
+    fastest = np.where(finite, velocity, -np.inf).max(axis=1)
+    grid = np.linspace(slowest.min(), fastest.max(), points)
+    passing = (slowest[:, None] <= grid) & (grid <= fastest[:, None])
+    return grid[passing.sum(axis=0) >= len(velocity) / 2]
+
+
+def at_velocity(
+    velocity: np.ndarray, values: np.ndarray, grid: np.ndarray
+) -> np.ndarray:
+    """Each run's values where it first slows to each velocity of a rising grid.
+
+    Linear between the samples, from the sample of highest velocity on. Shapes
+    (runs, time) to (runs, grid); NaN where a run does not fly.
+    """
+    found = np.full((len(velocity), len(grid)), np.nan)
+    for row, speeds, quantity in zip(found, velocity, values, strict=True):
+        flying = np.isfinite(speeds) & np.isfinite(quantity)
+        if not flying.any():
+            continue
+        speeds, quantity = speeds[flying], quantity[flying]
+        peak = np.argmax(speeds)
+        speeds, quantity = speeds[peak:], quantity[peak:]
+        before = np.minimum.accumulate(np.concatenate([[np.inf], speeds[:-1]]))
+        slower = speeds < before
+        falling, there = speeds[slower][::-1], quantity[slower][::-1]
+        row[:] = np.interp(grid, falling, there, left=np.nan, right=np.nan)
+    return found
+
+
+def draw_bands(
+    axes: "matplotlib.axes.Axes", grid: np.ndarray, values: np.ndarray
+) -> None:
+    """Percentiles over the runs of values (runs, grid); NaN where a run is not."""
+    somewhere = np.isfinite(values).any(axis=0)
+    if not somewhere.any():
+        return
+    grid, values = grid[somewhere], values[:, somewhere]
+    for low, high, opacity in _SPREADS:
+        lower, upper = np.nanpercentile(values, [low, high], axis=0)
+        axes.fill_between(
+            grid,
+            lower,
+            upper,
+            color=RUNS,
+            alpha=opacity,
+            lw=0,
+            label=f"{low:.0f}–{high:.0f} %",
+        )
+    axes.plot(grid, np.nanmedian(values, axis=0), color=RUNS, lw=1.8, label="median")

@@ -1,0 +1,156 @@
+"""Errors at the end: histogram of the downrange error, and footprints."""
+
+import itertools
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..units import km
+from .style import ENDS, MEAN, MUTED, NOMINAL, RUNS_LIGHT, count, legend, panelled
+
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+    import xarray
+
+
+_MOST_BINS = 40
+_FLAT = 1e-3
+"""km. Errors closer together than this count as equal"""
+_CROSSRANGE_SPREAD = 1.0
+"""m, above which the crossrange has a panel of its own"""
+
+
+def draw_downrange(axes: "matplotlib.axes.Axes", runs: "xarray.Dataset") -> None:
+    """Histogram of the downrange error, with its mean and standard deviation."""
+    from matplotlib.ticker import MaxNLocator
+
+    errors = runs["downrange_error"].values / km
+    axes.set_xlabel("Downrange error, actual − desired (km)")
+    axes.set_ylabel("Runs")
+    axes.grid(visible=False, axis="x")
+    heading = [count(runs)]
+    if errors.size:
+        axes.hist(
+            errors, list(_bin_edges(errors)), color=RUNS_LIGHT, ec="white", lw=0.6
+        )
+        steps = [1.0, 2.0, 2.5, 5.0, 10.0]
+        axes.yaxis.set_major_locator(MaxNLocator("auto", steps=steps, integer=True))
+        heading += _mark_moments(axes, errors)
+    axes.set_title(", ".join(heading), loc="left")
+
+
+def _mark_moments(axes: "matplotlib.axes.Axes", errors: np.ndarray) -> list[str]:
+    """Lines at the mean and a standard deviation about it, and both in words (km)."""
+    mean = float(errors.mean())
+    axes.axvline(mean, color=MEAN, lw=1.8)
+    if errors.size == 1:
+        return [f"mean {_number(mean, abs(mean), '+')} km"]
+    deviation = float(np.std(errors, ddof=1))
+    for side in (mean - deviation, mean + deviation):
+        axes.axvline(side, color=MEAN, lw=1.1, ls=(0, (3, 2)))
+    return [
+        f"mean {_number(mean, deviation, '+')} km",
+        f"std {_number(deviation, deviation)} km",
+    ]
+
+
+def _bin_edges(errors: np.ndarray) -> np.ndarray:
+    """Of 40 bins at most; of 1 km about errors that are all equal."""
+    if np.ptp(errors) < _FLAT:
+        return np.mean(errors) + np.arange(-2.5, 3.0)
+    bins = int(np.clip(np.sqrt(errors.size), 5, _MOST_BINS))
+    return np.linspace(errors.min(), errors.max(), bins + 1)
+
+
+def _number(value: float, scale: float, sign: str = "") -> str:
+    """Three digits of a number of this scale, down to thousandths."""
+    digits = np.clip(2 - np.floor(np.log10(max(scale, _FLAT))), 0, 3)
+    return f"{value:{sign}.{digits:.0f}f}".replace("-", "−")
+
+
+def footprint(
+    runs: "xarray.Dataset",
+    nominal: "xarray.Dataset | None",
+    title: str,
+) -> "matplotlib.figure.Figure":
+    if not _spreads_across(runs):
+        figure, (axes,) = panelled(6.4, 4.2, 1, title)
+        draw_footprint(axes, runs, nominal)
+        return figure
+    figure, (left, right) = panelled(10.0, 4.2, 2, title)
+    draw_footprint(left, runs, nominal)
+    _draw_ends(right, runs, nominal, "crossrange")
+    return figure
+
+
+def _spreads_across(runs: "xarray.Dataset") -> bool:
+    if "crossrange_error" not in runs or runs.sizes["run"] == 0:
+        return False
+    return bool(np.std(runs["crossrange_error"].values) > _CROSSRANGE_SPREAD)
+
+
+def draw_footprint(
+    axes: "matplotlib.axes.Axes",
+    runs: "xarray.Dataset",
+    nominal: "xarray.Dataset | None",
+) -> None:
+    """Altitude error over downrange error, with a legend of the end conditions."""
+    _draw_ends(axes, runs, nominal, "altitude")
+    axes.set_title(count(runs), loc="left")
+    legend(axes)
+
+
+def _draw_ends(
+    axes: "matplotlib.axes.Axes",
+    runs: "xarray.Dataset",
+    nominal: "xarray.Dataset | None",
+    error: str,
+) -> None:
+    """Where the runs ended about the target, by the condition that ended them."""
+    axes.axhline(0.0, color=MUTED, lw=0.8)
+    axes.axvline(0.0, color=MUTED, lw=0.8)
+    size = np.clip(4000.0 / max(runs.sizes["run"], 1), 3.0, 18.0)
+    ends = _by_end(runs).items()
+    for (label, ended), color in zip(ends, itertools.cycle(ENDS), strict=False):
+        axes.scatter(
+            runs["downrange_error"].values[ended] / km,
+            runs[f"{error}_error"].values[ended] / km,
+            s=size,
+            color=color,
+            alpha=0.6,
+            lw=0,
+            label=label,
+        )
+    if nominal is not None:
+        axes.plot(
+            nominal["downrange_error"].values / km,
+            nominal[f"{error}_error"].values / km,
+            "+",
+            color=NOMINAL,
+            ms=10,
+            mew=1.6,
+            label="nominal",
+        )
+    axes.set_xlabel("Downrange error (km)")
+    axes.set_ylabel(f"{error.capitalize()} error (km)")
+
+
+def _by_end(runs: "xarray.Dataset") -> dict[str, np.ndarray]:
+    """Which runs each end condition ended, by the legend's words."""
+    if "ended_by" not in runs or "flag_meanings" not in runs["ended_by"].attrs:
+        return {"runs": np.ones(runs.sizes["run"], dtype=bool)}
+    codes = runs["ended_by"].values
+    attributes = runs["ended_by"].attrs
+    names = dict(
+        zip(
+            np.atleast_1d(attributes["flag_values"]),
+            attributes["flag_meanings"].split(),
+            strict=True,
+        )
+    )
+    return {
+        f"ended by {names[code].replace('_', ' ')}": codes == code
+        for code in np.unique(codes)
+    }

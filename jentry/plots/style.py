@@ -1,0 +1,103 @@
+"""What all figures share: colours, fonts, headings and legends."""
+
+import contextlib
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+    import xarray
+    from matplotlib.typing import RcKeyType
+
+
+RUNS = "#0072B2"
+"""Okabe and Ito's blue: all that is drawn over many runs"""
+ENDS = (RUNS, "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "#D55E00")
+"""Of the same colour-blind-safe palette: runs by the condition that ended them"""
+NOMINAL = "#1A1A1A"
+RUNS_LIGHT = "#80B9D9"
+"""Half of the way to white"""
+MEAN = "#D55E00"
+MUTED = "#6E6E6E"
+
+_STYLE: "dict[RcKeyType, Any]" = {
+    "font.family": "DejaVu Sans",
+    "font.size": 10.0,
+    "axes.labelsize": 10.0,
+    "axes.titlesize": 9.5,
+    "legend.fontsize": 9.0,
+    "legend.edgecolor": "none",
+    "legend.framealpha": 0.85,
+    "legend.handlelength": 1.6,
+    "xtick.labelsize": 9.0,
+    "ytick.labelsize": 9.0,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": NOMINAL,
+    "ytick.labelcolor": NOMINAL,
+    "axes.edgecolor": MUTED,
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#E6E6E6",
+    "grid.linewidth": 0.7,
+}
+
+_MANY_POINTS = 20_000
+"""Too many to search them for the best place of a legend"""
+
+
+@contextlib.contextmanager
+def in_style():
+    import matplotlib
+
+    with matplotlib.rc_context(_STYLE):
+        yield
+
+
+def panelled(
+    width: float, height: float, panels: int, title: str
+) -> tuple["matplotlib.figure.Figure", "list[matplotlib.axes.Axes]"]:
+    """A figure with panels side by side, under one title."""
+    from matplotlib.figure import Figure
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06, wspace=0.04)
+    figure = Figure(figsize=(width, height), layout=layout)
+    axes = list(figure.subplots(1, panels, squeeze=False).flat)
+    if title:
+        figure.suptitle(title, fontsize=11.0)
+    return figure, axes
+
+
+def note(
+    figure: "matplotlib.figure.Figure", left_out: int, runs: "xarray.Dataset"
+) -> None:
+    """Says below the figure how many runs it is without."""
+    if left_out:
+        text = f"{left_out} of {count(runs)} not finite: left out"
+        figure.supxlabel(text, x=0.99, ha="right", fontsize=8.0, color=MUTED)
+
+
+def count(runs: "xarray.Dataset") -> str:
+    number = runs.sizes["run"]
+    return "1 run" if number == 1 else f"{number} runs"
+
+
+def legend(axes: "matplotlib.axes.Axes") -> None:
+    """A legend, if there is something to tell; its dots all of one size."""
+    from matplotlib.collections import PathCollection
+
+    handles, _ = axes.get_legend_handles_labels()
+    if not handles:
+        return
+    points = sum(np.shape(scatter.get_offsets())[0] for scatter in axes.collections)
+    place = "best" if points < _MANY_POINTS else "upper left"
+    for handle in axes.legend(loc=place).legend_handles:
+        if isinstance(handle, PathCollection):
+            handle.set_sizes([24.0])
