@@ -94,7 +94,7 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
             value, unit = _at_edge(leaf, unit)
             words = name.replace("_", " ")
             words = label + words if label.endswith(" ") else words + label
-            table.add_row(words, f"{float(value):.6f}", unit)
+            table.add_row(words, f"{float(value):z.6f}", unit)
     title = f"{mission.name}: {outcome.message} ({ended_by})"
     _print_under(_console(), title, table)
 
@@ -147,7 +147,7 @@ def _print_statistics(console: Console, mission: Mission, results) -> None:
         numbers = [values.min(), values.max(), values.mean(), spread]
         numbers += list(np.percentile(values, _PERCENTILES))
         words = str(name).replace("_", " ")
-        table.add_row(words, unit, *(f"{number:.4f}" for number in numbers))
+        table.add_row(words, unit, *(f"{number:z.4f}" for number in numbers))
     title = f"{mission.name}: errors are actual minus desired"
     _print_under(console, title, table)
 
@@ -160,8 +160,8 @@ def _print_published(console: Console, mission: Mission, results) -> None:
             published.name,
             published.unit,
             f"{published.value:.4f}",
-            f"{ours:.4f}",
-            f"{ours - published.value:+.4f}",
+            f"{ours:z.4f}",
+            f"{ours - published.value:+z.4f}",
         )
     _print_under(console, mission.published_note, table)
 
