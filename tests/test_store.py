@@ -120,6 +120,23 @@ def test_a_killed_campaign_is_resumed_to_the_same_numbers(tmp_path, whole, small
     assert not rest(out)
 
 
+TWO_DEVICES = """
+import sys
+import jentry
+jentry.setup(workers=2, cache=False)
+import cheap
+cheap.campaign(sys.argv[1], int(sys.argv[2]))
+"""
+
+
+@pytest.mark.slow
+def test_a_campaign_on_two_devices_is_the_same(tmp_path, whole):
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parent)}
+    arguments = [sys.executable, "-c", TWO_DEVICES, tmp_path, str(RUNS)]
+    subprocess.run(arguments, check=True, env=environment)
+    xarray.testing.assert_identical(open_campaign(tmp_path), whole)
+
+
 def test_a_stored_campaign_is_not_flown_again(tmp_path, small_parts):
     cheap.campaign(tmp_path, LANES)
     before = (tmp_path / parts(tmp_path)[0]).stat()
