@@ -160,11 +160,19 @@ def monte_carlo(
     from .report import print_campaign, progress
 
     chosen, scenario, overrides = _scenario(mission, variant, config, set_)
-    reading = dispersions or overrides.reading
+    variant = variant or overrides.variant or next(iter(chosen.variants))
+    reading = dispersions or overrides.reading or next(iter(chosen.dispersions))
     table = overrides.dispersions
     if table is None or dispersions is not None:
         table = chosen.dispersion_table(reading)
     require_addresses(scenario, table)
+    as_published = (
+        inputs is None
+        and not overrides.values
+        and overrides.dispersions is None
+        and variant == chosen.published_variant
+        and reading == chosen.published_dispersions
+    )
     given = None if inputs is None else read_inputs(inputs)
     if given is not None:
         rows = len(next(iter(given.values())))
@@ -186,12 +194,12 @@ def monte_carlo(
                 history=history,
                 report=report,
                 mission=mission,
-                variant=variant or overrides.variant or next(iter(chosen.variants)),
+                variant=variant,
             )
     except KeyboardInterrupt:
         _fail("interrupted; the same command resumes", 130)
     results = open_campaign(folder, runs)
-    print_campaign(chosen, results)
+    print_campaign(chosen, results, as_published)
     typer.echo(f"stored: {folder}")
     if figures:
         drawn = draw_figures(folder, chosen, scenario, results, solver)

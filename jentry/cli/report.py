@@ -116,8 +116,11 @@ def _unit(described, name: str) -> str:
     return _OTHER_UNITS.get(name, unit) if unit == "1" else unit
 
 
-def print_campaign(mission: Mission, results) -> None:
-    """Outcomes, statistics, and the published values beside ours."""
+def print_campaign(mission: Mission, results, as_published: bool) -> None:
+    """Outcomes, statistics, and the published values beside ours.
+
+    These are shown where the campaign is as published; else it is said what they are of.
+    """
     console = _console()
     count = results.sizes["run"]
     codes, numbers = np.unique(results["outcome"], return_counts=True)
@@ -130,8 +133,13 @@ def print_campaign(mission: Mission, results) -> None:
     if flown.sizes["run"] == 0:
         return
     _print_statistics(console, mission, flown)
-    if mission.published:
+    if mission.published and as_published:
         _print_published(console, mission, flown)
+    elif mission.published:
+        console.print(
+            f"published values are of the variant {mission.published_variant} with the "
+            f"dispersions {mission.published_dispersions}, unchanged"
+        )
 
 
 def _print_statistics(console: Console, mission: Mission, results) -> None:
