@@ -1,6 +1,7 @@
 """The commands and their options; what they print is in `report`."""
 
 import errno
+import gc
 import importlib
 import sys
 import threading
@@ -242,6 +243,9 @@ def main() -> None:
     Exit codes: 0 done, 2 wrong input, 3 results that cannot be used, 4 the disk (no
     space, no permission), 130 interrupted.
     """
+    # Tracing makes many objects and little rubbish: look for it less often.
+    gc.set_threshold(100_000)
+
     from ..campaign.errors import CampaignError
 
     try:

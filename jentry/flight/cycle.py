@@ -1,5 +1,6 @@
 """One guidance cycle of a flight: the law decides, then the motion is integrated."""
 
+import functools
 import math
 from typing import Any
 
@@ -113,7 +114,7 @@ def _fixed_cycle(
     field = vector_field(scenario, lane.held)
     conditions = scenario.termination
 
-    @jax.checkpoint
+    @functools.partial(jax.checkpoint, prevent_cse=False)
     def step(lane: Lane, _: None) -> tuple[Lane, None]:
         bracket = lane.bracket
         y = lane.state, lane.memory

@@ -1,5 +1,6 @@
 """Solvers: how the closed loop is integrated through one guidance cycle."""
 
+import functools
 import math
 from collections.abc import Callable
 from typing import TypeVar
@@ -45,7 +46,8 @@ class RungeKutta4(diffrax.AbstractSolver):
         del solver_state, made_jump
         duration = t1 - t0
 
-        @jax.checkpoint
+        # In a loop nothing is there to be merged with what is computed again.
+        @functools.partial(jax.checkpoint, prevent_cse=False)
         def stage(carry, place_and_weight):
             slope, total = carry
             place, weight = place_and_weight
