@@ -32,12 +32,12 @@ _PERCENTILES = (1, 5, 50, 95, 99)
 
 
 def _console() -> Console:
-    return Console(width=None if sys.stdout.isatty() else 120, highlight=False)
+    return Console(width=None if sys.stdout.isatty() else 130, highlight=False)
 
 
 def _table(*columns: str) -> Table:
     table = Table()
-    table.add_column(columns[0])
+    table.add_column(columns[0], no_wrap=True)
     for column in columns[1:]:
         table.add_column(column, justify="right")
     return table
