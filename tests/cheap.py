@@ -60,4 +60,6 @@ MISSION = Mission(
         PublishedValue("mean time", 300.0, "s", lambda v: float(v["end_time"].mean())),
     ),
     published_note="A note",
+    published_variant="right",
+    published_dispersions="all",
 )

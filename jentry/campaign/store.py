@@ -9,18 +9,17 @@ import json
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
 
-from .._addresses import addresses_of, leaves_by_address, unit_of
 from ..flight.fly import Flight
 from ..flight.misses import misses
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
+from .description import describe, first_difference
 from .dispersions import Dispersion
 from .errors import CampaignError
 from .monte_carlo import Campaign, fly_in_blocks
@@ -33,54 +32,6 @@ if TYPE_CHECKING:
 MANIFEST = "campaign.json"
 _PART = re.compile(r"runs-(\d{9})-(\d{9})\.nc")
 _ESSENTIAL = {"scenario", "seed", "versions"}
-_PACKAGES = ("jentry", "jax", "equinox", "diffrax", "numpy")
-
-
-def describe(
-    scenario: Scenario,
-    dispersions: Mapping[str, Dispersion] | None,
-    seed: int,
-    solver: AbstractSolver,
-    history: float | None,
-    inputs: Mapping[str, Any] | None = None,
-    **labels: str,
-) -> dict[str, Any]:
-    """What a campaign is, as plain values: two that are equal fly the same runs."""
-    leaves = leaves_by_address(scenario)
-    return {
-        **labels,
-        "seed": seed,
-        "history_interval": history,
-        "solver": str(solver),
-        "structure": str(scenario),
-        "dispersions": {
-            name: {
-                "order": place,
-                "addresses": addresses_of(scenario, dispersion.where),
-                "distribution": type(dispersion.distribution).__name__,
-                **{
-                    field: float(value)
-                    for field, value in leaves_by_address(
-                        dispersion.distribution
-                    ).items()
-                },
-                "apply": getattr(dispersion.apply, "__name__", str(dispersion.apply)),
-            }
-            for place, (name, dispersion) in enumerate((dispersions or {}).items())
-        },
-        "inputs": {
-            address: np.asarray(values, dtype=float).tolist()
-            for address, values in (inputs or {}).items()
-        },
-        "scenario": {
-            address: {
-                "value": np.asarray(leaf).tolist(),
-                "unit": unit_of(scenario, address),
-            }
-            for address, leaf in leaves.items()
-        },
-        "versions": {name: version(name) for name in _PACKAGES},
-    }
 
 
 def run_campaign(
@@ -213,7 +164,7 @@ def _claim(out: Path, description: Mapping[str, Any]) -> None:
         )
     text = json.dumps(description)
     known = _read_manifest(out) if manifest.exists() else None
-    different = known and _first_difference(known, json.loads(text))
+    different = known and first_difference(known, json.loads(text))
     if known is None or (different and not has_runs):
         _write_whole(manifest, text.encode())
     elif different:
@@ -234,24 +185,6 @@ def _read_manifest(out: Path) -> dict[str, Any]:
     if not isinstance(known, dict) or not _ESSENTIAL <= set(known):
         raise CampaignError(f"{manifest} is no campaign of jentry: give another folder")
     return known
-
-
-def _first_difference(known: Any, wanted: Any, place: str = "") -> str | None:
-    if isinstance(known, dict) and isinstance(wanted, dict):
-        for name in [*known, *(n for n in wanted if n not in known)]:
-            inner = f"{place}.{name}" if place else name
-            if name not in known or name not in wanted:
-                where = "there" if name in known else "now"
-                return f"{inner} is given only {where}"
-            difference = _first_difference(known[name], wanted[name], inner)
-            if difference:
-                return difference
-        return None
-    if known == wanted:
-        return None
-    if isinstance(known, list) or len(str(known)) > 60:
-        return f"{place} differs"
-    return f"{place} is {known} there and {wanted} now"
 
 
 def _parts(out: Path) -> list[tuple[int, int, Path]]:

@@ -1,0 +1,83 @@
+"""What a campaign is, in plain values: kept beside its results, compared on resumption."""
+
+from collections.abc import Mapping
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from .._addresses import addresses_of, leaves_by_address, unit_of
+from .._setup import fast_options_are_on
+from ..flight.scenario import Scenario
+from ..flight.solver import AbstractSolver
+from .dispersions import Dispersion
+
+
+_PACKAGES = ("jentry", "jax", "equinox", "diffrax", "numpy")
+
+
+def describe(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion] | None,
+    seed: int,
+    solver: AbstractSolver,
+    history: float | None,
+    inputs: Mapping[str, Any] | None = None,
+    **labels: str,
+) -> dict[str, Any]:
+    """What a campaign is, as plain values: two that are equal fly the same runs."""
+    leaves = leaves_by_address(scenario)
+    return {
+        **labels,
+        "seed": seed,
+        "history_interval": history,
+        "solver": str(solver),
+        "fast_options": fast_options_are_on(),
+        "structure": str(scenario),
+        "dispersions": {
+            name: {
+                "order": place,
+                "addresses": addresses_of(scenario, dispersion.where),
+                "distribution": type(dispersion.distribution).__name__,
+                **{
+                    field: float(value)
+                    for field, value in leaves_by_address(
+                        dispersion.distribution
+                    ).items()
+                },
+                "apply": getattr(dispersion.apply, "__name__", str(dispersion.apply)),
+            }
+            for place, (name, dispersion) in enumerate((dispersions or {}).items())
+        },
+        "inputs": {
+            address: np.asarray(values, dtype=float).tolist()
+            for address, values in (inputs or {}).items()
+        },
+        "scenario": {
+            address: {
+                "value": np.asarray(leaf).tolist(),
+                "unit": unit_of(scenario, address),
+            }
+            for address, leaf in leaves.items()
+        },
+        "versions": {name: version(name) for name in _PACKAGES},
+    }
+
+
+def first_difference(known: Any, wanted: Any, place: str = "") -> str | None:
+    """In words, where two descriptions differ; none where they are equal."""
+    if isinstance(known, dict) and isinstance(wanted, dict):
+        for name in [*known, *(n for n in wanted if n not in known)]:
+            inner = f"{place}.{name}" if place else name
+            if name not in known or name not in wanted:
+                where = "there" if name in known else "now"
+                return f"{inner} is given only {where}"
+            difference = first_difference(known[name], wanted[name], inner)
+            if difference:
+                return difference
+        return None
+    if known == wanted:
+        return None
+    if isinstance(known, list) or len(str(known)) > 60:
+        return f"{place} differs"
+    return f"{place} is {known} there and {wanted} now"
