@@ -120,15 +120,15 @@ def test_monte_carlo(command, tmp_path):
     assert f"stored: {out}" in printed
     assert "A note" in printed and f"{results['end_time'].mean().item():.4f}" in printed
     # Published values stand beside what they are of, not beside anything else.
-    _, printed, _ = monte_carlo(
+    _, other, _ = monte_carlo(
         command, "--runs", 5, "--dispersions", "mass-only", "--out", tmp_path / "other"
     )
-    assert "A note" not in printed and "published values are of" in printed
+    assert "A note" not in other and "published values are of" in other
     # The same command again: nothing to fly, the same to say.
     again = monte_carlo(command, "--runs", 5, "--seed", 7, "--out", out)
     assert again == (code, printed, said)
     # Fewer: the statistics of these.
-    _, printed, _ = monte_carlo(command, "--runs", 1, "--seed", 7, "--out", out)
+    _, other, _ = monte_carlo(command, "--runs", 1, "--seed", 7, "--out", out)
     assert "1 of 1 runs" in printed
 
 
