@@ -129,7 +129,7 @@ def test_monte_carlo(command, tmp_path):
     assert again == (code, printed, said)
     # Fewer: the statistics of these.
     _, other, _ = monte_carlo(command, "--runs", 1, "--seed", 7, "--out", out)
-    assert "1 of 1 runs" in printed
+    assert "1 of 1 runs" in other
 
 
 def test_results_without_a_folder_named(command, tmp_path):
