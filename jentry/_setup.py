@@ -121,7 +121,7 @@ def _warn(reason: str) -> None:
     import warnings
 
     warnings.warn(
-        f"the fast XLA options stay off: {reason}. Flights are as exact, and about half "
-        "as many a second",
+        f"the fast XLA options stay off: {reason}. Flights are as exact, and about a "
+        "quarter as many a second",
         stacklevel=4,
     )

@@ -1,6 +1,6 @@
 """What a campaign is, in plain values: kept beside its results, compared on resumption."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from typing import Any
 
@@ -38,14 +38,14 @@ def describe(
             name: {
                 "order": place,
                 "addresses": addresses_of(scenario, dispersion.where),
-                "distribution": type(dispersion.distribution).__name__,
+                "distribution": str(dispersion.distribution),
                 **{
                     field: float(value)
                     for field, value in leaves_by_address(
                         dispersion.distribution
                     ).items()
                 },
-                "apply": getattr(dispersion.apply, "__name__", str(dispersion.apply)),
+                "apply": _name(dispersion.apply),
             }
             for place, (name, dispersion) in enumerate((dispersions or {}).items())
         },
@@ -62,6 +62,17 @@ def describe(
         },
         "versions": {name: version(name) for name in _PACKAGES},
     }
+
+
+def _name(function: Callable) -> str:
+    """By which a function is known again. Raises `ValueError` where it has no name."""
+    name = getattr(function, "__qualname__", "<lambda>")
+    if "<lambda>" in name:
+        raise ValueError(
+            "a stored campaign needs a named function to apply a dispersion, not a "
+            "lambda: replace, add, multiply or one of your own"
+        )
+    return f"{function.__module__}.{name}"
 
 
 def first_difference(known: Any, wanted: Any, place: str = "") -> str | None:

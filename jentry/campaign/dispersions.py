@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from .._addresses import addresses_of, field_metadata, leaves_by_address
 from .._types import Scalar, scalar
-from ..flight.scenario import Scenario, check_values
+from ..flight.scenario import Scenario, check_values, require_effect
 
 
 class AbstractDistribution(eqx.Module):
@@ -151,6 +151,8 @@ def check_dispersions(
     draws = {name: jnp.zeros(()) for name in dispersions}
     jax.eval_shape(lambda draws: disperse(scenario, dispersions, draws), draws)
     for name, dispersion in dispersions.items():
+        for address in addresses_of(scenario, dispersion.where):
+            require_effect(scenario, address)
         distribution = dispersion.distribution
         numbers = leaves_by_address(distribution)
         for field, value in numbers.items():

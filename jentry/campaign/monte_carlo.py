@@ -20,7 +20,7 @@ from .._addresses import (
 )
 from ..flight.fly import Flight, fly
 from ..flight.misses import Misses, misses
-from ..flight.scenario import Scenario, check, check_values
+from ..flight.scenario import Scenario, check, check_values, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from .dispersions import Dispersion, check_dispersions, dispersed_inputs
 
@@ -132,6 +132,7 @@ def _check_inputs(
     given = {}
     for address, values in inputs.items():
         require_address(known, address)
+        require_effect(scenario, address)
         given[address] = np.asarray(values, dtype=float)
         if given[address].ndim != 1 or known[address].shape != ():
             raise ValueError(
@@ -185,7 +186,11 @@ def _fly_block(
         def one(inputs):
             dispersed = replace_leaves(scenario, inputs)
             flight = fly(dispersed, solver, history)
-            return flight, misses(dispersed, flight)
+            # The target stays where it is when the entry point is dispersed.
+            aimed = eqx.tree_at(
+                lambda s: s.initial_state, dispersed, scenario.initial_state
+            )
+            return flight, misses(aimed, flight)
 
         return lax.map(one, inputs, batch_size=LANES)
 

@@ -141,8 +141,15 @@ def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
     result = xarray.concat(
         opened, dim="run", data_vars="minimal", combine_attrs="drop_conflicts"
     )
+    # Two processes that filled the folder at once may have stored a run twice, alike.
+    indices, places = np.unique(result["run"].values, return_index=True)
     if runs is not None:
-        result = result.isel(run=slice(0, runs))
+        places = places[indices < runs]
+    result = result.isel(run=places)
+    if not np.array_equal(result["run"], np.arange(len(places))):
+        raise CampaignError(
+            f"{out} lacks some of its runs: run the same campaign again, which flies them"
+        )
     result.attrs["campaign"] = json.dumps(description)
     return result
 
@@ -235,7 +242,7 @@ def _netcdf(part: "xarray.Dataset") -> bytes:
 
 def _write_whole(path: Path, contents: bytes) -> None:
     """Write a file so that it is there whole or not at all, also after a crash."""
-    unfinished = path.with_name(f".{path.name}.unfinished")
+    unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
     try:
         with open(unfinished, "wb") as file:
             file.write(contents)

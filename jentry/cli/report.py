@@ -145,19 +145,24 @@ def print_campaign(mission: Mission, results, as_published: bool) -> None:
 def _print_statistics(console: Console, mission: Mission, results) -> None:
     percentiles = [f"{p} %" for p in _PERCENTILES]
     table = _table("", "unit", "minimum", "maximum", "mean", "std", *percentiles)
-    for name in results.data_vars:
-        if not str(name).startswith(("end_time", "peak_")) and "_error" not in str(
-            name
-        ):
+    for name in map(str, results.data_vars):
+        error = name.endswith("_error")
+        if not (error or name.startswith(("end_time", "peak_"))):
             continue
         values, unit = _at_edge(results[name], results[name].attrs["units"])
-        spread = np.std(values, ddof=1) if values.size > 1 else np.nan
-        numbers = [values.min(), values.max(), values.mean(), spread]
-        numbers += list(np.percentile(values, _PERCENTILES))
-        words = str(name).replace("_", " ")
-        table.add_row(words, unit, *(f"{number:z.4f}" for number in numbers))
+        words = name.replace("_", " ")
+        _add_statistics(table, words, unit, values)
+        if error:
+            _add_statistics(table, f"|{words}|", unit, np.abs(values))
     title = f"{mission.name}: errors are actual minus desired"
     _print_under(console, title, table)
+
+
+def _add_statistics(table: Table, words: str, unit: str, values: np.ndarray) -> None:
+    spread = np.std(values, ddof=1) if values.size > 1 else np.nan
+    numbers = [values.min(), values.max(), values.mean(), spread]
+    numbers += list(np.percentile(values, _PERCENTILES))
+    table.add_row(words, unit, *(f"{number:z.4f}" for number in numbers))
 
 
 def _print_published(console: Console, mission: Mission, results) -> None:

@@ -70,7 +70,10 @@ def guidance_period(scenario: Scenario) -> float | None:
 
 
 def sense(scenario: Scenario, state: EntryState) -> Measurement:
-    """What the vehicle measures in a state."""
+    """What the vehicle measures in a state, flying at its trim angle of attack.
+
+    A law that commands another one needs its sensed forces at that: there is none yet.
+    """
     vehicle = scenario.vehicle
     return measure(scenario.planet, vehicle, state, vehicle.trim_angle_of_attack)
 

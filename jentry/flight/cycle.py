@@ -133,9 +133,10 @@ def _fixed_cycle(
             (flown, state, memory, peaks),
             (lane.flown, lane.state, lane.memory, lane.peaks),
         )
-        bracket = _next_trial(bracket, margin, taken, duration / steps)
-        near = bracket.trial < _END_TOLERANCE
-        running = lane.running & finite & jnp.logical_not(near)
+        running = lane.running & finite
+        after = _next_trial(bracket, margin, taken, duration / steps)
+        bracket = select(running, after, bracket)
+        running = running & (bracket.trial >= _END_TOLERANCE)
         return Lane(flown, state, memory, lane.held, peaks, bracket, running), None
 
     return lax.scan(step, lane, None, length=steps)[0]
@@ -162,7 +163,7 @@ def _next_trial(
 
 def is_finite(y: Any) -> Flag:
     """Whether every number of a state is finite."""
-    return jnp.isfinite(sum(jax.tree.leaves(y)))
+    return jnp.isfinite(sum(jnp.sum(leaf) for leaf in jax.tree.leaves(y)))
 
 
 def _adaptive_cycle(

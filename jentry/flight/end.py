@@ -44,7 +44,8 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     met = seconds_left[ended_by] < _TIME_TOLERANCE
 
     began = lane.flown > 0.0
-    correction = margins[ended_by] / lax.stop_gradient(margin_rates[ended_by])
+    closing = lax.stop_gradient(margin_rates[ended_by])
+    correction = margins[ended_by] / jnp.where(met & began, closing, 1.0)
     correction = jnp.where(met & began, correction, 0.0)
     state = jax.tree.map(
         lambda x, rate: x - correction * lax.stop_gradient(rate), lane.state, rates

@@ -40,7 +40,8 @@ class Flight(eqx.Module):
     ended_by: Count
     """Place of the end condition in `scenario.termination.names`"""
     peaks: Peaks
-    """Largest values of the path constraints, over all steps"""
+    """Largest values of the path constraints, over all steps; with the `Adaptive` solver
+    over the ends of the guidance cycles only"""
     history: History | None
 
 
@@ -64,7 +65,9 @@ def fly(
       a sampled law it must divide the guidance period or be a multiple of it.
 
     **Raises:** `ValueError` for numbers that cannot be flown. How the flight went is in
-    `Flight.outcome`; a flight never raises because it crashed or skipped out.
+    `Flight.outcome`; a flight never raises because it crashed or skipped out. Where it is
+    `NOT_FINITE`, derivatives are not finite either: leave that flight out of a sum before
+    differentiating it.
 
         flight = fly(scenario)
         gradient = jax.grad(lambda s: fly(s).state.altitude)(scenario)

@@ -16,7 +16,9 @@ from .termination import Termination
 
 
 class Target(eqx.Module):
-    """Where guided flight should end; the misses are counted from here.
+    """Where guided flight should end: the misses are counted from here.
+
+    A law has an aim or a reference of its own, which does not move with the target.
 
     Downrange and crossrange are arcs on the surface from the entry point, see
     `ground_track`.
@@ -63,6 +65,16 @@ def _check_in_plane(start: EntryState) -> None:
                 f"initial_state.{name} is {float(value):g} rad: a flight in the plane of "
                 f"the equator needs {wanted:g}; take in_plane=False for others"
             )
+
+
+def require_effect(scenario: Scenario, address: str) -> None:
+    """Refuse to vary a number that an in-plane flight does not use."""
+    fixed = ("initial_state.latitude", "initial_state.heading")
+    if scenario.in_plane and address in fixed:
+        raise ValueError(
+            f"{address} has no effect in this scenario, which flies in the plane of the "
+            "equator: take in_plane=False"
+        )
 
 
 def check_values(address: str, values: np.ndarray, metadata: Mapping) -> None:

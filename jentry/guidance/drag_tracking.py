@@ -118,7 +118,8 @@ def track(
     # D*'' itself contains u where the index does: its part moves over to g0.
     g0 = plant.g0 - scale * wanted.gain
     u = (-plant.f + scale * wanted.acceleration + feedback) / g0
-    begun = measurement.drag >= reference.gate
+    # Late in the flight the drag may be below the gate again, but then it falls.
+    begun = (measurement.drag >= reference.gate) | (plant.drag_rate < 0.0)
     u = jnp.where(begun, u, reference.cos_bank(measurement.state.velocity))
     return Tracking(u, x1, x2, begun)
 

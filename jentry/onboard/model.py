@@ -4,6 +4,7 @@ import equinox as eqx
 
 from .._types import Scalar
 from ..world.atmosphere import ExponentialAtmosphere
+from ..world.gravity import InverseSquareGravity
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 
@@ -11,7 +12,8 @@ from ..world.vehicle import Vehicle
 class OnboardModel(eqx.Module):
     """The nominal world on board. It is a copy of its own: dispersing the truth leaves it.
 
-    Its atmosphere is exponential, since laws use its scale height.
+    Its atmosphere is exponential, since laws use its scale height, and its gravity that
+    of a sphere, since they use its rate of change.
     """
 
     planet: Planet
@@ -23,6 +25,13 @@ class OnboardModel(eqx.Module):
             raise ValueError(
                 f"the onboard model has a {type(atmosphere).__name__}: it needs an "
                 "ExponentialAtmosphere, fitted to the corridor that is flown"
+            )
+
+        gravity = self.planet.gravity
+        if not isinstance(gravity, InverseSquareGravity):
+            raise ValueError(
+                f"the onboard model has a {type(gravity).__name__}: it needs an "
+                "InverseSquareGravity"
             )
 
     @property

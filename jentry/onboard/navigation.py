@@ -22,6 +22,6 @@ class Measurement(eqx.Module):
 def measure(
     planet: Planet, vehicle: Vehicle, state: EntryState, angle_of_attack: Scalar
 ) -> Measurement:
-    """Perfect navigation and accelerometers, at the angle of attack now flown (rad)."""
+    """Perfect navigation and accelerometers, at an angle of attack (rad)."""
     air = air_data(planet, vehicle, state, angle_of_attack)
     return Measurement(state=state, lift=air.lift, drag=air.drag)
