@@ -1,5 +1,6 @@
 """A run is the same in every batch, and what cannot be flown is refused."""
 
+import dataclasses
 import sys
 
 import cheap
@@ -182,3 +183,20 @@ def test_a_scenario_that_cannot_be_flown_is_refused(key):
 
 def test_a_numpy_number_of_runs_is_a_number(many):
     assert_same(fly(jax.random.key(3), np.arange(8)[7]), runs_of(many, range(7)))
+
+
+def test_target_stays_where_it_is_when_the_entry_point_is_dispersed():
+    east = np.array([0.0, 1e-3])
+    campaign = monte_carlo(
+        cheap.scenario(), inputs={"initial_state.longitude": east}, solver=cheap.SOLVER
+    )
+    # Over a sphere that does not turn, a start further east is an end further east.
+    moved = campaign.misses.downrange[1] - campaign.misses.downrange[0]
+    radius = float(cheap.scenario().planet.radius)
+    np.testing.assert_allclose(moved, 1e-3 * radius, rtol=1e-9)  # rounding
+
+
+def test_what_an_in_plane_flight_does_not_use_is_refused():
+    scenario = dataclasses.replace(cheap.scenario(), in_plane=True)
+    with pytest.raises(ValueError, match="initial_state.heading has no effect"):
+        monte_carlo(scenario, inputs={"initial_state.heading": [1.6]})

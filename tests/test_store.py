@@ -388,7 +388,7 @@ def test_the_results_say_what_was_flown(stored):
         "distribution": "Uniform",
         "lower": 0.95,
         "upper": 1.05,
-        "apply": "multiply",
+        "apply": "jentry.campaign.dispersions.multiply",
     }
     assert {"jentry", "jax"} <= set(described["versions"])
     # A part that is copied away still says it.
@@ -431,3 +431,15 @@ def test_one_flight_is_written(tmp_path):
         described = json.loads(written.attrs["campaign"])
     assert described["solver"] == str(cheap.SOLVER)
     assert jax.tree.leaves(flight.history) == []
+
+
+def test_two_processes_do_not_share_a_folder(tmp_path):
+    import fcntl
+
+    folder = os.open(tmp_path, os.O_RDONLY)
+    fcntl.flock(folder, fcntl.LOCK_EX)
+    with pytest.raises(CampaignError, match="another process flies a campaign into"):
+        cheap.campaign(tmp_path, 2)
+    os.close(folder)
+    cheap.campaign(tmp_path, 2)
+    assert open_campaign(tmp_path).sizes["run"] == 2

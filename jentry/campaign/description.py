@@ -38,7 +38,7 @@ def describe(
             name: {
                 "order": place,
                 "addresses": addresses_of(scenario, dispersion.where),
-                "distribution": str(dispersion.distribution),
+                "distribution": type(dispersion.distribution).__name__,
                 **{
                     field: float(value)
                     for field, value in leaves_by_address(

@@ -5,6 +5,7 @@ range of runs. A part is written under another name, flushed to the disk and the
 so that whatever stands there is whole.
 """
 
+import contextlib
 import json
 import os
 import re
@@ -80,15 +81,19 @@ def run_campaign(
     description = describe(
         scenario, dispersions, seed, solver, history, inputs, **labels
     )
-    _claim(out, description)
-    stored = _stored(out, runs)
-    done = int(np.sum(stored))
-    report(done)
-    for missing in _unbroken(np.flatnonzero(~stored)):
-        for block in blocks_of(missing):
-            _write_part(out, scenario, block, description)
-            done += len(block.runs)
-            report(done)
+    if out.exists() and not out.is_dir():
+        raise CampaignError(f"{out} is a file: give a folder for the campaign")
+    out.mkdir(parents=True, exist_ok=True)
+    with _alone_in(out):
+        _claim(out, description)
+        stored = _stored(out, runs)
+        done = int(np.sum(stored))
+        report(done)
+        for missing in _unbroken(np.flatnonzero(~stored)):
+            for block in blocks_of(missing):
+                _write_part(out, scenario, block, description)
+                done += len(block.runs)
+                report(done)
 
 
 def write_flight(
@@ -141,7 +146,7 @@ def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
     result = xarray.concat(
         opened, dim="run", data_vars="minimal", combine_attrs="drop_conflicts"
     )
-    # Two processes that filled the folder at once may have stored a run twice, alike.
+    # Parts overlap where a campaign was resumed after another division into parts.
     indices, places = np.unique(result["run"].values, return_index=True)
     if runs is not None:
         places = places[indices < runs]
@@ -154,15 +159,35 @@ def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
     return result
 
 
+@contextlib.contextmanager
+def _alone_in(out: Path) -> Iterator[None]:
+    """Keep other processes from flying into a folder at the same time."""
+    try:
+        import fcntl
+    except ImportError:  # Windows has no such lock
+        yield
+        return
+    folder = os.open(out, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(folder)
+        raise CampaignError(
+            f"another process flies a campaign into {out}: wait for it, or give another "
+            "folder"
+        ) from None
+    try:
+        yield
+    finally:
+        os.close(folder)
+
+
 def _claim(out: Path, description: Mapping[str, Any]) -> None:
     """Make the folder this campaign's, or find that it is already.
 
     A folder of another campaign that has no runs yet holds nothing, and is taken over.
     """
     manifest = out / MANIFEST
-    if out.exists() and not out.is_dir():
-        raise CampaignError(f"{out} is a file: give a folder for the campaign")
-    out.mkdir(parents=True, exist_ok=True)
     has_runs = bool(_parts(out))
     if has_runs and not manifest.exists():
         raise CampaignError(
@@ -242,7 +267,7 @@ def _netcdf(part: "xarray.Dataset") -> bytes:
 
 def _write_whole(path: Path, contents: bytes) -> None:
     """Write a file so that it is there whole or not at all, also after a crash."""
-    unfinished = path.with_name(f".{path.name}.{os.getpid()}.unfinished")
+    unfinished = path.with_name(f".{path.name}.unfinished")
     try:
         with open(unfinished, "wb") as file:
             file.write(contents)
