@@ -163,7 +163,9 @@ def _next_trial(
 
 def is_finite(y: Any) -> Flag:
     """Whether every number of a state is finite."""
-    return jnp.isfinite(sum(jnp.sum(leaf) for leaf in jax.tree.leaves(y)))
+    # A reduction of a scalar would stand between operations that belong together.
+    leaves = [x if jnp.ndim(x) == 0 else jnp.sum(x) for x in jax.tree.leaves(y)]
+    return jnp.isfinite(sum(leaves))
 
 
 def _adaptive_cycle(

@@ -90,7 +90,7 @@ class Tracking(eqx.Module):
     x2: Scalar
     """Drag error rate that was fed back, m/s3"""
     begun: Flag
-    """Whether the drag has passed the gate of the reference"""
+    """Whether the drag is above the gate of the reference"""
 
 
 def track(
@@ -104,7 +104,8 @@ def track(
 ) -> Tracking:
     """Equation (14); with an observer (24). The reference drag is multiplied by `scale`.
 
-    Before the gate of the reference, u is the bank of the reference.
+    Below the gate of the reference, u is the bank of the reference: before the drag has
+    built up, and again at the end should it fall so low.
     """
     plant = drag_dynamics(model, measurement)
     wanted = reference.at(time, measurement, model, plant.drag_rate)
@@ -118,8 +119,7 @@ def track(
     # D*'' itself contains u where the index does: its part moves over to g0.
     g0 = plant.g0 - scale * wanted.gain
     u = (-plant.f + scale * wanted.acceleration + feedback) / g0
-    # Late in the flight the drag may be below the gate again, but then it falls.
-    begun = (measurement.drag >= reference.gate) | (plant.drag_rate < 0.0)
+    begun = measurement.drag >= reference.gate
     u = jnp.where(begun, u, reference.cos_bank(measurement.state.velocity))
     return Tracking(u, x1, x2, begun)
 
@@ -132,8 +132,8 @@ def observe(
 ) -> ObserverState:
     """Rate of the observer's state, equation (25), driven by the unclipped command.
 
-    Before the gate the estimate follows the drag error and its rate stays zero, so that
-    at the gate the observer starts from x1 and 0.
+    Below the gate the estimate follows the drag error and its rate stays as it is, so
+    that at the gate the observer starts from x1 and 0.
     """
     a, b, epsilon0 = gains.a, gains.b, gains.epsilon0
     epsilon = observer.epsilon
