@@ -186,7 +186,9 @@ def flown_otherwise(out, **changes):
 
 
 def test_the_same_campaign_is_welcome(stored):
+    before = open_campaign(stored)
     flown_otherwise(stored)
+    xarray.testing.assert_identical(open_campaign(stored), before)
 
 
 def other_scenario():
