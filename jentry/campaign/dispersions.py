@@ -1,5 +1,7 @@
 """What is uncertain: distributions, and the leaves of a scenario that they move."""
 
+import dataclasses
+import math
 import zlib
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
@@ -9,6 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import ndtr
 from jaxtyping import Array, Float, Int, Key
 
 from .._addresses import addresses_of, field_metadata, leaves_by_address
@@ -23,6 +26,14 @@ class AbstractDistribution(eqx.Module):
     def sample(self, key: Key[Array, ""]) -> Scalar:
         """One draw."""
 
+    @abstractmethod
+    def moments(self) -> tuple[Scalar, Scalar]:
+        """Mean and standard deviation of what is drawn."""
+
+    @abstractmethod
+    def scaled(self, factor: Scalar | float) -> "AbstractDistribution":
+        """The same about the same mean, so many times as wide."""
+
 
 class Normal(AbstractDistribution):
     """Normal distribution. Where a source quotes three sigma, write the division."""
@@ -32,6 +43,12 @@ class Normal(AbstractDistribution):
 
     def sample(self, key: Key[Array, ""]) -> Scalar:
         return self.mean + self.standard_deviation * jax.random.normal(key, dtype=float)
+
+    def moments(self) -> tuple[Scalar, Scalar]:
+        return self.mean, self.standard_deviation
+
+    def scaled(self, factor: Scalar | float) -> "Normal":
+        return Normal(self.mean, factor * self.standard_deviation)
 
 
 class Uniform(AbstractDistribution):
@@ -43,6 +60,17 @@ class Uniform(AbstractDistribution):
     def sample(self, key: Key[Array, ""]) -> Scalar:
         share = jax.random.uniform(key, dtype=float)
         return self.lower + (self.upper - self.lower) * share
+
+    def moments(self) -> tuple[Scalar, Scalar]:
+        middle = 0.5 * (self.lower + self.upper)
+        return middle, (self.upper - self.lower) / math.sqrt(12.0)
+
+    def scaled(self, factor: Scalar | float) -> "Uniform":
+        middle, _ = self.moments()
+        return Uniform(
+            middle + factor * (self.lower - middle),
+            middle + factor * (self.upper - middle),
+        )
 
 
 class TruncatedNormal(AbstractDistribution):
@@ -58,6 +86,26 @@ class TruncatedNormal(AbstractDistribution):
         upper = (self.upper - self.mean) / self.standard_deviation
         draw = jax.random.truncated_normal(key, lower, upper, dtype=float)
         return self.mean + self.standard_deviation * draw
+
+    def moments(self) -> tuple[Scalar, Scalar]:
+        lower = (self.lower - self.mean) / self.standard_deviation
+        upper = (self.upper - self.mean) / self.standard_deviation
+        at_lower, at_upper = (
+            jnp.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi) for x in (lower, upper)
+        )
+        inside = ndtr(upper) - ndtr(lower)
+        shift = (at_lower - at_upper) / inside
+        variance = 1.0 + (lower * at_lower - upper * at_upper) / inside - shift**2
+        return (
+            self.mean + self.standard_deviation * shift,
+            self.standard_deviation * jnp.sqrt(variance),
+        )
+
+    def scaled(self, factor: Scalar | float) -> "TruncatedNormal":
+        centre, _ = self.moments()
+        numbers = (self.mean, self.lower, self.upper)
+        mean, lower, upper = (centre + factor * (x - centre) for x in numbers)
+        return TruncatedNormal(mean, factor * self.standard_deviation, lower, upper)
 
 
 def replace(nominal: Scalar, draw: Scalar) -> Scalar:
@@ -89,6 +137,18 @@ class Dispersion(eqx.Module):
     where: Callable[[Any], Any] = eqx.field(static=True)
     distribution: AbstractDistribution
     apply: Callable[[Scalar, Scalar], Scalar] = eqx.field(default=replace, static=True)
+
+
+def scaled_dispersions(
+    dispersions: Mapping[str, Dispersion], factor: Scalar | float
+) -> dict[str, Dispersion]:
+    """The same dispersions about the same means, so many times as wide."""
+    return {
+        name: dataclasses.replace(
+            dispersion, distribution=dispersion.distribution.scaled(factor)
+        )
+        for name, dispersion in dispersions.items()
+    }
 
 
 Inputs = dict[str, Scalar]

@@ -1,7 +1,7 @@
 """Fly many dispersed runs of one scenario, fast and on all cores."""
 
 import functools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -145,19 +145,27 @@ def _check_inputs(
     return given
 
 
+def drawn_inputs(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion],
+    key: Key[Array, ""],
+    runs: np.ndarray,
+) -> dict[str, Array]:
+    """As `dispersed_inputs`. Raises `ValueError` for a draw that cannot be flown."""
+    inputs = dispersed_inputs(scenario, dispersions, key, jnp.asarray(runs))
+    for address, values in inputs.items():
+        check_values(address, np.asarray(values), field_metadata(scenario, address))
+    return inputs
+
+
 def _blocks(scenario, dispersions, key, indices, given, solver, history):
     devices = len(jax.devices())
     most = LANES * _CHUNKS * devices
     for begin in range(0, len(indices), most):
         runs = indices[begin : begin + most]
-        padded = -len(runs) % (LANES * devices)
-        # The padding flies the last run again, and is dropped.
-        filled = np.concatenate([runs, np.repeat(runs[-1:], padded)])
+        filled = filled_up(runs, devices)
         if given is None:
-            inputs = dispersed_inputs(scenario, dispersions, key, jnp.asarray(filled))
-            for address, values in inputs.items():
-                metadata = field_metadata(scenario, address)
-                check_values(address, np.asarray(values), metadata)
+            inputs = drawn_inputs(scenario, dispersions, key, filled)
         else:
             inputs = {a: jnp.asarray(v[filled]) for a, v in given.items()}
         flown = _fly_block(scenario, inputs, solver, history, devices)
@@ -178,24 +186,61 @@ def _fly_block(
     history: float | None,
     devices: int,
 ) -> tuple[Flight, Misses]:
-    numbers, structure = eqx.partition(scenario, eqx.is_array)
+    def one(scenario: Scenario, inputs: dict[str, Array]) -> tuple[Flight, Misses]:
+        flight, aimed = fly_run(scenario, inputs, solver, history)
+        return flight, misses(aimed, flight)
 
-    def on_one_device(numbers, inputs):
-        scenario = eqx.combine(numbers, structure)
+    return over_runs(one, scenario, inputs, devices)
 
-        def one(inputs):
-            dispersed = replace_leaves(scenario, inputs)
-            flight = fly(dispersed, solver, history)
-            # The target stays where it is when the entry point is dispersed.
-            aimed = eqx.tree_at(
-                lambda s: s.initial_state, dispersed, scenario.initial_state
-            )
-            return flight, misses(aimed, flight)
 
-        return lax.map(one, inputs, batch_size=LANES)
+def fly_run(
+    scenario: Scenario,
+    inputs: Mapping[str, Any],
+    solver: AbstractSolver,
+    history: float | None = None,
+) -> tuple[Flight, Scenario]:
+    """Fly one run of a campaign; also the scenario from which its misses are counted.
+
+    This is the dispersed one, but for the entry point: the target stays where it is when
+    that is dispersed.
+    """
+    dispersed = replace_leaves(scenario, inputs)
+    flight = fly(dispersed, solver, history)
+    aimed = eqx.tree_at(lambda s: s.initial_state, dispersed, scenario.initial_state)
+    return flight, aimed
+
+
+def over_runs(
+    function: Callable[[Any, Any], Any], shared: Any, runs: Any, devices: int
+) -> Any:
+    """`function(shared, run)` for every run, a cache-full at a time, on all devices.
+
+    **Arguments:**
+
+    - `shared`: a pytree that is the same for all runs.
+    - `runs`: a pytree of arrays with the runs in front, a multiple of `LANES * devices`.
+    """
+
+    def on_one_device(shared, runs):
+        return lax.map(lambda run: function(shared, run), runs, batch_size=LANES)
+
+    return on_devices(on_one_device, shared, runs, devices)
+
+
+def on_devices(
+    function: Callable[[Any, Any], Any], shared: Any, runs: Any, devices: int
+) -> Any:
+    """`function(shared, runs)` on each device with its part of the runs, in parallel.
+
+    What it returns is put together along the first axis.
+    """
+    numbers, structure = eqx.partition(shared, eqx.is_array)
+
+    def on_one_device(numbers, runs):
+        return function(eqx.combine(numbers, structure), runs)
 
     if devices == 1:
-        return on_one_device(numbers, inputs)
+        return on_one_device(numbers, runs)
     mesh = jax.make_mesh((devices,), ("flights",), axis_types=(AxisType.Auto,))
     split = PartitionSpec("flights")
     on_all = jax.shard_map(
@@ -205,4 +250,10 @@ def _fly_block(
         out_specs=split,
         check_vma=False,
     )
-    return on_all(numbers, inputs)
+    return on_all(numbers, runs)
+
+
+def filled_up(runs: np.ndarray, devices: int) -> np.ndarray:
+    """Runs up to a multiple of what is flown side by side; the last one again fills."""
+    padded = -len(runs) % (LANES * devices)
+    return np.concatenate([runs, np.repeat(runs[-1:], padded)])

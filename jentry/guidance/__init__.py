@@ -19,3 +19,8 @@ from .range_tracking import (
     RangeTracking as RangeTracking,
     ScaleLimits as ScaleLimits,
 )
+from .switching import (
+    AbstractSwitching as AbstractSwitching,
+    Sharp as Sharp,
+    Smooth as Smooth,
+)

@@ -8,13 +8,14 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import sincos
-from .._types import Flag, Scalar, scalar
+from .._types import Scalar, scalar
 from ..motion.state import Controls
 from ..onboard.model import OnboardModel
 from ..onboard.navigation import Measurement
 from ..onboard.reference import DragReference
 from .law import AbstractContinuousLaw
 from .open_loop import vertical_lift_command
+from .switching import AbstractSwitching, Sharp
 
 
 class ErrorGains(eqx.Module):
@@ -84,13 +85,13 @@ class Tracking(eqx.Module):
     """What tracking the reference asks for at one instant."""
 
     u: Scalar
-    """Cosine of the bank, not yet clipped"""
+    """Cosine of the bank, within its limits"""
     x1: Scalar
     """Drag error, m/s2"""
     x2: Scalar
     """Drag error rate that was fed back, m/s3"""
-    begun: Flag
-    """Whether the drag is above the gate of the reference"""
+    excess: Scalar
+    """Of the drag above the gate of the reference, m/s2"""
 
 
 def track(
@@ -100,6 +101,7 @@ def track(
     time: Scalar,
     measurement: Measurement,
     observed: ObserverState | None,
+    switching: AbstractSwitching,
     scale: Scalar | float = 1.0,
 ) -> Tracking:
     """Equation (14); with an observer (24). The reference drag is multiplied by `scale`.
@@ -119,18 +121,20 @@ def track(
     # D*'' itself contains u where the index does: its part moves over to g0.
     g0 = plant.g0 - scale * wanted.gain
     u = (-plant.f + scale * wanted.acceleration + feedback) / g0
-    begun = measurement.drag >= reference.gate
-    u = jnp.where(begun, u, reference.cos_bank(measurement.state.velocity))
-    return Tracking(u, x1, x2, begun)
+    excess = measurement.drag - reference.gate
+    planned = reference.cos_bank(measurement.state.velocity)
+    u = switching.beyond(excess, switching.limited(u), planned)
+    return Tracking(u, x1, x2, excess)
 
 
 def observe(
     gains: ErrorGains,
     observer: ObserverGains,
+    switching: AbstractSwitching,
     tracking: Tracking,
     estimate: ObserverState,
 ) -> ObserverState:
-    """Rate of the observer's state, equation (25), driven by the unclipped command.
+    """Rate of the observer's state, equation (25), driven by the unlimited command.
 
     Below the gate the estimate follows the drag error and its rate stays as it is, so
     that at the gate the observer starts from x1 and 0.
@@ -144,9 +148,10 @@ def observe(
         - (b / epsilon0) * estimate.drag_error_rate
         + (observer.l2 / (epsilon * epsilon)) * innovation
     )
+    nothing = jnp.zeros_like(error_rate_rate)
     return ObserverState(
         drag_error=error_rate,
-        drag_error_rate=jnp.where(tracking.begun, error_rate_rate, 0.0),
+        drag_error_rate=switching.beyond(tracking.excess, error_rate_rate, nothing),
     )
 
 
@@ -156,6 +161,7 @@ class StateFeedbackDragTracking(AbstractContinuousLaw[None]):
     gains: ErrorGains
     reference: DragReference
     model: OnboardModel
+    switching: AbstractSwitching = Sharp()
 
     def init(self, measurement: Measurement) -> None:
         return None
@@ -164,7 +170,13 @@ class StateFeedbackDragTracking(AbstractContinuousLaw[None]):
         self, time: Scalar, measurement: Measurement, memory: None
     ) -> tuple[Controls, None]:
         tracking = track(
-            self.gains, self.reference, self.model, time, measurement, None
+            self.gains,
+            self.reference,
+            self.model,
+            time,
+            measurement,
+            None,
+            self.switching,
         )
         angle_of_attack = self.model.vehicle.trim_angle_of_attack
         return vertical_lift_command(tracking.u, angle_of_attack), None
@@ -180,20 +192,30 @@ class ObserverDragTracking(AbstractContinuousLaw[ObserverState]):
     observer: ObserverGains
     reference: DragReference
     model: OnboardModel
+    switching: AbstractSwitching = Sharp()
 
     def init(self, measurement: Measurement) -> ObserverState:
         zero = 0.0 * measurement.drag
-        tracking = track(
-            self.gains, self.reference, self.model, zero, measurement, None
-        )
+        tracking = self._track(zero, measurement, None)
         return ObserverState(tracking.x1, zero)
 
     def __call__(
         self, time: Scalar, measurement: Measurement, memory: ObserverState
     ) -> tuple[Controls, ObserverState]:
-        tracking = track(
-            self.gains, self.reference, self.model, time, measurement, memory
-        )
+        tracking = self._track(time, measurement, memory)
         angle_of_attack = self.model.vehicle.trim_angle_of_attack
-        rate = observe(self.gains, self.observer, tracking, memory)
+        rate = observe(self.gains, self.observer, self.switching, tracking, memory)
         return vertical_lift_command(tracking.u, angle_of_attack), rate
+
+    def _track(
+        self, time: Scalar, measurement: Measurement, observed: ObserverState | None
+    ) -> Tracking:
+        return track(
+            self.gains,
+            self.reference,
+            self.model,
+            time,
+            measurement,
+            observed,
+            self.switching,
+        )

@@ -38,6 +38,6 @@ def vertical_lift_command(
     clipped.
     """
     clipped = jnp.clip(cos_bank, -1.0, 1.0)
-    inside = jnp.abs(cos_bank) < 1.0
+    inside = jnp.abs(clipped) < 1.0
     sine = jnp.sqrt(jnp.where(inside, 1.0 - clipped * clipped, 1.0))
     return Controls(angle_of_attack, clipped, sign * jnp.where(inside, sine, 0.0))

@@ -27,6 +27,7 @@ from .drag_tracking import (
 from .lateral import LateralCorridor, predicted_crossrange, reverse_bank
 from .law import AbstractSampledLaw
 from .open_loop import vertical_lift_command
+from .switching import AbstractSwitching, Sharp
 
 
 _NEWTON_STEPS = 4
@@ -162,6 +163,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
     limits: ScaleLimits
     corridor: LateralCorridor
     first_bank_sign: Scalar = scalar(1.0)
+    switching: AbstractSwitching = Sharp()
     period: float = eqx.field(default=1.0, static=True)
 
     def __check_init__(self):
@@ -256,6 +258,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
             time,
             measurement,
             observed,
+            self.switching,
             held.scale,
         )
 
@@ -269,4 +272,5 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
         tracking = self._track(time, measurement, memory, held)
         angle_of_attack = self.model.vehicle.trim_angle_of_attack
         controls = vertical_lift_command(tracking.u, angle_of_attack, held.bank_sign)
-        return controls, observe(self.gains, self.observer, tracking, memory)
+        rate = observe(self.gains, self.observer, self.switching, tracking, memory)
+        return controls, rate

@@ -1,0 +1,166 @@
+"""Judge a tuned scenario against the one before: the exact law, on the same new draws."""
+
+import dataclasses
+import zlib
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Key
+
+from .._addresses import leaves_by_address
+from ..campaign.dispersions import Dispersion
+from ..campaign.monte_carlo import drawn_inputs, filled_up
+from ..flight.scenario import Scenario
+from ..flight.solver import AbstractSolver
+from .batch_gradient import Loss, Outputs, Problem, batch_outputs, where_finite
+from .parameters import Parameters
+
+
+_RESAMPLES = 1000
+_CONFIDENCE = (2.5, 97.5)
+"""Percent"""
+
+
+class Estimate(eqx.Module):
+    """A statistic of a sample with its 95 % confidence interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """One statistic before and after, over the same draws."""
+
+    quantity: str
+    statistic: str
+    before: Estimate
+    after: Estimate
+    change: Estimate
+    """After minus before, run by run: narrower than the two intervals let expect"""
+
+    @property
+    def lower(self) -> bool:
+        """Whether it became smaller, beyond the confidence interval."""
+        return self.change.high < 0.0
+
+
+@dataclasses.dataclass(frozen=True)
+class Judgement:
+    """How two scenarios compare on draws that neither has seen."""
+
+    runs: int
+    """Finite ones, with both"""
+    not_finite_before: int
+    not_finite_after: int
+    comparisons: tuple[Comparison, ...]
+
+    def __getitem__(self, name: tuple[str, str]) -> Comparison:
+        """The comparison of a quantity and a statistic, such as `"downrange", "std"`."""
+        for comparison in self.comparisons:
+            if (comparison.quantity, comparison.statistic) == name:
+                return comparison
+        known = [f"{c.quantity}, {c.statistic}" for c in self.comparisons]
+        raise KeyError(f"no comparison {name}: there are {'; '.join(known)}")
+
+
+_STATISTICS: Mapping[str, Callable[[Array], Array]] = {
+    "mean": jnp.mean,
+    "std": lambda x: jnp.std(x, ddof=1),
+    "95 % of |.|": lambda x: jnp.percentile(jnp.abs(x), 95.0),
+}
+
+
+def held_out(key: Key[Array, ""]) -> Key[Array, ""]:
+    """The key of draws that tuning with a key never sees."""
+    return jax.random.fold_in(key, zlib.crc32(b"held-out"))
+
+
+def judge(
+    before: Scenario,
+    after: Scenario,
+    dispersions: Mapping[str, Dispersion],
+    key: Key[Array, ""],
+    runs: int,
+    loss: Loss,
+    outputs: Outputs,
+    solver: AbstractSolver,
+    history: float | None,
+) -> Judgement:
+    """Fly both with the same draws, and compare loss and outputs with intervals.
+
+    The intervals are those of a bootstrap over the runs, 95 %.
+    """
+    devices = len(jax.devices())
+    filled = filled_up(np.arange(runs), devices)
+    flown = []
+    for scenario in (before, after):
+        problem = Problem(scenario, Parameters({}), outputs, solver, history)
+        inputs = drawn_inputs(scenario, dispersions, key, filled)
+        values, finite = batch_outputs(problem, {}, inputs, devices)
+        flown.append((values, np.asarray(finite) & (np.arange(len(filled)) < runs)))
+    (values_before, finite_before), (values_after, finite_after) = flown
+    both = finite_before & finite_after
+    if both.sum() < 2:
+        raise ValueError(
+            f"of {runs} held-out runs {both.sum()} are finite before and after: nothing "
+            "can be compared"
+        )
+    pair = where_finite(values_before, both), where_finite(values_after, both)
+    resampled = jax.tree.map(np.asarray, _resampled(pair, loss, int(both.sum())))
+    comparisons = []
+    for quantity, statistics in resampled.items():
+        for statistic, (first, last) in statistics.items():
+            first, last = np.asarray(first), np.asarray(last)
+            estimates = _estimate(first), _estimate(last), _estimate(last - first)
+            comparisons.append(Comparison(quantity, statistic, *estimates))
+    return Judgement(
+        runs=int(both.sum()),
+        not_finite_before=int(runs - finite_before.sum()),
+        not_finite_after=int(runs - finite_after.sum()),
+        comparisons=tuple(comparisons),
+    )
+
+
+def _estimate(values: np.ndarray) -> Estimate:
+    """The first is of the sample itself, the others of what is drawn from it."""
+    low, high = np.percentile(values[1:], _CONFIDENCE)
+    return Estimate(float(values[0]), float(low), float(high))
+
+
+@eqx.filter_jit
+def _resampled(pair: tuple[Any, Any], loss: Loss, count: int) -> dict[str, Any]:
+    def of_sample(key):
+        drawn = jax.random.randint(key, (count,), 0, count)
+        return statistics(drawn)
+
+    def statistics(chosen):
+        sample = jax.tree.map(lambda x: x[chosen], pair)
+        found = {"loss": {"": tuple(loss(outputs) for outputs in sample)}}
+        columns = [_columns(outputs) for outputs in sample]
+        for name in columns[0]:
+            found[name] = {
+                label: tuple(statistic(column[name]) for column in columns)
+                for label, statistic in _STATISTICS.items()
+            }
+        return found
+
+    first = statistics(jnp.arange(count))
+    keys = jax.random.split(jax.random.key(0), _RESAMPLES)
+    others = lax.map(of_sample, keys)
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, others)
+
+
+def _columns(outputs: Any) -> dict[str, Array]:
+    """The outputs that are one number a flight, by name."""
+    return {
+        name: values
+        for name, values in leaves_by_address(outputs).items()
+        if values.ndim == 1 and jnp.issubdtype(values.dtype, jnp.inexact)
+    }

@@ -1,0 +1,138 @@
+"""What is tuned: leaves of a scenario, and the smooth maps that keep them in bounds."""
+
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .._addresses import (
+    addresses_of,
+    field_metadata,
+    leaves_by_address,
+    nearest,
+)
+from .._types import as_float_array
+from ..flight.scenario import Scenario, check_values, require_effect
+
+
+Free = dict[str, Array]
+"""Free numbers by the addresses of their leaves: all of them zero at the start"""
+
+Bounds = Mapping[str, tuple[Any, Any]]
+"""Lower and upper bound by address"""
+
+
+class AbstractMap(eqx.Module):
+    """From free numbers, of any size, to values that are allowed. Zero is the start."""
+
+    start: eqx.AbstractVar[Array]
+
+    @abstractmethod
+    def __call__(self, free: Float[Array, "*n"]) -> Float[Array, "*n"]:
+        """The value. A step of 0.1 changes it by about a tenth."""
+
+
+class Positive(AbstractMap):
+    """value = start exp(free)"""
+
+    start: Array = eqx.field(converter=as_float_array)
+
+    def __call__(self, free):
+        return self.start * jnp.exp(free)
+
+
+class Unbounded(AbstractMap):
+    """value = start + scale free, with the root mean square of the start as scale."""
+
+    start: Array = eqx.field(converter=as_float_array)
+
+    def __call__(self, free):
+        size = jnp.sqrt(jnp.mean(self.start**2))
+        return self.start + jnp.where(size > 0.0, size, 1.0) * free
+
+
+class Between(AbstractMap):
+    """A logistic curve between two bounds."""
+
+    start: Array = eqx.field(converter=as_float_array)
+    lower: Array = eqx.field(converter=as_float_array)
+    upper: Array = eqx.field(converter=as_float_array)
+
+    def __call__(self, free):
+        width = self.upper - self.lower
+        share = (self.start - self.lower) / width
+        return self.lower + width * jax.nn.sigmoid(
+            jax.scipy.special.logit(share) + free
+        )
+
+
+class Parameters(eqx.Module):
+    """The tuned leaves by their addresses, each with its map."""
+
+    maps: dict[str, AbstractMap]
+
+    @classmethod
+    def of(
+        cls, scenario: Scenario, where: Callable[[Any], Any], bounds: Bounds | None
+    ) -> "Parameters":
+        """Of the leaves that a lens reaches; raises `ValueError` if that cannot be tuned.
+
+        Leaves with bounds stay between them, leaves that must be positive stay so, and
+        all others are free.
+        """
+        leaves = leaves_by_address(scenario)
+        bounds = dict(bounds or {})
+        maps: dict[str, AbstractMap] = {}
+        for address in addresses_of(scenario, where):
+            require_effect(scenario, address)
+            leaf, metadata = leaves[address], field_metadata(scenario, address)
+            if not jnp.issubdtype(leaf.dtype, jnp.inexact):
+                raise ValueError(
+                    f"{address} is of type {leaf.dtype}: it has no gradient"
+                )
+            check_values(address, np.asarray(leaf), metadata)
+            if address in bounds:
+                maps[address] = _between(address, leaf, *bounds.pop(address))
+            elif metadata.get("positive"):
+                maps[address] = Positive(leaf)
+            else:
+                maps[address] = Unbounded(leaf)
+        for address in bounds:
+            raise ValueError(
+                f"{address} has bounds and is not tuned; {nearest(address, maps)}"
+            )
+        return cls(maps)
+
+    @property
+    def addresses(self) -> list[str]:
+        return list(self.maps)
+
+    @property
+    def count(self) -> int:
+        """Of single numbers"""
+        return sum(free.size for free in self.start().values())
+
+    def start(self) -> Free:
+        """The free numbers of the scenario as it was given."""
+        return {address: jnp.zeros_like(m.start) for address, m in self.maps.items()}
+
+    def values(self, free: Free) -> dict[str, Array]:
+        """The values of the leaves."""
+        return {address: value(free[address]) for address, value in self.maps.items()}
+
+
+def _between(address: str, start: Array, lower: Any, upper: Any) -> Between:
+    low, high = (
+        jnp.broadcast_to(as_float_array(x), start.shape) for x in (lower, upper)
+    )
+    if not bool(jnp.all((low < start) & (start < high))):
+        raise ValueError(
+            f"the bounds of {address} are {lower} and {upper}: they must be finite and "
+            f"on both sides of its value, which is {np.asarray(start)}"
+        )
+    return Between(start, low, high)

@@ -1,0 +1,105 @@
+"""How tuning goes on from what it knows: first-order descent, or least squares."""
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+import optimistix
+from jaxtyping import Array, Float, PyTree
+
+from .parameters import Free
+
+
+class Evaluation(eqx.Module):
+    """What is known of one point."""
+
+    loss: float
+    gradient: Free
+    not_finite: int
+    """Flights that are not, or whose derivatives are not"""
+    residuals: Float[Array, " residuals"] | None = None
+    jacobian: Any = None
+    """Of the residuals, by address, each of shape (residuals, ...)"""
+
+
+class AbstractStepper(eqx.Module):
+    """Goes from an evaluated point to the next one to evaluate."""
+
+    @abstractmethod
+    def init(self, free: Free, evaluation: Evaluation) -> PyTree:
+        """State before the first step."""
+
+    @abstractmethod
+    def step(
+        self, free: Free, state: PyTree, evaluation: Evaluation
+    ) -> tuple[Free, PyTree, bool]:
+        """The next point, the state, and whether the stepper has converged."""
+
+
+class Descent(AbstractStepper):
+    """An optax optimizer."""
+
+    optimizer: optax.GradientTransformation = eqx.field(static=True)
+
+    def init(self, free: Free, evaluation: Evaluation) -> PyTree:
+        return self.optimizer.init(free)
+
+    def step(self, free, state, evaluation):
+        updates, state = self.optimizer.update(evaluation.gradient, state, free)
+        return optax.apply_updates(free, updates), state, False
+
+
+class _LeastSquaresState(eqx.Module):
+    accepted: Free
+    solver: Any
+
+
+class LeastSquares(AbstractStepper):
+    """An optimistix solver, such as `LevenbergMarquardt`, step by step from outside.
+
+    It is shown the flights' residuals and their Jacobian as a linear function, which at
+    the point where it looks is all that it asks for.
+    """
+
+    solver: optimistix.AbstractLeastSquaresSolver = eqx.field(static=True)
+
+    def init(self, free: Free, evaluation: Evaluation) -> PyTree:
+        structure = jax.eval_shape(lambda: evaluation.residuals)
+        known = evaluation.residuals, evaluation.jacobian, free
+        state = self.solver.init(
+            _linear, free, known, _OPTIONS, structure, None, frozenset()
+        )
+        return _LeastSquaresState(free, state)
+
+    def step(self, free, state, evaluation):
+        known = evaluation.residuals, evaluation.jacobian, free
+        following, state, done = _least_squares_step(self.solver, known, state)
+        return following, state, bool(done)
+
+
+_OPTIONS = {"jac": "bwd"}
+"""Keeps the Jacobian as arrays, which can be stored, and not as a program"""
+
+
+def _linear(free: Free, known) -> tuple[Array, None]:
+    residuals, jacobian, here = known
+    moved = [
+        jnp.tensordot(
+            jacobian[address], free[address] - here[address], here[address].ndim
+        )
+        for address in here
+    ]
+    return residuals + sum(moved), None
+
+
+@eqx.filter_jit
+def _least_squares_step(solver, known, state: _LeastSquaresState):
+    given = known, _OPTIONS
+    accepted, inner, _ = solver.step(
+        _linear, state.accepted, *given, state.solver, frozenset()
+    )
+    done, _ = solver.terminate(_linear, accepted, *given, inner, frozenset())
+    return inner.y_eval, _LeastSquaresState(accepted, inner), done
