@@ -63,7 +63,7 @@ class Gradient(eqx.Module):
     counted: Array
     """Flights that the loss looks at"""
     not_finite: Array
-    """Flights whose own gradient is not finite, and was left out"""
+    """Of these, those whose own gradient is not finite, and was left out"""
 
 
 def all_finite(tree: PyTree) -> Bool[Array, ""]:
@@ -146,7 +146,8 @@ def batch_gradient(
         finite, counts = all_finite(gradient), _any(weights)
         gradient = jax.tree.map(lambda g: jnp.where(finite, g, 0.0), gradient)
         reached = {a: (counts & _any(g)).astype(int) for a, g in gradient.items()}
-        return Gradient(gradient, reached, counts.astype(int), (~finite).astype(int))
+        failed = (counts & ~finite).astype(int)
+        return Gradient(gradient, reached, counts.astype(int), failed)
 
     def on_one_device(shared, runs):
         chunks = jax.tree.map(lambda x: x.reshape(-1, LANES, *x.shape[1:]), runs)

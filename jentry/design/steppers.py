@@ -8,21 +8,10 @@ import jax
 import jax.numpy as jnp
 import optax
 import optimistix
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, PyTree
 
+from .evaluation import Evaluation
 from .parameters import Free
-
-
-class Evaluation(eqx.Module):
-    """What is known of one point."""
-
-    loss: float
-    gradient: Free
-    not_finite: int
-    """Flights that are not, or whose derivatives are not"""
-    residuals: Float[Array, " residuals"] | None = None
-    jacobian: Any = None
-    """Of the residuals, by address, each of shape (residuals, ...)"""
 
 
 class AbstractStepper(eqx.Module):
@@ -53,6 +42,9 @@ class Descent(AbstractStepper):
 
 
 class _LeastSquaresState(eqx.Module):
+    size: Array
+    """Norm of the residuals at the start, by which all are divided: the damping of a
+    solver does not know in what unit a miss is given"""
     accepted: Free
     solver: Any
 
@@ -72,10 +64,12 @@ class LeastSquares(AbstractStepper):
         state = self.solver.init(
             _linear, free, known, _OPTIONS, structure, None, frozenset()
         )
-        return _LeastSquaresState(free, state)
+        size = jnp.linalg.norm(evaluation.residuals)
+        return _LeastSquaresState(jnp.where(size > 0.0, size, 1.0), free, state)
 
     def step(self, free, state, evaluation):
-        known = evaluation.residuals, evaluation.jacobian, free
+        given = evaluation.residuals, evaluation.jacobian
+        known = *jax.tree.map(lambda x: x / state.size, given), free
         following, state, done = _least_squares_step(self.solver, known, state)
         return following, state, bool(done)
 
@@ -102,4 +96,4 @@ def _least_squares_step(solver, known, state: _LeastSquaresState):
         _linear, state.accepted, *given, state.solver, frozenset()
     )
     done, _ = solver.terminate(_linear, accepted, *given, inner, frozenset())
-    return inner.y_eval, _LeastSquaresState(accepted, inner), done
+    return inner.y_eval, _LeastSquaresState(state.size, accepted, inner), done

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,26 +16,15 @@ from jaxtyping import Array, Key
 from .._addresses import addresses_of, replace_leaves
 from ..campaign.description import describe
 from ..campaign.dispersions import Dispersion, check_dispersions
-from ..campaign.monte_carlo import drawn_inputs, filled_up
 from ..flight.misses import misses
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
-from .batch_gradient import (
-    FORWARD_UP_TO,
-    Loss,
-    Outputs,
-    Problem,
-    batch_gradient,
-    batch_jacobian,
-    batch_outputs,
-    loss_and_weights,
-    put_back,
-    where_finite,
-)
+from .batch_gradient import FORWARD_UP_TO, Loss, Outputs, Problem
+from .evaluation import Evaluator
 from .judgement import Judgement, held_out as held_out_key, judge
 from .losses import MeanSquare
 from .parameters import Bounds, Free, Parameters
-from .steppers import AbstractStepper, Descent, Evaluation, LeastSquares
+from .steppers import AbstractStepper, Descent, LeastSquares
 from .tuning_record import Entry, read_record, restored, write_record
 
 
@@ -157,8 +145,16 @@ def tune(
     if surrogate is not None:
         followed = dataclasses.replace(exact, scenario=surrogate(scenario))
     stepper = _stepper(optimizer, loss, fresh_draws)
-    evaluate = _Evaluator(
-        exact, followed, loss, dispersions, key, runs, fresh_draws, forward, stepper
+    evaluate = Evaluator(
+        exact,
+        followed,
+        loss,
+        dispersions,
+        key,
+        runs,
+        fresh_draws=fresh_draws,
+        forward=forward,
+        least_squares=isinstance(stepper, LeastSquares),
     )
     description = _description(exact, followed, loss, dispersions, key, runs, stepper)
     place = None if record is None else Path(record)
@@ -172,7 +168,7 @@ def tune(
         best, already = _best(entries), entries[-1].seconds
     stopped = _why_stop(entries, best, patience, tolerance, steps, seconds)
     while not stopped:
-        evaluation, reached = evaluate(following, len(entries))
+        evaluation = evaluate(following, len(entries))
         if not entries and not np.isfinite(evaluation.loss):
             raise ValueError(
                 f"none of the {runs} flights is finite at the start: fly one of them and "
@@ -187,7 +183,7 @@ def tune(
                 seconds=already + time.perf_counter() - begin,
                 values=jax.tree.map(np.asarray, parameters.values(following)),
                 free=following,
-                reached=reached,
+                reached=evaluation.reached,
             )
         )
         if len(entries) == 1 or entries[-1].better_than(entries[best]):
@@ -325,157 +321,3 @@ def _why_stop(
         if not fewer and now.loss > before.loss - tolerance * abs(before.loss):
             return f"no progress in {patience} steps"
     return ""
-
-
-class _Evaluator:
-    """Loss and gradient at a point, by what the stepper needs."""
-
-    def __init__(
-        self, exact, followed, loss, dispersions, key, runs, fresh, forward, stepper
-    ):
-        self.exact, self.followed, self.loss = exact, followed, loss
-        self.dispersions, self.key, self.runs = dispersions, key, runs
-        self.fresh, self.forward = fresh, forward
-        self.least_squares = isinstance(stepper, LeastSquares)
-        self.devices = len(jax.devices())
-        self.inputs = self._draw(0)
-        apart = followed is not exact or fresh
-        self.flights_per_step = (2 if apart else 1) * runs
-
-    def _draw(self, step: int) -> tuple[dict[str, Array], np.ndarray]:
-        """Inputs of the runs of a step, filled up, and which of them count."""
-        runs = filled_up(step * self.runs + np.arange(self.runs), self.devices)
-        inputs = drawn_inputs(self.exact.scenario, self.dispersions, self.key, runs)
-        return inputs, np.arange(len(runs)) < self.runs
-
-    def __call__(self, free: Free, step: int) -> tuple[Evaluation, dict[str, float]]:
-        if self.least_squares:
-            return self._least_squares(free)
-        inputs = self._draw(step + 1) if self.fresh else self.inputs
-        loss, weights, not_finite = self._loss(self.followed, free, inputs)
-        if self.followed is not self.exact or self.fresh:
-            loss, _, not_finite = self._loss(self.exact, free, self.inputs)
-        gradient = batch_gradient(
-            self.followed, free, inputs[0], weights, self.devices, self.forward
-        )
-        counted = max(int(gradient.counted), 1)
-        reached = {a: int(n) / counted for a, n in gradient.reached.items()}
-        not_finite = max(not_finite, int(gradient.not_finite))
-        return Evaluation(loss, gradient.total, not_finite), reached
-
-    def _loss(self, problem: Problem, free: Free, inputs) -> tuple[float, Any, int]:
-        """Loss of the finite runs, its derivative to all outputs, and how many are not."""
-        given, counted = inputs
-        outputs, finite = batch_outputs(problem, free, given, self.devices)
-        finite = np.asarray(finite) & counted
-        not_finite = self.runs - int(finite.sum())
-        if not finite.any():
-            nothing = eqx.filter(outputs, eqx.is_inexact_array)
-            return np.inf, jax.tree.map(jnp.zeros_like, nothing), not_finite
-        loss, weights = loss_and_weights(self.loss, where_finite(outputs, finite))
-        return float(loss), put_back(weights, finite), not_finite
-
-    def _least_squares(self, free: Free) -> tuple[Evaluation, dict[str, float]]:
-        given, counted = self.inputs
-        outputs, jacobian, finite = batch_jacobian(
-            self.followed, free, given, self.devices
-        )
-        finite = np.asarray(finite) & counted
-        nothing = jax.tree.map(jnp.zeros_like, free)
-        if not finite.any():
-            return Evaluation(np.inf, nothing, self.runs), dict.fromkeys(free, 0.0)
-        residuals, slopes = _residuals(
-            self.loss.residuals,
-            where_finite(outputs, finite),
-            where_finite(jacobian, finite),
-        )
-        flights = int(finite.sum())
-        not_finite = self.runs - flights
-        loss = float(jnp.sum(residuals**2)) / flights
-        gradient = {
-            a: 2.0 * jnp.tensordot(residuals.ravel(), _rows(s), 1) / flights
-            for a, s in slopes.items()
-        }
-        if self.followed is not self.exact:
-            loss, _, not_finite = self._loss(self.exact, free, self.inputs)
-        reached = {a: _share_reached(slope) for a, slope in slopes.items()}
-        if not_finite:
-            # As many rows as ever: a flight that failed is as bad as the worst, and flat.
-            worst = jnp.max(jnp.abs(residuals))
-            missing = self.runs - flights
-            residuals = _with_rows(residuals, missing, worst)
-            slopes = {a: _with_rows(s, missing, 0.0) for a, s in slopes.items()}
-        scale = 1.0 / np.sqrt(self.runs)
-        evaluation = Evaluation(
-            loss,
-            gradient,
-            not_finite,
-            scale * residuals.ravel(),
-            {a: scale * _rows(s) for a, s in slopes.items()},
-        )
-        return evaluation, reached
-
-
-@eqx.filter_jit
-def _residuals(
-    residuals, outputs: Any, jacobian: Any
-) -> tuple[Array, dict[str, Array]]:
-    """Residuals of shape (flights, n) and their Jacobian, (flights, n, ...) by address."""
-
-    def stacked(outputs):
-        columns = jax.tree.leaves(residuals(outputs))
-        flights = len(jax.tree.leaves(outputs)[0])
-        for column in columns:
-            if jnp.shape(column) != (flights,):
-                raise ValueError(
-                    f"a residual has shape {jnp.shape(column)}: give one number for "
-                    f"each of the {flights} flights"
-                )
-        return jnp.stack(columns, axis=1)
-
-    moving, fixed = eqx.partition(outputs, eqx.is_inexact_array)
-
-    def along(tangent):
-        function = lambda moving: stacked(eqx.combine(moving, fixed))
-        return jax.jvp(function, (moving,), (tangent,))[1]
-
-    # The Jacobian has the structure of the outputs, with the addresses at its leaves.
-    by_address = _turned_around(moving, jacobian)
-    slopes = {}
-    for address, (tangent, shape) in by_address.items():
-        columns = jax.vmap(along, in_axes=-1, out_axes=-1)(tangent)
-        slopes[address] = columns.reshape(*columns.shape[:2], *shape)
-    return stacked(outputs), slopes
-
-
-def _turned_around(
-    moving: Any, jacobian: Any
-) -> dict[str, tuple[Any, tuple[int, ...]]]:
-    """By address: tangents of the outputs with the parameter's numbers in one last axis."""
-    leaves, structure = jax.tree.flatten(moving)
-    inner = structure.flatten_up_to(jacobian)
-    found = {}
-    for address in inner[0]:
-        shape = inner[0][address].shape[leaves[0].ndim :]
-        columns = [
-            by_address[address].reshape(*leaf.shape, -1)
-            for leaf, by_address in zip(leaves, inner, strict=True)
-        ]
-        found[address] = structure.unflatten(columns), shape
-    return found
-
-
-def _rows(slope: Array) -> Array:
-    """(flights, n, ...) as (flights * n, ...)"""
-    return slope.reshape(-1, *slope.shape[2:])
-
-
-def _with_rows(values: Array, count: int, fill: Any) -> Array:
-    return jnp.concatenate(
-        [values, jnp.full((count, *values.shape[1:]), fill, values.dtype)]
-    )
-
-
-def _share_reached(slope: Array) -> float:
-    reached = jnp.any(slope.reshape(len(slope), -1) != 0.0, axis=1)
-    return float(jnp.mean(reached))

@@ -1,0 +1,313 @@
+"""Standard deviations of the misses from one flight and its derivatives.
+
+Linear covariance analysis: the outputs are linear in the draws, so their standard
+deviations follow from the Jacobian. A flight that ends at the first of several conditions
+is linear for each of them, and bent where they change places: a nominal flight that meets
+two at once, as one that is planned for its target does, is on that bend.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from .._addresses import leaves_by_address
+from ..campaign.dispersions import Dispersion, check_dispersions, disperse, draw
+from ..campaign.monte_carlo import LANES, fly_run, over_runs
+from ..flight.misses import misses
+from ..flight.scenario import Scenario, check
+from ..flight.solver import AbstractSolver, FixedStep
+from ..flight.termination import Outcome, Termination
+from .batch_gradient import Outputs
+from .sensitivity import named
+
+
+_SAMPLES = 100_000
+"""Draws that are put through the linear models; no flights"""
+
+
+Draws = Mapping[str, Any]
+"""By the name of the dispersion"""
+
+
+@dataclasses.dataclass(frozen=True)
+class LinearModel:
+    """Time and outputs of the flight that ends by one condition, about the mean draws."""
+
+    time: float
+    """s"""
+    time_slope: dict[str, float]
+    """Per standard deviation of a dispersion"""
+    values: dict[str, float]
+    slopes: dict[str, dict[str, float]]
+    """By output and dispersion, per standard deviation"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Spread:
+    """Of one output."""
+
+    nominal: float
+    """At the mean of all draws"""
+    mean: float
+    standard_deviation: float
+    monte_carlo_mean: float
+    """NaN if none was flown, like the next"""
+    monte_carlo_standard_deviation: float
+
+    @property
+    def ratio(self) -> float:
+        """Predicted standard deviation over the flown one."""
+        if self.monte_carlo_standard_deviation == 0.0:
+            return float("nan")
+        return self.standard_deviation / self.monte_carlo_standard_deviation
+
+
+@dataclasses.dataclass(frozen=True)
+class Effect:
+    """Of one dispersion on one output, for one standard deviation of the dispersion."""
+
+    linear: float
+    """Half of the difference from one below to one above, as predicted"""
+    flown: float
+    """The same, flown"""
+    bend: float
+    """How far the mean of the two is from the nominal, flown: what is not linear"""
+
+
+@dataclasses.dataclass(frozen=True)
+class LinearCovariance:
+    """Predicted spread of the outputs, and how linear the flight is."""
+
+    models: dict[str, LinearModel]
+    """By the end condition: those that end flights of these dispersions"""
+    spreads: dict[str, Spread]
+    """By output"""
+    effects: dict[str, dict[str, Effect]]
+    """By output and dispersion"""
+    runs: int
+    """Of the Monte Carlo beside it, finite ones"""
+
+
+def linear_covariance(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion],
+    outputs: Outputs = misses,
+    *,
+    key: Key[Array, ""] | None = None,
+    runs: int = 0,
+    solver: AbstractSolver = FixedStep(),
+) -> LinearCovariance:
+    """Predict the standard deviations of outputs, with a Monte Carlo beside it on request.
+
+    Each dispersion is independent and enters by its mean and standard deviation. One
+    more batch, a standard deviation above and below for each, shows how linear the
+    flight is and which conditions end it.
+
+    **Arguments:**
+
+    - `outputs`: a function of scenario and flight, such as `misses`, to numbers.
+    - `key`, `runs`: of the Monte Carlo; none is flown if `runs` is 0.
+
+    **Raises:** `ValueError` as `monte_carlo` does, and for a nominal flight that is not
+    finite.
+
+        analysis = linear_covariance(scenario, dispersions)
+        analysis.spreads["downrange"].standard_deviation
+    """
+    check(scenario)
+    if not dispersions:
+        raise ValueError("nothing is dispersed: give dispersions")
+    check_dispersions(scenario, dispersions)
+    if runs and (runs < 2 or key is None):
+        raise ValueError(f"runs is {runs}: give 2 or more with a key, or 0 for none")
+    devices = len(jax.devices())
+    key = jax.random.key(0) if key is None else key
+    pairs = tuple(dispersions.items())
+
+    axes = _along_axes(pairs)
+    count = max(runs, 1) + len(axes)
+    drawn = _draws(
+        pairs, key, jnp.arange(-(-count // (LANES * devices)) * LANES * devices)
+    )
+    points = {
+        name: np.concatenate([[point[name] for point in axes], drawn[name]])
+        for name in dispersions
+    }
+    total = -(-count // (LANES * devices)) * LANES * devices
+    points = {name: jnp.asarray(values[:total]) for name, values in points.items()}
+    values, codes, finite = _fly_draws(
+        scenario, pairs, points, outputs, solver, devices
+    )
+    codes, finite = np.asarray(codes), np.asarray(finite)
+    flown = {n: np.asarray(v) for n, v in _columns(values).items()}
+    if not finite[0]:
+        raise ValueError(
+            "the flight at the mean of all draws is not finite: it has no derivatives"
+        )
+
+    models = {}
+    for code in np.unique(codes[finite]):
+        name = scenario.termination.names[int(code)]
+        model = _linear_model(scenario, pairs, outputs, solver, name)
+        if model is not None:
+            models[name] = model
+    sampled = _predict(models, pairs, jax.random.fold_in(key, 1))
+
+    ran = slice(len(axes), len(axes) + runs)
+    kept = finite[ran]
+    spreads, effects = {}, {}
+    for name, column in flown.items():
+        of_runs = column[ran][kept]
+        predicted = sampled[name]
+        spreads[name] = Spread(
+            nominal=float(column[0]),
+            mean=float(np.mean(predicted)),
+            standard_deviation=float(np.std(predicted)),
+            monte_carlo_mean=float(np.mean(of_runs)) if of_runs.size else np.nan,
+            monte_carlo_standard_deviation=(
+                float(np.std(of_runs, ddof=1)) if of_runs.size > 1 else np.nan
+            ),
+        )
+        effects[name] = {}
+        for place, dispersion in enumerate(dispersions):
+            above, below = column[1 + 2 * place], column[2 + 2 * place]
+            unit = {d: np.zeros(2) for d in dispersions}
+            unit[dispersion] = np.array([1.0, -1.0])
+            up, down = _through(models, unit)[name]
+            effects[name][dispersion] = Effect(
+                linear=float(0.5 * (up - down)),
+                flown=float(0.5 * (above - below)),
+                bend=float(0.5 * (above + below) - column[0]),
+            )
+    return LinearCovariance(models, spreads, effects, int(kept.sum()))
+
+
+Pairs = tuple[tuple[str, Dispersion], ...]
+"""Dispersions in their order, which a dictionary loses under `jit`"""
+
+
+def _along_axes(pairs: Pairs) -> list[dict[str, float]]:
+    """The mean draws, then one standard deviation above and below for each dispersion."""
+    moments = {
+        name: tuple(float(x) for x in d.distribution.moments()) for name, d in pairs
+    }
+    mean = {name: m for name, (m, _) in moments.items()}
+    points = [mean]
+    for name, (m, deviation) in moments.items():
+        points += [mean | {name: m + deviation}, mean | {name: m - deviation}]
+    return points
+
+
+@eqx.filter_jit
+def _draws(pairs: Pairs, key: Key[Array, ""], runs: Array) -> Draws:
+    return jax.vmap(lambda run: draw(dict(pairs), key, run))(runs)
+
+
+@eqx.filter_jit
+def _fly_draws(scenario, pairs: Pairs, draws: Draws, outputs, solver, devices: int):
+    """Outputs, code of the end condition and whether finite, for each set of draws."""
+
+    def one(shared, draws):
+        scenario, pairs = shared
+        inputs = disperse(scenario, dict(pairs), draws)
+        flight, aimed = fly_run(scenario, inputs, solver)
+        finite = flight.outcome != Outcome.NOT_FINITE
+        return outputs(aimed, flight), flight.ended_by, finite
+
+    return over_runs(one, (scenario, pairs), draws, devices)
+
+
+def _columns(values: Any) -> dict[str, Array]:
+    columns = {
+        named(name): column for name, column in leaves_by_address(values).items()
+    }
+    for name, column in columns.items():
+        if column.ndim != 1:
+            raise ValueError(
+                f"output {name} has shape {column.shape[1:]}: give single numbers"
+            )
+    return columns
+
+
+def _linear_model(
+    scenario: Scenario, pairs: Pairs, outputs: Outputs, solver, name: str
+) -> LinearModel | None:
+    """Of the flight that only this condition ends; none if it never meets it."""
+    termination = scenario.termination
+    conditions = {n: c for n, c in termination.conditions.items() if n == name}
+    alone = dataclasses.replace(
+        scenario, termination=Termination(conditions, termination.time_limit)
+    )
+    slopes, values, outcome, ended_by = _linearize(alone, pairs, outputs, solver)
+    met = alone.termination.names[int(ended_by)] == name
+    if not met or int(outcome) == Outcome.NOT_FINITE:
+        return None
+    time, columns = values
+    time_slope, slope_columns = slopes
+    by_output = {named(n): leaf for n, leaf in leaves_by_address(columns).items()}
+    flat = jax.tree.structure(columns).flatten_up_to(slope_columns)
+    return LinearModel(
+        time=float(time),
+        time_slope={d: float(s) for d, s in time_slope.items()},
+        values={n: float(value) for n, value in by_output.items()},
+        slopes={
+            n: {d: float(s) for d, s in by_dispersion.items()}
+            for n, by_dispersion in zip(by_output, flat, strict=True)
+        },
+    )
+
+
+@eqx.filter_jit
+def _linearize(scenario, pairs: Pairs, outputs, solver):
+    moments = {name: d.distribution.moments() for name, d in pairs}
+
+    def at(standard):
+        draws = {n: mean + standard[n] * std for n, (mean, std) in moments.items()}
+        inputs = disperse(scenario, dict(pairs), draws)
+        flight, aimed = fly_run(scenario, inputs, solver)
+        looked_at = jax.tree.map(
+            lambda x: jnp.asarray(x, float), outputs(aimed, flight)
+        )
+        values = flight.time, looked_at
+        return values, (values, flight.outcome, flight.ended_by)
+
+    mean = {name: jnp.zeros(()) for name in moments}
+    slopes, others = jax.jacfwd(at, has_aux=True)(mean)
+    return slopes, *others
+
+
+def _predict(
+    models: dict[str, LinearModel], pairs: Pairs, key: Key[Array, ""]
+) -> dict[str, np.ndarray]:
+    """Outputs of many draws by the linear models."""
+    draws = _draws(pairs, key, jnp.arange(_SAMPLES))
+    standard = {}
+    for name, dispersion in pairs:
+        mean, deviation = (float(x) for x in dispersion.distribution.moments())
+        standard[name] = (np.asarray(draws[name]) - mean) / deviation
+    return _through(models, standard)
+
+
+def _through(
+    models: dict[str, LinearModel], standard: Mapping[str, Float[np.ndarray, " n"]]
+) -> dict[str, np.ndarray]:
+    """Outputs for draws in standard deviations from their mean: by the first to end."""
+
+    def linear(value, slope):
+        return value + sum(slope[name] * x for name, x in standard.items())
+
+    times = np.stack([linear(m.time, m.time_slope) for m in models.values()])
+    first = np.argmin(times, axis=0)
+    outputs = next(iter(models.values())).values
+    return {
+        name: np.choose(
+            first, [linear(m.values[name], m.slopes[name]) for m in models.values()]
+        )
+        for name in outputs
+    }
