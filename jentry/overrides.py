@@ -4,6 +4,7 @@
 
     [set]
     "initial_state.flight_path_angle" = "-14.2 deg"
+    "guidance.reference.cos_bank.coefficients" = [0.6, 0.05, 0.0]
 
     [dispersions.density]
     address = "planet.density_scale"
@@ -16,6 +17,7 @@ A `[dispersions]` table takes the place of the mission's own; `dispersions =
 """
 
 import dataclasses
+import json
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -76,9 +78,11 @@ class Overrides:
     variant: str | None = None
     reading: str | None = None
     """Of the mission's dispersions"""
-    values: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    """SI values by address"""
+    values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """SI values by address: numbers, and lists of them for the leaves that are tables"""
     dispersions: Mapping[str, Dispersion] | None = None
+    written: Mapping[str, Any] | None = None
+    """The table of dispersions as the file has it"""
 
 
 def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overrides:
@@ -90,7 +94,7 @@ def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overri
     contents = _read_toml(path) if path is not None else {}
     _require_keys(contents, ("variant", "dispersions", "set"), "")
     values = {
-        address: _number(value, f"set.{address}")
+        address: _numbers(value, f"set.{address}")
         for address, value in _flat(contents.get("set", {})).items()
     }
     for assignment in assignments:
@@ -111,18 +115,23 @@ def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overri
         reading=dispersed if isinstance(dispersed, str) else None,
         values=values,
         dispersions=table,
+        written=dispersed if isinstance(dispersed, Mapping) else None,
     )
 
 
-def apply_values(scenario: Scenario, values: Mapping[str, float]) -> Scenario:
+def apply_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     """The scenario with other values. Refuses unknown addresses, with the nearest."""
     known = leaves_by_address(scenario)
-    for address in values:
+    for address, value in values.items():
         require_address(known, address)
-        if known[address].shape != ():
+        wanted, given = known[address].shape, np.shape(value)
+        if wanted != () and given == ():
             raise ValueError(
-                f"{address} is a table of shape {known[address].shape}: it cannot be set "
-                "to one number"
+                f"{address} is a table of shape {wanted}: it cannot be set to one number"
+            )
+        if wanted != given:
+            raise ValueError(
+                f"{address} has shape {wanted} and was given a list of shape {given}"
             )
     return replace_leaves(scenario, values)
 
@@ -139,6 +148,36 @@ def require_addresses(
                     require_address(known, address)
                 except ValueError as error:
                     raise ValueError(f"dispersions.{name}.address: {error}") from None
+
+
+def write_overrides(
+    path: Path,
+    comment: str,
+    variant: str,
+    values: Mapping[str, Any],
+    dispersions: str | Mapping[str, Any],
+) -> None:
+    """A configuration file that `read_overrides` reads back, to the last digit.
+
+    **Arguments:**
+
+    - `comment`: what the file is, in lines.
+    - `dispersions`: a reading of the mission, or the `[dispersions]` table of another
+      configuration file.
+    """
+    lines = [f"# {line}" for line in comment.splitlines()]
+    lines += [f"variant = {json.dumps(variant)}"]
+    if isinstance(dispersions, str):
+        lines += [f"dispersions = {json.dumps(dispersions)}"]
+    lines += ["", "[set]"]
+    for address, value in values.items():
+        # A list of floats, of any depth, is written alike in JSON and in TOML.
+        lines += [f"{json.dumps(address)} = {json.dumps(np.asarray(value).tolist())}"]
+    if not isinstance(dispersions, str):
+        for name, entry in dispersions.items():
+            lines += ["", f"[dispersions.{json.dumps(name)}]"]
+            lines += [f"{key} = {json.dumps(value)}" for key, value in entry.items()]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def read_inputs(path: Path) -> dict[str, np.ndarray]:
@@ -201,6 +240,16 @@ def _number(value: Any, place: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{place} is {value!r}: it must be a number")
     return float(value)
+
+
+def _numbers(value: Any, place: str) -> Any:
+    """A number, or lists of numbers that make a table."""
+    if not isinstance(value, list):
+        return _number(value, place)
+    rows = [_numbers(item, f"{place}[{i}]") for i, item in enumerate(value)]
+    if len({np.shape(row) for row in rows}) > 1:
+        raise ValueError(f"{place} has rows of unequal length")
+    return rows
 
 
 def _dispersion(name: str, entry: Any) -> Dispersion:

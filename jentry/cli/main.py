@@ -1,47 +1,29 @@
-"""The commands and their options; what they print is in `report`."""
+"""The commands that fly, and the entry point; what they print is in `report`."""
 
 import errno
 import gc
-import importlib
-import sys
-import threading
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
-
-app = typer.Typer(
-    help="Guided atmospheric entry: fly missions, one by one or in Monte Carlo campaigns.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
+from . import design as design
+from .options import (
+    Config,
+    Dispersions,
+    Fast,
+    MissionName,
+    Set,
+    Step,
+    Variant,
+    Workers,
+    app,
+    chosen_scenario,
+    dispersion_table,
+    fail,
+    import_meanwhile,
+    set_up,
 )
-
-MissionName = Annotated[
-    str, typer.Argument(help="Name of a mission: see `jentry list`.")
-]
-Variant = Annotated[
-    str | None, typer.Option(help="Variant of the mission: see `jentry list`.")
-]
-Set = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="ADDRESS=VALUE",
-        help="Change a number of the scenario, in SI units or with a unit: "
-        "initial_state.flight_path_angle=-14.2deg. May be repeated.",
-    ),
-]
-Config = Annotated[
-    Path | None,
-    typer.Option(
-        exists=True,
-        dir_okay=False,
-        help="TOML file with `variant`, `[set]` and `[dispersions]`.",
-    ),
-]
-Step = Annotated[float, typer.Option(help="Largest step of the solver, s.")]
 
 
 @app.command("list")
@@ -61,10 +43,10 @@ def show(
     config: Config = None,
 ) -> None:
     """Every number of a mission: address, value and unit."""
-    _set_up(workers=1)
+    set_up(workers=1)
     from .report import print_leaves
 
-    print_leaves(_scenario(mission, variant, config, set_)[1])
+    print_leaves(chosen_scenario(mission, variant, config, set_)[1])
 
 
 @app.command()
@@ -83,7 +65,7 @@ def fly(
     ] = None,
 ) -> None:
     """Fly a mission once, without dispersions."""
-    _set_up(workers=1)
+    set_up(workers=1)
     import equinox as eqx
 
     from ..campaign.store import write_flight
@@ -93,7 +75,7 @@ def fly(
 
     if out is not None and history is None:
         history = 1.0
-    chosen, scenario, _ = _scenario(mission, variant, config, set_)
+    chosen, scenario, _ = chosen_scenario(mission, variant, config, set_)
     solver = FixedStep(step)
     flight = eqx.filter_jit(fly_once)(scenario, solver, history)
     print_flight(chosen, scenario, flight)
@@ -117,14 +99,9 @@ def monte_carlo(
             "resumes what is there."
         ),
     ] = None,
-    workers: Annotated[
-        int | None, typer.Option(help="Cores to use; all if not given.")
-    ] = None,
+    workers: Workers = None,
     variant: Variant = None,
-    dispersions: Annotated[
-        str | None,
-        typer.Option(help="Reading of the dispersions: see `jentry list`."),
-    ] = None,
+    dispersions: Dispersions = None,
     inputs: Annotated[
         Path | None,
         typer.Option(
@@ -140,35 +117,25 @@ def monte_carlo(
     history: Annotated[
         float | None, typer.Option(help="Keep all trajectories at this interval, s.")
     ] = None,
-    fast: Annotated[
-        bool,
-        typer.Option(
-            help="XLA options that make it some four times as fast, and take longer to "
-            "compile: for some ten thousand runs and more."
-        ),
-    ] = False,
+    fast: Fast = False,
     figures: Annotated[
         bool, typer.Option(help="Draw figures into OUT/figures.")
     ] = True,
 ) -> None:
     """Fly dispersed runs, store them, print their statistics and draw figures."""
-    _set_up(workers, fast)
-    _import_meanwhile("xarray", "h5netcdf", "rich.table", "rich.progress")
+    set_up(workers, fast)
+    import_meanwhile("xarray", "h5netcdf", "rich.table", "rich.progress")
     from ..campaign.store import open_campaign, run_campaign
     from ..flight.solver import FixedStep
-    from ..overrides import read_inputs, require_addresses
+    from ..overrides import read_inputs
     from .figures import draw_figures
     from .report import print_campaign, progress
 
-    chosen, scenario, overrides = _scenario(mission, variant, config, set_)
+    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
     variant = variant or overrides.variant or next(iter(chosen.variants))
-    reading = dispersions or overrides.reading or next(iter(chosen.dispersions))
-    if dispersions is not None and overrides.dispersions is not None:
-        raise ValueError("dispersions are given by --dispersions and by --config: once")
+    reading, table = dispersion_table(chosen, scenario, overrides, dispersions)
     if inputs is not None and (dispersions or overrides.dispersions is not None):
         raise ValueError("--inputs takes the place of dispersions: give one of them")
-    table = overrides.dispersions or chosen.dispersion_table(reading)
-    require_addresses(scenario, table)
     as_published = (
         inputs is None
         and not overrides.values
@@ -200,43 +167,13 @@ def monte_carlo(
                 variant=variant,
             )
     except KeyboardInterrupt:
-        _fail("interrupted; the same command resumes", 130)
+        fail("interrupted; the same command resumes", 130)
     results = open_campaign(folder, runs)
     print_campaign(chosen, results, as_published)
     typer.echo(f"stored: {folder}")
     if figures:
         drawn = draw_figures(folder, chosen, scenario, results, solver)
         typer.echo(f"figures: {drawn}")
-
-
-def _set_up(workers: int | None = None, fast: bool = False) -> None:
-    from .._setup import setup
-
-    setup(workers, fast=fast)
-
-
-def _import_meanwhile(*modules: str) -> None:
-    """Import what is needed later while XLA compiles, which leaves Python idle."""
-
-    def import_all():
-        for module in modules:
-            importlib.import_module(module)
-
-    threading.Thread(target=import_all, daemon=True).start()
-
-
-def _scenario(name, variant, config, assignments):
-    """Mission, its scenario with all overrides, and these."""
-    from ..flight.scenario import check
-    from ..missions import find_mission
-    from ..overrides import apply_values, read_overrides
-
-    chosen = find_mission(name)
-    overrides = read_overrides(config, assignments or ())
-    scenario = chosen.scenario(variant or overrides.variant)
-    scenario = apply_values(scenario, overrides.values)
-    check(scenario)
-    return chosen, scenario, overrides
 
 
 def main() -> None:
@@ -253,16 +190,11 @@ def main() -> None:
     try:
         app()
     except CampaignError as error:
-        _fail(str(error), 3)
+        fail(str(error), 3)
     except ValueError as error:
-        _fail(str(error), 2)
+        fail(str(error), 2)
     except OSError as error:
         advice = ""
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             advice = "; free some space and run the same command, which resumes"
-        _fail(f"{error}{advice}", 4)
-
-
-def _fail(message: str, code: int) -> NoReturn:
-    print(f"jentry: {message}", file=sys.stderr)
-    sys.exit(code)
+        fail(f"{error}{advice}", 4)

@@ -1,7 +1,6 @@
 """What the commands print."""
 
 import contextlib
-import sys
 from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
@@ -23,40 +22,15 @@ from ..flight.misses import misses
 from ..flight.scenario import Scenario
 from ..flight.termination import Outcome
 from ..missions.mission import Mission
-from ..units import degree, km
+from .tables import at_edge, new_console, new_table, print_under, unit_of_output
 
 
-_EDGE_UNITS = {"m": (km, "km"), "rad": (degree, "deg"), "Pa": (1e3, "kPa")}
-_EDGE_UNITS |= {"W/m2": (1e4, "W/cm2")}
 _PERCENTILES = (1, 5, 50, 95, 99)
-
-
-def _console() -> Console:
-    return Console(width=None if sys.stdout.isatty() else 130, highlight=False)
-
-
-def _table(*columns: str) -> Table:
-    table = Table()
-    table.add_column(columns[0], no_wrap=True)
-    for column in columns[1:]:
-        table.add_column(column, justify="right")
-    return table
-
-
-def _print_under(console: Console, title: str, table: Table) -> None:
-    """A table under its title, which may be wider."""
-    console.print(title, style="bold", markup=False)
-    console.print(table)
-
-
-def _at_edge(values, unit: str):
-    factor, edge_unit = _EDGE_UNITS.get(unit, (1.0, unit))
-    return np.asarray(values) / factor, edge_unit
 
 
 def print_missions(missions: Iterable[Mission]) -> None:
     """Name, title, source, variants and dispersions of each."""
-    console = _console()
+    console = new_console()
     for mission in missions:
         console.print(f"[bold]{mission.name}[/]: {mission.title}")
         console.print(f"  source       {mission.source}")
@@ -66,21 +40,21 @@ def print_missions(missions: Iterable[Mission]) -> None:
 
 def print_leaves(scenario: Scenario) -> None:
     """Address, value and unit of every leaf."""
-    table = _table("address", "value", "unit")
+    table = new_table("address", "value", "unit")
     for address, leaf in leaves_by_address(scenario).items():
         shape = " x ".join(str(n) for n in leaf.shape)
         value = f"{float(leaf):.10g}" if leaf.shape == () else f"table of {shape}"
         table.add_row(address, value, unit_of(scenario, address))
-    console = _console()
+    console = new_console()
     console.width = max(console.width, 100)
-    _print_under(console, "scenario", table)
+    print_under(console, "scenario", table)
 
 
 def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     """Outcome, final state, misses and peaks of one flight."""
     outcome = Outcome(int(flight.outcome))
     ended_by = scenario.termination.names[int(flight.ended_by)]
-    table = _table("", "value", "unit")
+    table = new_table("", "value", "unit")
     table.add_row("time", f"{float(flight.time):.4f}", "s")
     groups = (
         ("", scenario.initial_state, flight.state),
@@ -90,30 +64,13 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     for label, described, values in groups:
         table.add_section()
         for name, leaf in leaves_by_address(values).items():
-            unit = _unit(described, name)
-            value, unit = _at_edge(leaf, unit)
+            unit = unit_of_output(described, name)
+            value, unit = at_edge(leaf, unit)
             words = name.replace("_", " ")
             words = label + words if label.endswith(" ") else words + label
             table.add_row(words, f"{float(value):z.6f}", unit)
     title = f"{mission.name}: {outcome.message} ({ended_by})"
-    _print_under(_console(), title, table)
-
-
-_OTHER_UNITS = {
-    "downrange": "m",
-    "crossrange": "m",
-    "altitude": "m",
-    "velocity": "m/s",
-    "drag": "m/s2",
-    "dynamic_pressure": "Pa",
-    "heat_rate": "W/m2",
-    "load_factor": "g",
-}
-
-
-def _unit(described, name: str) -> str:
-    unit = unit_of(described, name)
-    return _OTHER_UNITS.get(name, unit) if unit == "1" else unit
+    print_under(new_console(), title, table)
 
 
 def print_campaign(mission: Mission, results, as_published: bool) -> None:
@@ -121,7 +78,7 @@ def print_campaign(mission: Mission, results, as_published: bool) -> None:
 
     These are shown where the campaign is as published; else it is said what they are of.
     """
-    console = _console()
+    console = new_console()
     count = results.sizes["run"]
     codes, numbers = np.unique(results["outcome"], return_counts=True)
     for code, number in zip(codes, numbers, strict=True):
@@ -144,18 +101,18 @@ def print_campaign(mission: Mission, results, as_published: bool) -> None:
 
 def _print_statistics(console: Console, mission: Mission, results) -> None:
     percentiles = [f"{p} %" for p in _PERCENTILES]
-    table = _table("", "unit", "minimum", "maximum", "mean", "std", *percentiles)
+    table = new_table("", "unit", "minimum", "maximum", "mean", "std", *percentiles)
     for name in map(str, results.data_vars):
         error = name.endswith("_error")
         if not (error or name.startswith(("end_time", "peak_"))):
             continue
-        values, unit = _at_edge(results[name], results[name].attrs["units"])
+        values, unit = at_edge(results[name], results[name].attrs["units"])
         words = name.replace("_", " ")
         _add_statistics(table, words, unit, values)
         if error:
             _add_statistics(table, f"|{words}|", unit, np.abs(values))
     title = f"{mission.name}: errors are actual minus desired"
-    _print_under(console, title, table)
+    print_under(console, title, table)
 
 
 def _add_statistics(table: Table, words: str, unit: str, values: np.ndarray) -> None:
@@ -166,7 +123,7 @@ def _add_statistics(table: Table, words: str, unit: str, values: np.ndarray) -> 
 
 
 def _print_published(console: Console, mission: Mission, results) -> None:
-    table = _table("", "unit", "published", "jentry", "difference")
+    table = new_table("", "unit", "published", "jentry", "difference")
     for published in mission.published:
         ours = published.statistic(results)
         table.add_row(
@@ -176,7 +133,7 @@ def _print_published(console: Console, mission: Mission, results) -> None:
             f"{ours:z.4f}",
             f"{ours - published.value:+z.4f}",
         )
-    _print_under(console, mission.published_note, table)
+    print_under(console, mission.published_note, table)
 
 
 class _Rate(ProgressColumn):

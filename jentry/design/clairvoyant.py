@@ -70,9 +70,7 @@ def clairvoyant_floor(
 
 
 @eqx.filter_jit
-def _search(
-    scenario, loss, inputs, outputs, solver, most_steps, coefficients, devices
-):
+def _search(scenario, loss, inputs, outputs, solver, most_steps, coefficients, devices):
     method = optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
     first = jnp.zeros(coefficients).at[0].set(0.5)
 

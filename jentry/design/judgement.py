@@ -19,6 +19,7 @@ from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
 from .batch_gradient import Loss, Outputs, Problem, batch_outputs, where_finite
 from .parameters import Parameters
+from .sensitivity import named
 
 
 _RESAMPLES = 1000
@@ -71,9 +72,9 @@ class Judgement:
 
 
 _STATISTICS: Mapping[str, Callable[[Array], Array]] = {
-    "mean": jnp.mean,
     "std": lambda x: jnp.std(x, ddof=1),
     "95 % of |.|": lambda x: jnp.percentile(jnp.abs(x), 95.0),
+    "mean": jnp.mean,
 }
 
 
@@ -113,13 +114,15 @@ def judge(
             "can be compared"
         )
     pair = where_finite(values_before, both), where_finite(values_after, both)
-    resampled = jax.tree.map(np.asarray, _resampled(pair, loss, int(both.sum())))
+    resampled = _resampled(pair, loss, int(both.sum()))
+    names = [
+        (quantity, label) for quantity in _columns(pair[0]) for label in _STATISTICS
+    ]
     comparisons = []
-    for quantity, statistics in resampled.items():
-        for statistic, (first, last) in statistics.items():
-            first, last = np.asarray(first), np.asarray(last)
-            estimates = _estimate(first), _estimate(last), _estimate(last - first)
-            comparisons.append(Comparison(quantity, statistic, *estimates))
+    for quantity, statistic in [("loss", ""), *names]:
+        first, last = (np.asarray(x) for x in resampled[quantity][statistic])
+        estimates = _estimate(first), _estimate(last), _estimate(last - first)
+        comparisons.append(Comparison(quantity, statistic, *estimates))
     return Judgement(
         runs=int(both.sum()),
         not_finite_before=int(runs - finite_before.sum()),
@@ -160,7 +163,7 @@ def _resampled(pair: tuple[Any, Any], loss: Loss, count: int) -> dict[str, Any]:
 def _columns(outputs: Any) -> dict[str, Array]:
     """The outputs that are one number a flight, by name."""
     return {
-        name: values
+        named(name): values
         for name, values in leaves_by_address(outputs).items()
         if values.ndim == 1 and jnp.issubdtype(values.dtype, jnp.inexact)
     }

@@ -43,8 +43,8 @@ class Descent(AbstractStepper):
 
 class _LeastSquaresState(eqx.Module):
     size: Array
-    """Norm of the residuals at the start, by which all are divided: the damping of a
-    solver does not know in what unit a miss is given"""
+    """Norm of the Jacobian at the start, by which all is divided: a solver begins with a
+    damping of one, which is then of the size of the curvature"""
     accepted: Free
     solver: Any
 
@@ -64,7 +64,8 @@ class LeastSquares(AbstractStepper):
         state = self.solver.init(
             _linear, free, known, _OPTIONS, structure, None, frozenset()
         )
-        size = jnp.linalg.norm(evaluation.residuals)
+        slopes = jax.tree.leaves(evaluation.jacobian)
+        size = jnp.sqrt(sum(jnp.sum(slope**2) for slope in slopes))
         return _LeastSquaresState(jnp.where(size > 0.0, size, 1.0), free, state)
 
     def step(self, free, state, evaluation):

@@ -67,10 +67,15 @@ def _check_in_plane(start: EntryState) -> None:
             )
 
 
+def without_effect(scenario: Scenario) -> tuple[str, ...]:
+    """Addresses of the numbers that this scenario does not use."""
+    fixed = ("initial_state.latitude", "initial_state.heading")
+    return fixed if scenario.in_plane else ()
+
+
 def require_effect(scenario: Scenario, address: str) -> None:
     """Refuse to vary a number that an in-plane flight does not use."""
-    fixed = ("initial_state.latitude", "initial_state.heading")
-    if scenario.in_plane and address in fixed:
+    if address in without_effect(scenario):
         raise ValueError(
             f"{address} has no effect in this scenario, which flies in the plane of the "
             "equator: take in_plane=False"

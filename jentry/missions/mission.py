@@ -33,6 +33,9 @@ class Mission:
     dispersions: Mapping[str, Callable[[], Mapping[str, Dispersion]]]
     """Readings of the dispersion table; the first is the mission's own. Functions, so
     that importing a mission makes no array"""
+    gains: tuple[str, ...] = ("guidance.gains", "guidance.observer")
+    """What `jentry tune` tunes unless told otherwise: addresses, or the beginnings of
+    some; those that a variant does not have are left out"""
     published: tuple[PublishedValue, ...] = ()
     published_note: str = ""
     published_variant: str = ""

@@ -1,0 +1,256 @@
+"""The commands that design: tune a law, and ask what a flight is sensitive to."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import (
+    Config,
+    Dispersions,
+    Fast,
+    MissionName,
+    Set,
+    Step,
+    Variant,
+    Workers,
+    app,
+    chosen_scenario,
+    dispersion_table,
+    fail,
+    set_up,
+)
+
+
+Addresses = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Leaves, or the beginning of their addresses; see `jentry show`. May be "
+        "repeated, or several with commas.",
+    ),
+]
+
+
+@app.command()
+def tune(
+    mission: MissionName,
+    gains: Addresses = None,
+    runs: Annotated[int, typer.Option(help="Draws to tune on.")] = 256,
+    steps: Annotated[int, typer.Option(help="Points to try, at most.")] = 40,
+    loss: Annotated[
+        str,
+        typer.Option(
+            help="mean-square; cvar, the mean of the worst twentieth; worst-case; or "
+            "outside, the share of flights that miss by more than 1."
+        ),
+    ] = "mean-square",
+    of: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="MISS=SCALE",
+            help="What the loss is of: a miss, and how much of it counts as 1, such as "
+            "altitude=500m. May be repeated; downrange=1km, and crossrange=1km out of "
+            "the plane, if not given.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for tuned.toml, history.csv and the record that the same "
+            "command resumes from; results/MISSION-tuned if not given."
+        ),
+    ] = None,
+    optimizer: Annotated[
+        str | None,
+        typer.Option(
+            help="levenberg-marquardt, for the mean square; or adam. By the loss if not "
+            "given."
+        ),
+    ] = None,
+    learning_rate: Annotated[
+        float, typer.Option(help="Of adam; 0.1 moves a gain by a tenth in a step.")
+    ] = 0.1,
+    bounds: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ADDRESS=LOW:HIGH", help="Keep a leaf between two values."
+        ),
+    ] = None,
+    smooth: Annotated[
+        bool,
+        typer.Option(
+            help="Follow the gradient of a law with smooth switches; it is judged by "
+            "the exact one all the same."
+        ),
+    ] = False,
+    fresh_draws: Annotated[
+        bool, typer.Option(help="New draws for each gradient (adam).")
+    ] = False,
+    patience: Annotated[
+        int, typer.Option(help="Stop after so many steps without progress.")
+    ] = 20,
+    held_out: Annotated[int, typer.Option(help="Other draws to judge by.")] = 5000,
+    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
+    workers: Workers = None,
+    variant: Variant = None,
+    dispersions: Dispersions = None,
+    set_: Set = None,
+    config: Config = None,
+    step: Step = 0.1,
+    fast: Fast = False,
+) -> None:
+    """Tune gains, or any numbers, by gradient through a Monte Carlo."""
+    set_up(workers, fast)
+    import jax
+    import optax
+    import optimistix
+
+    from ..design.losses import BY_NAME
+    from ..design.surrogate import smooth_switching
+    from ..design.tuning import tune as tune_scenario
+    from ..flight.solver import FixedStep
+    from ..overrides import AtAddresses, write_overrides
+    from .design_report import (
+        parse_bounds,
+        parse_scales,
+        print_tuned,
+        report_step,
+        write_history,
+    )
+
+    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    variant = variant or overrides.variant or next(iter(chosen.variants))
+    reading, table = dispersion_table(chosen, scenario, overrides, dispersions)
+    if loss not in BY_NAME:
+        raise ValueError(f"loss is {loss!r}: choose from {', '.join(BY_NAME)}")
+    wanted = optimizer or ("levenberg-marquardt" if loss == "mean-square" else "adam")
+    if fresh_draws and optimizer is None:
+        wanted = "adam"
+    methods = {
+        "levenberg-marquardt": optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6),
+        "adam": optax.adam(learning_rate),
+    }
+    if wanted not in methods:
+        raise ValueError(f"optimizer is {wanted!r}: choose from {', '.join(methods)}")
+    default = [] if gains else list(chosen.gains)
+    addresses = expanded(scenario, gains or (), default)
+    folder = Path("results") / f"{mission}-tuned" if out is None else out
+    record = folder / "tuning.npz"
+    try:
+        tuned = tune_scenario(
+            scenario,
+            AtAddresses(tuple(addresses)),
+            BY_NAME[loss](parse_scales(of or (), scenario.in_plane)),
+            methods[wanted],
+            table,
+            jax.random.key(seed),
+            runs=runs,
+            steps=steps,
+            bounds=parse_bounds(bounds or ()),
+            solver=FixedStep(step),
+            fresh_draws=fresh_draws,
+            surrogate=smooth_switching if smooth else None,
+            patience=patience,
+            held_out=held_out,
+            record=record,
+            report=report_step,
+        )
+    except KeyboardInterrupt:
+        fail("interrupted; the same command resumes", 130)
+    print_tuned(chosen, scenario, tuned)
+    write_history(folder / "history.csv", tuned)
+    write_overrides(
+        folder / "tuned.toml",
+        f"{mission} tuned by jentry: {loss} over {runs} draws of seed {seed}, {wanted},\n"
+        f"{len(tuned.history)} steps. Fly it: jentry monte-carlo {mission} --config FILE",
+        variant,
+        {**overrides.values, **tuned.values},
+        overrides.written or reading,
+    )
+    typer.echo(f"tuned scenario: {folder / 'tuned.toml'}")
+
+
+@app.command()
+def sensitivity(
+    mission: MissionName,
+    wrt: Addresses = None,
+    scale: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="Width of the dispersions, 1 for as they are. May be repeated; 0.1 and "
+            "1 if not given."
+        ),
+    ] = None,
+    runs: Annotated[
+        int, typer.Option(help="Monte Carlo beside the prediction; 0 for none.")
+    ] = 1000,
+    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
+    workers: Workers = None,
+    variant: Variant = None,
+    dispersions: Dispersions = None,
+    set_: Set = None,
+    config: Config = None,
+    step: Step = 0.1,
+) -> None:
+    """Derivatives of the misses, and their spread predicted from one flight."""
+    set_up(workers)
+    import jax
+
+    from ..campaign.dispersions import scaled_dispersions
+    from ..design.linear_covariance import linear_covariance
+    from ..design.sensitivity import sensitivity as sensitivity_of
+    from ..flight.solver import FixedStep
+    from ..overrides import AtAddresses
+    from .design_report import print_covariance, print_sensitivity
+
+    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    _, table = dispersion_table(chosen, scenario, overrides, dispersions)
+    solver = FixedStep(step)
+    if wrt:
+        addresses = expanded(scenario, wrt, ())
+        found = sensitivity_of(
+            scenario, wrt=AtAddresses(tuple(addresses)), solver=solver
+        )
+        print_sensitivity(scenario, found)
+    for factor in scale or (0.1, 1.0):
+        if not factor > 0.0:
+            raise ValueError(f"scale is {factor:g}: it must be greater than zero")
+        analysis = linear_covariance(
+            scenario,
+            scaled_dispersions(table, factor),
+            key=jax.random.key(seed),
+            runs=runs,
+            solver=solver,
+        )
+        print_covariance(scenario, analysis, factor)
+
+
+def expanded(scenario, given, defaults) -> list[str]:
+    """Addresses of leaves: as given, or those with an effect that begin as given.
+
+    Defaults that the scenario does not have are left out; raises `ValueError` for others.
+    """
+    from .._addresses import leaves_by_address, require_address
+    from ..flight.scenario import without_effect
+
+    known = leaves_by_address(scenario)
+    idle = without_effect(scenario)
+
+    def below(beginning: str) -> list[str]:
+        if beginning in known:
+            return [beginning]
+        inside = (a for a in known if a.startswith(f"{beginning}."))
+        return [address for address in inside if address not in idle]
+
+    found = [address for default in defaults for address in below(default)]
+    for name in (name.strip() for option in given for name in option.split(",")):
+        addresses = below(name)
+        if not addresses:
+            require_address(known, name)
+        found += [address for address in addresses if address not in found]
+    if not found:
+        raise ValueError(
+            "this law has no gains that are tuned by default: give --gains"
+        )
+    return found

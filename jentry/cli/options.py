@@ -1,0 +1,100 @@
+"""The command line's application, and the options that several commands share."""
+
+import importlib
+import sys
+import threading
+from pathlib import Path
+from typing import Annotated, NoReturn
+
+import typer
+
+
+app = typer.Typer(
+    help="Guided atmospheric entry: fly missions, one by one or in Monte Carlo campaigns.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+MissionName = Annotated[
+    str, typer.Argument(help="Name of a mission: see `jentry list`.")
+]
+Variant = Annotated[
+    str | None, typer.Option(help="Variant of the mission: see `jentry list`.")
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="ADDRESS=VALUE",
+        help="Change a number of the scenario, in SI units or with a unit: "
+        "initial_state.flight_path_angle=-14.2deg. May be repeated.",
+    ),
+]
+Config = Annotated[
+    Path | None,
+    typer.Option(
+        exists=True,
+        dir_okay=False,
+        help="TOML file with `variant`, `[set]` and `[dispersions]`.",
+    ),
+]
+Step = Annotated[float, typer.Option(help="Largest step of the solver, s.")]
+Dispersions = Annotated[
+    str | None, typer.Option(help="Reading of the dispersions: see `jentry list`.")
+]
+Workers = Annotated[int | None, typer.Option(help="Cores to use; all if not given.")]
+Fast = Annotated[
+    bool,
+    typer.Option(
+        help="XLA options that make it some four times as fast, and take longer to "
+        "compile: for some ten thousand runs and more."
+    ),
+]
+
+
+def set_up(workers: int | None = None, fast: bool = False) -> None:
+    from .._setup import setup
+
+    setup(workers, fast=fast)
+
+
+def import_meanwhile(*modules: str) -> None:
+    """Import what is needed later while XLA compiles, which leaves Python idle."""
+
+    def import_all():
+        for module in modules:
+            importlib.import_module(module)
+
+    threading.Thread(target=import_all, daemon=True).start()
+
+
+def chosen_scenario(name, variant, config, assignments):
+    """Mission, its scenario with all overrides, and these."""
+    from ..flight.scenario import check
+    from ..missions import find_mission
+    from ..overrides import apply_values, read_overrides
+
+    chosen = find_mission(name)
+    overrides = read_overrides(config, assignments or ())
+    scenario = chosen.scenario(variant or overrides.variant)
+    scenario = apply_values(scenario, overrides.values)
+    check(scenario)
+    return chosen, scenario, overrides
+
+
+def dispersion_table(mission, scenario, overrides, reading):
+    """Name of the reading, and the dispersions by it or by the configuration."""
+    from ..overrides import require_addresses
+
+    if reading is not None and overrides.dispersions is not None:
+        raise ValueError("dispersions are given by --dispersions and by --config: once")
+    reading = reading or overrides.reading or next(iter(mission.dispersions))
+    table = overrides.dispersions or mission.dispersion_table(reading)
+    require_addresses(scenario, table)
+    return reading, table
+
+
+def fail(message: str, code: int) -> NoReturn:
+    print(f"jentry: {message}", file=sys.stderr)
+    sys.exit(code)
