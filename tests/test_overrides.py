@@ -1,11 +1,14 @@
 """What a user changes of a mission is understood, or refused with the nearest names."""
 
+import tomllib
+
 import cheap
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import mars_scenario
 
+from jentry._addresses import leaves_by_address
 from jentry.campaign import (
     Normal,
     TruncatedNormal,
@@ -21,6 +24,7 @@ from jentry.overrides import (
     read_inputs,
     read_overrides,
     require_addresses,
+    write_overrides,
 )
 from jentry.units import degree
 
@@ -167,7 +171,7 @@ WRONG = {
     "set no table": ("set = 3", r"set is 3: write a table, \[set\]"),
     "set a word": ('[set]\na.b = "much"', "set.a.b: 'much' is not a number"),
     "set a flag": ("[set]\na.b = true", "set.a.b is True: it must be a number"),
-    "set a list": ("[set]\na.b = [1, 2]", r"set.a.b is \[1, 2\]: it must be a number"),
+    "set a ragged list": ("[set]\na.b = [[1, 2], 3]", "set.a.b has rows of unequal"),
     "dispersion no table": (
         "[dispersions]\nx = 3",
         r"write a table, \[dispersions.x\]",
@@ -237,3 +241,146 @@ def test_inputs_that_are_not_understood_are_refused(written, contents, message):
     with pytest.raises(ValueError, match=message) as raised:
         read_inputs(path)
     assert str(path) in str(raised.value)
+
+
+# Files that are written.
+
+VALUES = {
+    "a third": 1.0 / 3.0,
+    "a sum": 0.1 + 0.2,
+    "smallest": 5e-324,
+    "largest": 1.7976931348623157e308,
+    "negative zero": -0.0,
+    "whole": 900.0,
+    "exponent": -1e-7,
+    "long": 12345678901234567.0,
+}
+
+
+def same(first, second):
+    """To the last bit."""
+    first, second = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
+    return first.shape == second.shape and first.tobytes() == second.tobytes()
+
+
+def test_written_values_are_read_back_to_the_last_bit(tmp_path):
+    path = tmp_path / "tuned.toml"
+    values = {f"guidance.{name}": value for name, value in VALUES.items()}
+    # Numbers as tuning has them, arrays without axes, and tables of them.
+    values |= {f"array.{name}": jnp.asarray(x) for name, x in VALUES.items()}
+    rng = np.random.default_rng(20261121)
+    tables = {
+        "table": rng.normal(size=5) * 10.0 ** rng.integers(-300, 300, 5),
+        "one": np.array([1.0 / 3.0]),
+        "matrix": jnp.asarray(rng.normal(size=(2, 3))),
+        "deep": rng.normal(size=(2, 1, 3)),
+    }
+    write_overrides(path, "", "right", values | tables, "all")
+    found = read_overrides(path).values
+    assert list(found) == [*values, *tables]
+    for address, value in (values | tables).items():
+        assert same(found[address], value)
+
+
+def test_a_written_scenario_is_the_same_to_the_last_bit(tmp_path):
+    """All of its leaves, of which one is a table."""
+    path = tmp_path / "tuned.toml"
+    leaves = leaves_by_address(mars_scenario())
+    moved = {a: np.asarray(x) * (1.0 + 1.0 / 3.0) + 0.1 for a, x in leaves.items()}
+    write_overrides(path, "All of it", "right", moved, "all")
+    changed = apply_values(mars_scenario(), read_overrides(path).values)
+    found = leaves_by_address(changed)
+    assert moved["guidance.cos_bank.coefficients"].shape == (2,)
+    assert all(same(found[address], value) for address, value in moved.items())
+
+
+def test_a_written_file_names_variant_and_dispersions(tmp_path):
+    path = tmp_path / "tuned.toml"
+    write_overrides(path, "Two\n[lines]", 'the "right" one', {}, "mass-only")
+    overrides = read_overrides(path)
+    assert overrides.variant == 'the "right" one'
+    assert overrides.reading == "mass-only"
+    assert overrides.dispersions is None and overrides.values == {}
+    assert path.read_text().startswith("# Two\n# [lines]\n")
+
+
+AWKWARD = """
+[dispersions."density, \\"Mars\\" (3.5 ρ)"]
+address = "planet.density_scale"
+distribution = "uniform"
+lower = 0.30000000000000004
+upper = 1e16
+"""
+
+
+@pytest.mark.parametrize("contents", [DISPERSIONS, AWKWARD], ids=["units", "names"])
+def test_a_written_table_of_dispersions_is_the_same(written, tmp_path, contents):
+    """With the units and the names that the first file had."""
+    first = read_overrides(written(contents))
+    path = tmp_path / "tuned.toml"
+    values = {"vehicle.mass": 900.0}
+    write_overrides(path, "Again", "right", values, first.written)
+    again = read_overrides(path)
+    assert again.reading is None
+    assert again.values == values
+    assert again.written == first.written == tomllib.loads(contents)["dispersions"]
+    assert list(again.dispersions) == list(first.dispersions)
+    for name, dispersion in first.dispersions.items():
+        assert again.dispersions[name].where == dispersion.where
+        assert again.dispersions[name].apply is dispersion.apply
+        numbers = leaves_by_address(dispersion.distribution)
+        found = leaves_by_address(again.dispersions[name].distribution)
+        assert type(again.dispersions[name].distribution) is type(
+            dispersion.distribution
+        )
+        assert found == numbers
+
+
+def test_lists_are_tables_of_numbers_with_units(written):
+    path = written(
+        """
+        [set]
+        a.b = [1, "2 km", -3.5]
+        a.c = [[1, 2], [3, 4]]
+        """
+    )
+    assert read_overrides(path).values == {
+        "a.b": [1.0, 2000.0, -3.5],
+        "a.c": [[1.0, 2.0], [3.0, 4.0]],
+    }
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        ("[1, [2]]", "set.a.b has rows of unequal length"),
+        ("[[1, 2], [3]]", "set.a.b has rows of unequal length"),
+        ("[[1, [2]], 3]", r"set.a.b\[0\] has rows of unequal length"),
+        ("[1, true]", r"set.a.b\[1\] is True: it must be a number"),
+        ('[[1, 2], [3, "much"]]', r"set.a.b\[1\]\[1\]: 'much' is not a number"),
+    ],
+)
+def test_lists_that_are_no_tables_are_refused(written, value, message):
+    with pytest.raises(ValueError, match=message):
+        read_overrides(written(f"[set]\na.b = {value}"))
+
+
+@pytest.mark.parametrize(
+    ("address", "value", "message"),
+    [
+        ("cos_bank.coefficients", [1.0, 2.0, 3.0], r"\(2,\) .* a list of shape \(3,\)"),
+        ("cos_bank.coefficients", [[1.0], [2.0]], r"\(2,\) .* of shape \(2, 1\)"),
+        ("cos_bank.coefficients", [], r"\(2,\) .* of shape \(0,\)"),
+        ("cos_bank.coefficients", 0.5, r"table of shape \(2,\): .* one number"),
+        ("angle_of_attack", [0.1], r"shape \(\) .* a list of shape \(1,\)"),
+    ],
+)
+def test_a_list_of_wrong_shape_is_refused(address, value, message):
+    with pytest.raises(ValueError, match=f"guidance.{address} .*{message}"):
+        apply_values(mars_scenario(), {f"guidance.{address}": value})
+
+
+def test_a_list_reaches_the_scenario():
+    address = "guidance.cos_bank.coefficients"
+    changed = apply_values(mars_scenario(), {address: [0.5, 0.25]})
+    np.testing.assert_array_equal(changed.guidance.cos_bank.coefficients, [0.5, 0.25])

@@ -64,8 +64,8 @@ def tune(
     optimizer: Annotated[
         str | None,
         typer.Option(
-            help="levenberg-marquardt, for the mean square; or adam. By the loss if not "
-            "given."
+            help="lbfgs; levenberg-marquardt, for the mean square; or adam, which is "
+            "taken for fresh draws. lbfgs if not given."
         ),
     ] = None,
     learning_rate: Annotated[
@@ -124,10 +124,9 @@ def tune(
     reading, table = dispersion_table(chosen, scenario, overrides, dispersions)
     if loss not in BY_NAME:
         raise ValueError(f"loss is {loss!r}: choose from {', '.join(BY_NAME)}")
-    wanted = optimizer or ("levenberg-marquardt" if loss == "mean-square" else "adam")
-    if fresh_draws and optimizer is None:
-        wanted = "adam"
+    wanted = optimizer or ("adam" if fresh_draws else "lbfgs")
     methods = {
+        "lbfgs": optimistix.LBFGS(rtol=1e-6, atol=1e-6),
         "levenberg-marquardt": optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6),
         "adam": optax.adam(learning_rate),
     }

@@ -6,6 +6,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import optax
 import optimistix
 from jaxtyping import Array, PyTree
@@ -39,6 +40,59 @@ class Descent(AbstractStepper):
     def step(self, free, state, evaluation):
         updates, state = self.optimizer.update(evaluation.gradient, state, free)
         return optax.apply_updates(free, updates), state, False
+
+
+class _MinimisationState(eqx.Module):
+    size: Array
+    """Norm of the gradient at the start, by which the loss is divided: the first step of
+    a solver that knows no curvature yet is then of length one"""
+    not_finite: Array
+    """Flights that were not at the start: a point with more is taken for a bad one"""
+    accepted: Free
+    solver: Any
+
+
+class Minimisation(AbstractStepper):
+    """An optimistix minimiser, such as `BFGS`, step by step from outside.
+
+    It is shown loss and gradient as a linear function, which at the point where it looks
+    is all that it asks for.
+    """
+
+    solver: optimistix.AbstractMinimiser = eqx.field(static=True)
+
+    def init(self, free: Free, evaluation: Evaluation) -> PyTree:
+        known = jnp.asarray(evaluation.loss), evaluation.gradient, free
+        structure = jax.eval_shape(lambda: known[0])
+        state = self.solver.init(_plane, free, known, {}, structure, None, frozenset())
+        size = optax.tree.norm(evaluation.gradient)
+        size = jnp.where(size > 0.0, size, 1.0)
+        return _MinimisationState(size, jnp.asarray(evaluation.not_finite), free, state)
+
+    def step(self, free, state, evaluation):
+        worse = evaluation.not_finite > int(state.not_finite)
+        loss = jnp.asarray(np.inf if worse else evaluation.loss)
+        given = loss, evaluation.gradient
+        known = *jax.tree.map(lambda x: x / state.size, given), free
+        following, state, done = _minimisation_step(self.solver, known, state)
+        return following, state, bool(done)
+
+
+def _plane(free: Free, known) -> tuple[Array, None]:
+    loss, gradient, here = known
+    moved = jax.tree.map(lambda g, a, b: jnp.sum(g * (a - b)), gradient, free, here)
+    return loss + sum(jax.tree.leaves(moved)), None
+
+
+@eqx.filter_jit
+def _minimisation_step(solver, known, state: _MinimisationState):
+    given = known, {}
+    accepted, inner, _ = solver.step(
+        _plane, state.accepted, *given, state.solver, frozenset()
+    )
+    done, _ = solver.terminate(_plane, accepted, *given, inner, frozenset())
+    after = _MinimisationState(state.size, state.not_finite, accepted, inner)
+    return inner.y_eval, after, done
 
 
 class _LeastSquaresState(eqx.Module):

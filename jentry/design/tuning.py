@@ -24,11 +24,15 @@ from .evaluation import Evaluator
 from .judgement import Judgement, held_out as held_out_key, judge
 from .losses import MeanSquare
 from .parameters import Bounds, Free, Parameters
-from .steppers import AbstractStepper, Descent, LeastSquares
+from .steppers import AbstractStepper, Descent, LeastSquares, Minimisation
 from .tuning_record import Entry, read_record, restored, write_record
 
 
-Optimizer = optax.GradientTransformation | optimistix.AbstractLeastSquaresSolver
+Optimizer = (
+    optax.GradientTransformation
+    | optimistix.AbstractLeastSquaresSolver
+    | optimistix.AbstractMinimiser
+)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,7 +196,7 @@ def tune(
             state = stepper.init(following, evaluation)
             if stored is not None and place is not None:
                 state = restored(state, stored, place)
-        if np.isfinite(evaluation.loss):
+        if np.isfinite(evaluation.loss) or isinstance(stepper, Minimisation):
             following, state, converged = stepper.step(following, state, evaluation)
         else:
             # Every flight failed: go back halfway to the best point.
@@ -241,6 +245,10 @@ def _require_disjoint(
 def _stepper(optimizer: Optimizer, loss: Loss, fresh_draws: bool) -> AbstractStepper:
     if isinstance(optimizer, optax.GradientTransformation):
         return Descent(optimizer)
+    if isinstance(optimizer, optimistix.AbstractMinimiser):
+        if fresh_draws:
+            raise ValueError(_SAME_DRAWS)
+        return Minimisation(optimizer)
     if not isinstance(optimizer, optimistix.AbstractLeastSquaresSolver):
         raise ValueError(
             f"the optimizer is a {type(optimizer).__name__}: give one of optax, or a "
@@ -252,11 +260,14 @@ def _stepper(optimizer: Optimizer, loss: Loss, fresh_draws: bool) -> AbstractSte
             "MeanSquare(lambda outputs: ...), or take an optimizer of optax"
         )
     if fresh_draws:
-        raise ValueError(
-            "a least-squares solver compares steps on the same draws: leave fresh_draws "
-            "out, or take an optimizer of optax"
-        )
+        raise ValueError(_SAME_DRAWS)
     return LeastSquares(optimizer)
+
+
+_SAME_DRAWS = (
+    "a solver of optimistix compares steps on the same draws: leave fresh_draws out, or "
+    "take an optimizer of optax"
+)
 
 
 def _description(

@@ -1,0 +1,149 @@
+"""Steppers find a known minimum, and go on from what is stored as if never stopped."""
+
+import functools
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import optimistix
+import pytest
+
+from jentry.design.evaluation import Evaluation
+from jentry.design.steppers import Descent, LeastSquares, Minimisation
+from jentry.design.tuning_record import Entry, read_record, restored, write_record
+
+
+SOLVERS = {
+    "descent": lambda: Descent(optax.adam(0.1)),
+    "least squares": lambda: LeastSquares(optimistix.LevenbergMarquardt(1e-8, 1e-8)),
+    "minimisation": lambda: Minimisation(optimistix.BFGS(1e-8, 1e-8)),
+}
+
+STEPS = {"descent": 1500, "least squares": 60, "minimisation": 120}
+"""That are enough, by about a half"""
+
+START = {"a": jnp.asarray(-1.2), "b": jnp.asarray([1.0, 3.0])}
+
+MINIMUM = {"a": 1.0, "b": np.array([1.0, -2.0])}
+
+
+def residuals(free):
+    """Of Rosenbrock's valley, and of a straight line beside it."""
+    x, (y, z) = free["a"], free["b"]
+    return jnp.stack([1.0 - x, 10.0 * (y - x * x), 0.5 * (z + 2.0)])
+
+
+@jax.jit
+def known(free):
+    loss, gradient = jax.value_and_grad(lambda f: jnp.sum(residuals(f) ** 2))(free)
+    return loss, gradient, residuals(free), jax.jacfwd(residuals)(free)
+
+
+def evaluate(free, scale=1.0):
+    """As from one flight of three residuals, all of them in another unit."""
+    loss, gradient, of_flight, jacobian = known(free)
+    jacobian = jax.tree.map(lambda x: scale * x, jacobian)
+    gradient = jax.tree.map(lambda x: scale**2 * x, gradient)
+    return Evaluation(scale**2 * float(loss), gradient, 0, scale * of_flight, jacobian)
+
+
+def points(stepper, steps, free=START, state=None, scale=1.0):
+    """Where it goes, until it has converged; and its state after that."""
+    visited, converged = [free], False
+    while len(visited) <= steps and not converged:
+        evaluation = evaluate(free, scale)
+        if state is None:
+            state = stepper.init(free, evaluation)
+        free, state, converged = stepper.step(free, state, evaluation)
+        visited.append(free)
+    return visited, state, converged
+
+
+@functools.cache
+def found(name):
+    return points(SOLVERS[name](), STEPS[name])
+
+
+def same(first, second):
+    """To the last bit."""
+    assert jax.tree.structure(first) == jax.tree.structure(second)
+    return all(
+        np.asarray(a).tobytes() == np.asarray(b).tobytes()
+        for a, b in zip(*map(jax.tree.leaves, (first, second)), strict=True)
+    )
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_minimum_is_found(name):
+    visited, _, converged = found(name)
+    assert converged is (name != "descent")  # which never knows
+    assert jax.tree.structure(visited[-1]) == jax.tree.structure(START)
+    assert visited[-1]["b"].shape == (2,)
+    losses = [float(known(free)[0]) for free in visited[-3:]]
+    # Solvers stop at 1e-8 of their steps, along a valley that is 400 times as steep
+    # across; adam creeps along it.
+    atol = 1e-3 if name == "descent" else 1e-6
+    best = visited[-3:][int(np.argmin(losses))]
+    for address, value in MINIMUM.items():
+        np.testing.assert_allclose(best[address], value, rtol=0.0, atol=atol)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_the_state_can_be_stored_and_gone_on_from(name, tmp_path):
+    """After three steps, with the same points to the last bit."""
+    stepper = SOLVERS[name]()
+    visited, state, _ = points(stepper, 3)
+    path = tmp_path / "record.npz"
+    entry = Entry(0.0, 0.0, 0, 0, 0.0, {}, {}, {})
+    write_record(path, {}, [entry], visited[-1], state)
+    _, following, leaves = read_record(path, {})
+    assert same(following, visited[-1])
+    fresh = stepper.init(following, evaluate(following))
+    stored = restored(fresh, leaves, path)
+    assert same(stored, state)
+    again, _, _ = points(stepper, 5, following, stored)
+    assert same(again, found(name)[0][3:9])
+
+
+def test_the_first_step_of_descent_is_that_of_its_optimizer():
+    visited, _, _ = points(Descent(optax.sgd(1e-3)), 1)
+    gradient = known(START)[1]
+    expected = jax.tree.map(lambda x, g: x - 1e-3 * g, START, gradient)
+    for address, value in expected.items():
+        np.testing.assert_allclose(visited[1][address], value, rtol=1e-15)
+
+
+@pytest.mark.parametrize("name", ["least squares", "minimisation"])
+@pytest.mark.parametrize("scale", [1e-5, 1e4])
+def test_the_unit_of_the_loss_makes_no_difference(name, scale):
+    """A solver begins with a step or a damping of one, whatever the loss is counted in."""
+    visited, _, _ = points(SOLVERS[name](), 6, scale=scale)
+    for ours, theirs in zip(visited, found(name)[0], strict=False):
+        for address in START:
+            # Rounding, which some steps through a curved valley make larger.
+            np.testing.assert_allclose(
+                ours[address], theirs[address], rtol=1e-7, atol=1e-9
+            )
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_at_a_minimum_nothing_moves(name):
+    """And no step is taken over a gradient of zero."""
+    at_rest = {a: jnp.asarray(x) for a, x in MINIMUM.items()}
+    visited, _, _ = points(SOLVERS[name](), 3, at_rest)
+    assert all(same(free, at_rest) for free in visited)
+
+
+def test_least_squares_steps_are_those_of_the_solver_from_inside():
+    """Of optimistix itself, over residuals that are divided by the same number."""
+    solver = optimistix.LevenbergMarquardt(1e-8, 1e-8)
+    jacobian = known(START)[3]
+    size = jnp.sqrt(sum(jnp.sum(x**2) for x in jax.tree.leaves(jacobian)))
+    solution = optimistix.least_squares(
+        lambda free, _: residuals(free) / size, solver, START, max_steps=200
+    )
+    visited, _, _ = found("least squares")
+    assert abs(int(solution.stats["num_steps"]) - (len(visited) - 1)) <= 1
+    for address, value in solution.value.items():
+        np.testing.assert_allclose(visited[-1][address], value, rtol=1e-6)
