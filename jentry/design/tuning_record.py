@@ -7,6 +7,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import PyTree
@@ -61,11 +62,11 @@ def write_record(
             column = [getattr(entry, name)[address] for entry in history]
             arrays[f"{name}/{address}"] = np.array(column)
     arrays |= {f"following/{a}": np.asarray(x) for a, x in following.items()}
-    leaves = jax.tree.leaves(state)
+    leaves = jax.tree.leaves(eqx.filter(state, eqx.is_array))
     arrays |= {f"state/{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+        np.savez(file, allow_pickle=False, **arrays)
     os.replace(file.name, path)
 
 
@@ -117,10 +118,11 @@ def read_record(
 
 def restored(like: PyTree, leaves: list[np.ndarray], path: Path) -> PyTree:
     """The state of a stepper from its stored leaves, in the structure of a fresh one."""
-    fresh, structure = jax.tree.flatten(like)
-    shapes = [np.shape(x) for x in fresh]
-    if shapes != [np.shape(x) for x in leaves]:
+    numbers, others = eqx.partition(like, eqx.is_array)
+    fresh, structure = jax.tree.flatten(numbers)
+    if [x.shape for x in fresh] != [x.shape for x in leaves]:
         raise ValueError(
             f"{path} was written with another optimizer: it cannot be resumed with this"
         )
-    return jax.tree.unflatten(structure, [jax.numpy.asarray(x) for x in leaves])
+    numbers = jax.tree.unflatten(structure, [jax.numpy.asarray(x) for x in leaves])
+    return eqx.combine(numbers, others)
