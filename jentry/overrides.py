@@ -171,8 +171,9 @@ def write_overrides(
         lines += [f"dispersions = {json.dumps(dispersions)}"]
     lines += ["", "[set]"]
     for address, value in values.items():
-        # A list of floats, of any depth, is written alike in JSON and in TOML.
-        lines += [f"{json.dumps(address)} = {json.dumps(np.asarray(value).tolist())}"]
+        # Finite floats, and lists of them of any depth, are alike in JSON and in TOML.
+        numbers = np.asarray(value, float).tolist()
+        lines += [f"{json.dumps(address)} = {json.dumps(numbers, allow_nan=False)}"]
     if not isinstance(dispersions, str):
         for name, entry in dispersions.items():
             lines += ["", f"[dispersions.{json.dumps(name)}]"]

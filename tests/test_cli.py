@@ -28,7 +28,7 @@ def command(monkeypatch, capsys, tmp_path):
     """Runs the command in this process: its exit code, and what it printed."""
     monkeypatch.setitem(ALL, "cheap", cheap.MISSION)
     # What it settles holds for the whole process.
-    monkeypatch.setattr(cli, "_set_up", lambda *how, **options: None)
+    monkeypatch.setattr(cli, "set_up", lambda *how, **options: None)
     monkeypatch.chdir(tmp_path)
 
     def run(*words):

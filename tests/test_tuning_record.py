@@ -104,9 +104,12 @@ def test_a_state_of_many_leaves_keeps_their_order(tmp_path):
 
 
 def test_a_point_where_no_flight_was_finite_can_be_stored(tmp_path):
-    """Of which `Evaluation` tells nothing of how many flights are reached."""
+    """Of which the loss is infinite, and no flight is reached."""
     path = tmp_path / "record.npz"
-    history = [entry(0.5), entry(np.inf, not_finite=256, reached={})]
+    history = [
+        entry(0.5),
+        entry(np.inf, not_finite=256, reached=dict.fromkeys(entry(0.5).reached, 0.0)),
+    ]
     write_record(path, DESCRIPTION, history, following(), state())
     read, _, _ = read_record(path, DESCRIPTION)
     assert [e.loss for e in read] == [0.5, np.inf]

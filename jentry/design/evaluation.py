@@ -105,7 +105,8 @@ class Evaluator:
         finite = np.asarray(finite) & counted
         nothing = jax.tree.map(jnp.zeros_like, free)
         if not finite.any():
-            return Evaluation(np.inf, nothing, self._runs)
+            unreached = dict.fromkeys(free, 0.0)
+            return Evaluation(np.inf, nothing, self._runs, reached=unreached)
         residuals, slopes = _residuals(
             self._loss_of.residuals,
             where_finite(outputs, finite),

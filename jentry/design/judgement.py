@@ -63,7 +63,10 @@ class Judgement:
     comparisons: tuple[Comparison, ...]
 
     def __getitem__(self, name: tuple[str, str]) -> Comparison:
-        """The comparison of a quantity and a statistic, such as `"downrange", "std"`."""
+        """The comparison of a quantity and a statistic, such as `"downrange", "std"`.
+
+        That of the loss is `"loss", ""`, and comes first.
+        """
         for comparison in self.comparisons:
             if (comparison.quantity, comparison.statistic) == name:
                 return comparison
@@ -114,21 +117,24 @@ def judge(
             "can be compared"
         )
     pair = where_finite(values_before, both), where_finite(values_after, both)
-    resampled = _resampled(pair, loss, int(both.sum()))
-    names = [
-        (quantity, label) for quantity in _columns(pair[0]) for label in _STATISTICS
-    ]
-    comparisons = []
-    for quantity, statistic in [("loss", ""), *names]:
-        first, last = (np.asarray(x) for x in resampled[quantity][statistic])
-        estimates = _estimate(first), _estimate(last), _estimate(last - first)
-        comparisons.append(Comparison(quantity, statistic, *estimates))
+    losses, resampled = _resampled(pair, loss, int(both.sum()))
+    comparisons = [_comparison("loss", "", losses)]
+    for quantity in _columns(pair[0]):
+        for statistic in _STATISTICS:
+            found = resampled[quantity][statistic]
+            comparisons.append(_comparison(quantity, statistic, found))
     return Judgement(
         runs=int(both.sum()),
         not_finite_before=int(runs - finite_before.sum()),
         not_finite_after=int(runs - finite_after.sum()),
         comparisons=tuple(comparisons),
     )
+
+
+def _comparison(quantity: str, statistic: str, found: tuple[Any, Any]) -> Comparison:
+    before, after = (np.asarray(x) for x in found)
+    estimates = _estimate(before), _estimate(after), _estimate(after - before)
+    return Comparison(quantity, statistic, *estimates)
 
 
 def _estimate(values: np.ndarray) -> Estimate:
@@ -138,21 +144,24 @@ def _estimate(values: np.ndarray) -> Estimate:
 
 
 @eqx.filter_jit
-def _resampled(pair: tuple[Any, Any], loss: Loss, count: int) -> dict[str, Any]:
+def _resampled(pair: tuple[Any, Any], loss: Loss, count: int) -> tuple[Any, Any]:
+    """Losses, and statistics by quantity: of the sample, then of draws from it."""
+
     def of_sample(key):
         drawn = jax.random.randint(key, (count,), 0, count)
         return statistics(drawn)
 
     def statistics(chosen):
         sample = jax.tree.map(lambda x: x[chosen], pair)
-        found = {"loss": {"": tuple(loss(outputs) for outputs in sample)}}
         columns = [_columns(outputs) for outputs in sample]
-        for name in columns[0]:
-            found[name] = {
+        found = {
+            name: {
                 label: tuple(statistic(column[name]) for column in columns)
                 for label, statistic in _STATISTICS.items()
             }
-        return found
+            for name in columns[0]
+        }
+        return tuple(loss(outputs) for outputs in sample), found
 
     first = statistics(jnp.arange(count))
     keys = jax.random.split(jax.random.key(0), _RESAMPLES)

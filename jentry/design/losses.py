@@ -48,7 +48,7 @@ def conditional_value_at_risk(values: Values, share: float = 0.05) -> Scalar:
     """
     if not 0.0 < share <= 1.0:
         raise ValueError(f"share is {share}: it must be above 0 and at most 1")
-    among = share * values.size
+    among = round(share * values.size, 9)  # 0.07 of 100 is 7, not a little more
     weights = np.clip(among - np.arange(values.size), 0.0, 1.0) / among
     return jnp.sum(jnp.sort(values, descending=True) * weights)
 
@@ -98,7 +98,8 @@ def control_effort(history: History) -> Scalar:
 
     controls = history.controls
     total = turned(controls.cos_bank) + turned(controls.angle_of_attack)
-    return total / jnp.sum(jnp.where(between, interval, 0.0))
+    duration = jnp.sum(jnp.where(between, interval, 0.0))
+    return total / jnp.where(duration > 0.0, duration, 1.0)
 
 
 class MeanSquare(eqx.Module):

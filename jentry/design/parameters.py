@@ -34,16 +34,20 @@ class AbstractMap(eqx.Module):
 
     @abstractmethod
     def __call__(self, free: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """The value. A step of 0.1 changes it by about a tenth."""
+        """The value."""
+
+
+_LARGEST = 500.0
+"""Of a logarithm: beyond it a positive number would be zero or infinite in the end"""
 
 
 class Positive(AbstractMap):
-    """value = start exp(free)"""
+    """value = start exp(free): a step of 0.1 changes it by a tenth."""
 
     start: Array = eqx.field(converter=as_float_array)
 
     def __call__(self, free):
-        return self.start * jnp.exp(free)
+        return self.start * jnp.exp(jnp.clip(free, -_LARGEST, _LARGEST))
 
 
 class Unbounded(AbstractMap):
@@ -57,7 +61,7 @@ class Unbounded(AbstractMap):
 
 
 class Between(AbstractMap):
-    """A logistic curve between two bounds."""
+    """A logistic curve between two bounds, of which the middle is steepest."""
 
     start: Array = eqx.field(converter=as_float_array)
     lower: Array = eqx.field(converter=as_float_array)
@@ -66,9 +70,8 @@ class Between(AbstractMap):
     def __call__(self, free):
         width = self.upper - self.lower
         share = (self.start - self.lower) / width
-        return self.lower + width * jax.nn.sigmoid(
-            jax.scipy.special.logit(share) + free
-        )
+        share = jax.nn.sigmoid(jax.scipy.special.logit(share) + free)
+        return jnp.clip(self.lower + width * share, self.lower, self.upper)
 
 
 class Parameters(eqx.Module):
@@ -88,7 +91,12 @@ class Parameters(eqx.Module):
         leaves = leaves_by_address(scenario)
         bounds = dict(bounds or {})
         maps: dict[str, AbstractMap] = {}
-        for address in addresses_of(scenario, where):
+        try:
+            # A leaf that the lens reaches twice is one parameter.
+            reached = list(dict.fromkeys(addresses_of(scenario, where)))
+        except (AttributeError, KeyError, IndexError, TypeError) as error:
+            raise ValueError(f"the lens of what to tune: {error}") from error
+        for address in reached:
             require_effect(scenario, address)
             leaf, metadata = leaves[address], field_metadata(scenario, address)
             if not jnp.issubdtype(leaf.dtype, jnp.inexact):
@@ -97,7 +105,8 @@ class Parameters(eqx.Module):
                 )
             check_values(address, np.asarray(leaf), metadata)
             if address in bounds:
-                maps[address] = _between(address, leaf, *bounds.pop(address))
+                positive = metadata.get("positive", False)
+                maps[address] = _between(address, leaf, bounds.pop(address), positive)
             elif metadata.get("positive"):
                 maps[address] = Positive(leaf)
             else:
@@ -126,13 +135,26 @@ class Parameters(eqx.Module):
         return {address: value(free[address]) for address, value in self.maps.items()}
 
 
-def _between(address: str, start: Array, lower: Any, upper: Any) -> Between:
-    low, high = (
-        jnp.broadcast_to(as_float_array(x), start.shape) for x in (lower, upper)
-    )
-    if not bool(jnp.all((low < start) & (start < high))):
+def _between(
+    address: str, start: Array, bounds: tuple[Any, Any], positive: bool
+) -> Between:
+    try:
+        lower, upper = bounds
+        low, high = (np.broadcast_to(np.asarray(x, float), start.shape) for x in bounds)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"the bounds of {address} are {bounds}: give a lower and an upper one, each "
+            f"a number or of the shape {start.shape}"
+        ) from error
+    within = np.all((low < np.asarray(start)) & (np.asarray(start) < high))
+    if not within or not np.all(np.isfinite([low, high])):
         raise ValueError(
             f"the bounds of {address} are {lower} and {upper}: they must be finite and "
             f"on both sides of its value, which is {np.asarray(start)}"
+        )
+    if positive and not np.all(low > 0.0):
+        raise ValueError(
+            f"the lower bound of {address} is {lower}: it must be above zero, since the "
+            "number must be positive"
         )
     return Between(start, low, high)

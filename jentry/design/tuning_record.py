@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import tempfile
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,8 @@ from ..campaign.description import first_difference
 from .parameters import Free
 
 
-_VERSION = 1
+_UNREADABLE = ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile
+"""What numpy may raise of a file that it has not written"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,8 +68,13 @@ def write_record(
     arrays |= {f"state/{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-        np.savez(file, allow_pickle=False, **arrays)
-    os.replace(file.name, path)
+        try:
+            np.savez(file, allow_pickle=False, **arrays)
+            file.close()
+            os.replace(file.name, path)
+        except BaseException:
+            os.unlink(file.name)
+            raise
 
 
 def read_record(
@@ -79,10 +86,10 @@ def read_record(
     says where they differ.
     """
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         known = json.loads(str(arrays["description"]))
-    except (ValueError, KeyError, OSError, EOFError) as error:
+    except _UNREADABLE as error:
         raise ValueError(f"{path} is no record of a tuning run: {error}") from None
     difference = first_difference(known, json.loads(json.dumps(description)))
     if difference:
@@ -105,7 +112,7 @@ def read_record(
             not_finite=int(arrays["not_finite"][i]),
             flights=int(arrays["flights"][i]),
             seconds=float(arrays["seconds"][i]),
-            values={a: x[i] for a, x in groups["values"].items()},
+            values={a: np.asarray(x[i]) for a, x in groups["values"].items()},
             free={a: jax.numpy.asarray(x[i]) for a, x in groups["free"].items()},
             reached={a: float(x[i]) for a, x in groups["reached"].items()},
         )

@@ -14,6 +14,10 @@ from .._interpolation import clamp
 from .._types import Scalar, scalar
 
 
+_NEGLIGIBLE = 1e-16
+"""Of a share of one"""
+
+
 class AbstractSwitching(eqx.Module):
     """How a law limits its command and how it begins."""
 
@@ -53,8 +57,12 @@ class Smooth(AbstractSwitching):
         width = self.command
         command = clamp(command, -1.0 - 40.0 * width, 1.0 + 40.0 * width)
         rise = jax.nn.softplus((command + 1.0) / width)
-        return width * (rise - jax.nn.softplus((command - 1.0) / width)) - 1.0
+        bent = width * (rise - jax.nn.softplus((command - 1.0) / width)) - 1.0
+        return clamp(bent, -1.0, 1.0)
 
     def beyond(self, excess: Scalar, chosen: Scalar, otherwise: Scalar) -> Scalar:
+        # Where one of them does not count, it may not be finite either.
         share = jax.nn.sigmoid(excess / self.gate)
+        chosen = jnp.where(share < _NEGLIGIBLE, 0.0, chosen)
+        otherwise = jnp.where(share >= 1.0, 0.0, otherwise)
         return share * chosen + (1.0 - share) * otherwise

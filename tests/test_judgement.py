@@ -1,0 +1,182 @@
+"""A judgement is of the same new draws, and of the change run by run."""
+
+import functools
+
+import cheap
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import with_leaf
+
+from jentry.campaign.monte_carlo import drawn_inputs, filled_up
+from jentry.design.batch_gradient import Problem, batch_outputs
+from jentry.design.judgement import Comparison, Estimate, held_out, judge
+from jentry.design.losses import MeanSquare
+from jentry.design.parameters import Parameters
+from jentry.flight.misses import misses
+from jentry.units import km
+
+
+RUNS = 100
+
+KEY = held_out(jax.random.key(cheap.SEED))
+
+LOSS = MeanSquare(lambda outputs: outputs["downrange"] / (100.0 * km))
+
+
+def outputs(scenario, flight):
+    """Of which one fails for heavy vehicles in a thick atmosphere, as a flight may."""
+    heavy = scenario.vehicle.mass * scenario.planet.density_scale > 1010.0
+    missed = misses(scenario, flight)
+    return {
+        "downrange": jnp.where(heavy, jnp.nan, missed.downrange),
+        "end": {"altitude": missed.altitude},
+        "outcome": flight.outcome,
+        "position": jnp.stack([flight.state.longitude, flight.state.latitude]),
+    }
+
+
+def scenario(density):
+    return with_leaf(cheap.scenario(), lambda s: s.planet.density_scale, density)
+
+
+@functools.cache
+def flown(density):
+    """Outputs of each run, and which of them are finite; as numpy arrays."""
+    problem = Problem(scenario(density), Parameters({}), outputs, cheap.SOLVER, None)
+    devices = len(jax.devices())
+    filled = filled_up(np.arange(RUNS), devices)
+    inputs = drawn_inputs(problem.scenario, cheap.mass_only(), KEY, filled)
+    found = batch_outputs(problem, {}, inputs, devices)
+    return jax.tree.map(lambda x: np.asarray(x)[:RUNS], found)
+
+
+@functools.cache
+def judged(before, after):
+    given = scenario(before), scenario(after), cheap.mass_only(), KEY, RUNS
+    return judge(*given, LOSS, outputs, cheap.SOLVER, None)
+
+
+THICK, THIN = 1.0, 0.9
+"""Density scales; the first fails for a third of the masses"""
+
+STATISTICS = {
+    "std": lambda x: np.std(x, ddof=1),
+    "95 % of |.|": lambda x: np.percentile(np.abs(x), 95.0),
+    "mean": np.mean,
+}
+
+
+def test_flights_that_are_not_finite_are_counted_and_left_out_of_both():
+    _, finite = flown(THICK)
+    assert flown(THIN)[1].all()
+    assert 0.2 < finite.mean() < 0.9
+    judgement = judged(THICK, THIN)
+    assert judgement.runs == finite.sum()
+    assert judgement.not_finite_before == RUNS - finite.sum()
+    assert judgement.not_finite_after == 0
+    turned_around = judged(THIN, THICK)
+    assert turned_around.runs == judgement.runs
+    assert turned_around.not_finite_after == judgement.not_finite_before
+
+
+def test_all_numbers_of_a_flight_are_compared_and_no_codes_or_tables():
+    names = [(c.quantity, c.statistic) for c in judged(THICK, THIN).comparisons]
+    quantities = ("downrange", "end.altitude")
+    assert names == [("loss", ""), *((q, s) for q in quantities for s in STATISTICS)]
+
+
+@pytest.mark.parametrize("statistic", STATISTICS)
+@pytest.mark.parametrize("quantity", ["downrange", "end.altitude"])
+def test_estimates_are_of_the_runs_that_are_finite_in_both(quantity, statistic):
+    both = flown(THICK)[1]
+    comparison = judged(THICK, THIN)[quantity, statistic]
+    values = []
+    for density, estimate in (
+        (THICK, comparison.before),
+        (THIN, comparison.after),
+    ):
+        found, _ = flown(density)
+        column = {
+            "downrange": found["downrange"],
+            "end.altitude": found["end"]["altitude"],
+        }[quantity]
+        values.append(STATISTICS[statistic](column[both]))
+        # Sums of a hundred numbers.
+        assert estimate.value == pytest.approx(values[-1], rel=1e-12)
+        assert estimate.low < estimate.value < estimate.high
+    change = comparison.change
+    assert change.value == pytest.approx(values[1] - values[0], rel=1e-9)
+    assert change.low < change.value < change.high
+
+
+def test_the_change_is_known_better_than_before_and_after():
+    """Run by run the same masses fly: most of the spread is common to both."""
+    comparison = judged(THICK, THIN)["downrange", "mean"]
+    widths = [
+        estimate.high - estimate.low
+        for estimate in (comparison.before, comparison.after, comparison.change)
+    ]
+    assert widths[2] < 0.1 * min(widths[:2])
+
+
+def test_the_loss_is_compared_as_well():
+    both = flown(THICK)[1]
+    comparison = judged(THICK, THIN)["loss", ""]
+    for density, estimate in ((THICK, comparison.before), (THIN, comparison.after)):
+        downrange = flown(density)[0]["downrange"][both] / (100.0 * km)
+        assert estimate.value == pytest.approx(np.mean(downrange**2), rel=1e-12)
+    assert not comparison.lower and judged(THIN, THICK)["loss", ""].lower
+
+
+def test_intervals_of_means_are_those_of_the_central_limit():
+    both = flown(THICK)[1]
+    found = flown(THIN)[0]["downrange"][both]
+    estimate = judged(THICK, THIN)["downrange", "mean"].after
+    half = 1.96 * found.std() / np.sqrt(both.sum())
+    # Two percentiles of a thousand resamples are good to some 5 % of the width each.
+    assert estimate.high - estimate.value == pytest.approx(half, rel=0.2)
+    assert estimate.value - estimate.low == pytest.approx(half, rel=0.2)
+
+
+def test_a_scenario_against_itself_has_not_changed():
+    for comparison in judged(THIN, THIN).comparisons:
+        assert comparison.before == comparison.after
+        change = comparison.change
+        assert change.value == change.low == change.high == 0.0
+        assert not comparison.lower
+
+
+def test_nothing_is_compared_where_all_flights_fail():
+    message = f"of {RUNS} held-out runs 0 are finite before and after"
+    with pytest.raises(ValueError, match=message):
+        judged(THIN, 1.2)
+
+
+def test_an_unknown_comparison_is_refused_with_those_there_are():
+    with pytest.raises(
+        KeyError, match="no comparison .*'std'.*there are .*downrange, std"
+    ):
+        judged(THIN, THIN)["dowrange", "std"]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "lower"),
+    [(-2.0, -1.0, True), (-2.0, 1.0, False), (1.0, 2.0, False)],
+)
+def test_lower_is_beyond_the_confidence_interval(low, high, lower):
+    change = Estimate(0.5 * (low + high), low, high)
+    before = Estimate(10.0, 1.0, 20.0)
+    assert Comparison("downrange", "std", before, before, change).lower is lower
+
+
+def test_held_out_draws_are_others_than_those_tuned_with():
+    keys = [jax.random.key(seed) for seed in range(3)]
+    keys += [held_out(key) for key in keys]
+    draws = [
+        drawn_inputs(scenario(THIN), cheap.mass_only(), key, np.arange(64))
+        for key in keys
+    ]
+    masses = np.concatenate([inputs["vehicle.mass"] for inputs in draws])
+    assert len(np.unique(masses)) == len(masses)
