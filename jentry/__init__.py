@@ -6,6 +6,7 @@ jentry.setup()
 scenario = jentry.find_mission("mars-drag-tracking").scenario()
 flight = jentry.fly(scenario)
 campaign = jentry.monte_carlo(scenario, dispersions, key)
+tuned = jentry.tune(scenario, where, loss, optimizer, dispersions, key)
 """
 
 from ._setup import setup as setup
@@ -19,6 +20,11 @@ from .campaign import (
     monte_carlo as monte_carlo,
     open_campaign as open_campaign,
     run_campaign as run_campaign,
+)
+from .design import (
+    linear_covariance as linear_covariance,
+    sensitivity as sensitivity,
+    tune as tune,
 )
 from .flight import (
     Adaptive as Adaptive,

@@ -153,6 +153,7 @@ def tune(
             patience=patience,
             held_out=held_out,
             record=record,
+            labels={"loss": loss, "optimizer": wanted, "learning_rate": learning_rate},
             report=report_step,
         )
     except KeyboardInterrupt:
@@ -162,7 +163,8 @@ def tune(
     write_overrides(
         folder / "tuned.toml",
         f"{mission} tuned by jentry: {loss} over {runs} draws of seed {seed}, {wanted},\n"
-        f"{len(tuned.history)} steps. Fly it: jentry monte-carlo {mission} --config FILE",
+        f"{len(tuned.history)} steps, --step {step:g}. Fly it:\n"
+        f"jentry monte-carlo {mission} --config FILE",
         variant,
         {**overrides.values, **tuned.values},
         overrides.written or reading,

@@ -67,8 +67,8 @@ def report_step(history: list[Entry], best: int) -> None:
         f"step {len(history):4}  loss {entry.loss:.6g}  best {history[best].loss:.6g}"
     )
     line += f"  gradient {entry.gradient_norm:.3g}  {entry.seconds:.0f} s"
-    if entry.not_finite:
-        line += f"  {entry.not_finite} not finite"
+    if entry.failed:
+        line += f"  {entry.failed} not finite"
     Console(stderr=True, highlight=False).print(line)
 
 
@@ -103,7 +103,7 @@ def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
     if unreached:
         console.print(
             f"no gradient reaches {', '.join(unreached)}: it acts through a discrete "
-            "choice or behind a limit; --smooth may help"
+            "choice or behind a limit, and stays as it was"
         )
     print_judgement(tuned)
 
@@ -111,6 +111,14 @@ def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
 def print_judgement(tuned: Tuned) -> None:
     """Before and after on held-out draws, with 95 % intervals."""
     console, judgement = new_console(), tuned.judgement
+    lost = judgement.not_finite_before, judgement.not_finite_after
+    if any(lost):
+        console.print(
+            f"held-out flights not finite and left out: {lost[0]} before, {lost[1]} tuned"
+        )
+    if not judgement.comparisons:
+        console.print("no two held-out flights are finite: the result is NOT judged")
+        return
     table = new_table("", "unit", "before", "tuned", "change", "95 % interval", "")
     for comparison in judgement.comparisons:
         if _is_nothing(comparison):
@@ -135,9 +143,6 @@ def print_judgement(tuned: Tuned) -> None:
         )
     title = f"{judgement.runs} held-out draws, exact law, the same for both"
     print_under(console, title, table)
-    lost = judgement.not_finite_before, judgement.not_finite_after
-    if any(lost):
-        console.print(f"not finite and left out: {lost[0]} before, {lost[1]} tuned")
     if not judgement["loss", ""].lower:
         console.print(
             "the loss is NOT lower on held-out draws, beyond the interval: tune on more "
@@ -165,14 +170,25 @@ def _verdict(comparison: Comparison) -> str:
 def write_history(path: Path, tuned: Tuned) -> None:
     """Loss, gradient norm and parameters of every step, as csv."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    fields = ("loss", "gradient_norm", "not_finite", "flights", "seconds")
-    single = [a for a, value in tuned.values.items() if np.shape(value) == ()]
+    fields = (
+        "loss",
+        "gradient_norm",
+        "failed",
+        "gradients_failed",
+        "flights",
+        "seconds",
+    )
+    names = []
+    for address, value in tuned.values.items():
+        one = np.shape(value) == ()
+        names += [address if one else f"{address}[{i}]" for i in range(value.size)]
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["step", *fields, *single])
+        writer.writerow(["step", *fields, *names])
         for number, entry in enumerate(tuned.history, start=1):
             row = [getattr(entry, field) for field in fields]
-            writer.writerow([number, *row, *(float(entry.values[a]) for a in single)])
+            values = [x for a in tuned.values for x in np.ravel(entry.values[a])]
+            writer.writerow([number, *row, *map(float, values)])
 
 
 def print_sensitivity(scenario: Scenario, found: Sensitivity) -> None:
@@ -200,12 +216,20 @@ def print_covariance(
     console = new_console()
     outputs = [name for name in analysis.spreads if _is_shown(scenario, name)]
     table = new_table(
-        "miss", "unit", "nominal", "mean", "std", "flown mean", "flown std", "ratio", ""
+        "miss",
+        "unit",
+        "nominal",
+        "mean",
+        "std",
+        "flown mean",
+        "flown std",
+        "same draws",
+        "",
     )
     for name in outputs:
         spread = analysis.spreads[name]
         numbers = [spread.nominal, spread.mean, spread.standard_deviation]
-        numbers += [spread.monte_carlo_mean, spread.monte_carlo_standard_deviation]
+        numbers += [spread.flown_mean, spread.flown_standard_deviation]
         edge, unit = at_edge(np.array(numbers), unit_of_output(None, name))
         cells = ["" if np.isnan(x) else f"{x:z.4f}" for x in edge]
         ratio, verdict = "", ""

@@ -38,8 +38,9 @@ def clairvoyant_floor(
 
     The law of the scenario gives way to cos(bank) as a polynomial of the velocity, of
     which the coefficients are fitted to each draw by least squares through the flight:
-    what a law with perfect foresight and such a profile could reach. A bound on what
-    gains can do, from above: it is as good as the profile is rich and the search.
+    what a law with perfect foresight and such a profile could reach. The true floor may
+    be lower still: this is as good as the profile is rich, and the search, which may end
+    early for some draws. For flights in their plane.
 
     **Arguments:**
 
@@ -52,6 +53,11 @@ def clairvoyant_floor(
     **Returns:** the outputs, each of shape (runs, ...), and the coefficients, (runs, n).
     """
     check(scenario)
+    if not scenario.in_plane:
+        raise ValueError(
+            "a bank profile to one side cannot meet a crossrange: take a scenario with "
+            "in_plane=True"
+        )
     check_dispersions(scenario, dispersions)
     if coefficients < 1:
         raise ValueError(f"coefficients is {coefficients}: it must be at least 1")

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Key
 from ..campaign.dispersions import Dispersion
 from ..campaign.monte_carlo import drawn_inputs, filled_up
 from .batch_gradient import (
+    ROUNDING,
     Loss,
     Problem,
     batch_gradient,
@@ -24,22 +25,38 @@ from .batch_gradient import (
 from .parameters import Free
 
 
+class LinearResiduals(eqx.Module):
+    """Residuals and their Jacobian about a point, in as few rows as there are columns.
+
+    Of many rows only the triangle of their QR factorization is kept: it has the same
+    norms, and what a least-squares solver needs no longer grows with the flights.
+    """
+
+    residuals: Float[Array, " rows"]
+    jacobian: dict[str, Array]
+    """By address, each of shape (rows, ...)"""
+
+
 class Evaluation(eqx.Module):
     """What is known of one point."""
 
     loss: float
+    """Of the exact law, over the draws that are the same for all points"""
+    followed: float
+    """Of the law and the draws of the gradient: the same, unless these are others"""
     gradient: Free
-    not_finite: int
-    """Flights that are not, or whose derivatives are not"""
-    residuals: Float[Array, " residuals"] | None = None
-    jacobian: Any = None
-    """Of the residuals, by address, each of shape (residuals, ...)"""
-    reached: dict[str, float] = eqx.field(default_factory=dict)
+    failed: int
+    """Flights of the exact law that are not finite, and that the loss leaves out"""
+    gradients_failed: int
+    """Flights whose gradient is not finite, or beyond all measure, and is left out"""
+    reached: dict[str, float]
     """Share of the flights that the loss looks at to which each parameter matters"""
+    linear: LinearResiduals | None = None
+    """For least squares"""
 
 
 class Evaluator:
-    """Loss and gradient at a point, by what the stepper needs."""
+    """Evaluates points: loss and gradient, or residuals and their Jacobian."""
 
     def __init__(
         self,
@@ -64,87 +81,96 @@ class Evaluator:
         self._apart = followed is not exact or fresh_draws
         self.flights_per_step = (2 if self._apart else 1) * runs
 
+    def __call__(self, free: Free, step: int) -> Evaluation:
+        """At a point, in a step that has draws of its own if they are fresh."""
+        if self._least_squares:
+            evaluation = self._by_residuals(free)
+        else:
+            inputs = self._draw(step + 1) if self._fresh_draws else self._inputs
+            evaluation = self._by_gradient(free, inputs)
+        if not self._apart:
+            return evaluation
+        loss, _, failed = self._loss(self._exact, free, self._inputs)
+        return eqx.tree_at(lambda e: (e.loss, e.failed), evaluation, (loss, failed))
+
+    def loss(self, free: Free) -> float:
+        """Of the exact law, at a point."""
+        return self._loss(self._exact, free, self._inputs)[0]
+
     def _draw(self, step: int) -> tuple[dict[str, Array], np.ndarray]:
         """Inputs of the runs of a step, filled up, and which of them count."""
         runs = filled_up(step * self._runs + np.arange(self._runs), self._devices)
         inputs = drawn_inputs(self._exact.scenario, self._dispersions, self._key, runs)
         return inputs, np.arange(len(runs)) < self._runs
 
-    def __call__(self, free: Free, step: int) -> Evaluation:
-        if self._least_squares:
-            return self._residuals(free)
-        inputs = self._draw(step + 1) if self._fresh_draws else self._inputs
-        loss, weights, not_finite = self._loss(self._followed, free, inputs)
-        if self._apart:
-            loss, _, not_finite = self._loss(self._exact, free, self._inputs)
-        gradient = batch_gradient(
-            self._followed, free, inputs[0], weights, self._devices, self._forward
-        )
-        counted = max(int(gradient.counted), 1)
-        reached = {a: int(n) / counted for a, n in gradient.reached.items()}
-        not_finite += int(gradient.not_finite)
-        return Evaluation(loss, gradient.total, not_finite, reached=reached)
-
     def _loss(self, problem: Problem, free: Free, inputs) -> tuple[float, Any, int]:
         """Loss of the finite runs, its derivative to all outputs, and how many are not."""
         given, counted = inputs
         outputs, finite = batch_outputs(problem, free, given, self._devices)
         finite = np.asarray(finite) & counted
-        not_finite = self._runs - int(finite.sum())
+        failed = self._runs - int(finite.sum())
         if not finite.any():
             nothing = eqx.filter(outputs, eqx.is_inexact_array)
-            return np.inf, jax.tree.map(jnp.zeros_like, nothing), not_finite
+            return np.inf, jax.tree.map(jnp.zeros_like, nothing), failed
         loss, weights = loss_and_weights(self._loss_of, where_finite(outputs, finite))
-        return float(loss), put_back(weights, finite), not_finite
+        return float(loss), put_back(weights, finite), failed
 
-    def _residuals(self, free: Free) -> Evaluation:
+    def _by_gradient(self, free: Free, inputs) -> Evaluation:
+        loss, weights, failed = self._loss(self._followed, free, inputs)
+        gradient = batch_gradient(
+            self._followed, free, inputs[0], weights, self._devices, self._forward
+        )
+        counted = max(int(gradient.counted), 1)
+        reached = {a: int(n) / counted for a, n in gradient.reached.items()}
+        left_out = int(gradient.failed)
+        return Evaluation(loss, loss, gradient.total, failed, left_out, reached)
+
+    def _by_residuals(self, free: Free) -> Evaluation:
         given, counted = self._inputs
-        outputs, jacobian, finite = batch_jacobian(
+        outputs, jacobian, finite, smooth = batch_jacobian(
             self._followed, free, given, self._devices
         )
         finite = np.asarray(finite) & counted
+        smooth = np.asarray(smooth)[finite]
+        flights = int(finite.sum())
+        failed = self._runs - flights
         nothing = jax.tree.map(jnp.zeros_like, free)
-        if not finite.any():
+        if not flights:
             unreached = dict.fromkeys(free, 0.0)
-            return Evaluation(np.inf, nothing, self._runs, reached=unreached)
-        residuals, slopes = _residuals(
+            linear = LinearResiduals(
+                jnp.full((_rows(free),), jnp.inf),
+                {a: jnp.zeros((_rows(free), *x.shape)) for a, x in free.items()},
+            )
+            return Evaluation(np.inf, np.inf, nothing, failed, 0, unreached, linear)
+        residuals, slopes = residuals_and_slopes(
             self._loss_of.residuals,
             where_finite(outputs, finite),
-            where_finite(jacobian, finite),
+            _zero_unless(smooth, where_finite(jacobian, finite)),
         )
-        flights = int(finite.sum())
-        not_finite = self._runs - flights
-        loss = float(jnp.sum(residuals**2)) / flights
+        loss = float(np.sum(residuals**2)) / flights
         gradient = {
-            a: 2.0 * jnp.tensordot(residuals.ravel(), _rows(s), 1) / flights
+            a: 2.0 * jnp.asarray(np.tensordot(residuals, s, 2)) / flights
             for a, s in slopes.items()
         }
-        if self._apart:
-            loss, _, not_finite = self._loss(self._exact, free, self._inputs)
-        reached = {a: _share_reached(slope) for a, slope in slopes.items()}
-        if flights < self._runs:
-            # As many rows as ever: a flight that failed is as bad as the worst, and flat.
-            worst = jnp.max(jnp.abs(residuals))
-            missing = self._runs - flights
-            residuals = _with_rows(residuals, missing, worst)
-            slopes = {a: _with_rows(s, missing, 0.0) for a, s in slopes.items()}
-        scale = 1.0 / np.sqrt(self._runs)
+        # A flight that failed is as bad as the worst, and flat.
+        missing = failed * np.max(np.sum(residuals**2, axis=1))
+        linear = _compressed(residuals, slopes, missing, self._runs)
+        left_out = flights - int(smooth.sum())
         return Evaluation(
-            loss,
-            gradient,
-            not_finite,
-            scale * residuals.ravel(),
-            {a: scale * _rows(s) for a, s in slopes.items()},
-            reached,
+            loss, loss, gradient, failed, left_out, _reached(slopes), linear
         )
+
+
+def residuals_and_slopes(
+    residuals, outputs: Any, jacobian: Any
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Residuals of shape (flights, n) and their Jacobian, (flights, n, ...) by address."""
+    found = _residuals_and_slopes(residuals, outputs, jacobian)
+    return jax.tree.map(np.asarray, found)
 
 
 @eqx.filter_jit
-def _residuals(
-    residuals, outputs: Any, jacobian: Any
-) -> tuple[Array, dict[str, Array]]:
-    """Residuals of shape (flights, n) and their Jacobian, (flights, n, ...) by address."""
-
+def _residuals_and_slopes(residuals, outputs: Any, jacobian: Any):
     def stacked(outputs):
         columns = jax.tree.leaves(residuals(outputs))
         flights = len(jax.tree.leaves(outputs)[0])
@@ -157,48 +183,68 @@ def _residuals(
         return jnp.stack(columns, axis=1)
 
     moving, fixed = eqx.partition(outputs, eqx.is_inexact_array)
+    leaves, structure = jax.tree.flatten(moving)
 
     def along(tangent):
         function = lambda moving: stacked(eqx.combine(moving, fixed))
         return jax.jvp(function, (moving,), (tangent,))[1]
 
-    # The Jacobian has the structure of the outputs, with the addresses at its leaves.
-    by_address = _turned_around(moving, jacobian)
+    # The Jacobian is a dictionary by address in place of each output; turned around, it
+    # has for each address tangents of all outputs, with the numbers of the leaf last.
+    by_output = structure.flatten_up_to(jacobian)
     slopes = {}
-    for address, (tangent, shape) in by_address.items():
-        columns = jax.vmap(along, in_axes=-1, out_axes=-1)(tangent)
+    for address in by_output[0]:
+        shape = by_output[0][address].shape[leaves[0].ndim :]
+        tangents = structure.unflatten(
+            [
+                by_address[address].reshape(*leaf.shape, -1)
+                for leaf, by_address in zip(leaves, by_output, strict=True)
+            ]
+        )
+        columns = jax.vmap(along, in_axes=-1, out_axes=-1)(tangents)
         slopes[address] = columns.reshape(*columns.shape[:2], *shape)
     return stacked(outputs), slopes
 
 
-def _turned_around(
-    moving: Any, jacobian: Any
-) -> dict[str, tuple[Any, tuple[int, ...]]]:
-    """By address: tangents of the outputs with the parameter's numbers in one last axis."""
-    leaves, structure = jax.tree.flatten(moving)
-    inner = structure.flatten_up_to(jacobian)
-    found = {}
-    for address in inner[0]:
-        shape = inner[0][address].shape[leaves[0].ndim :]
-        columns = [
-            by_address[address].reshape(*leaf.shape, -1)
-            for leaf, by_address in zip(leaves, inner, strict=True)
-        ]
-        found[address] = structure.unflatten(columns), shape
-    return found
+def _zero_unless(smooth: np.ndarray, jacobian: Any) -> Any:
+    def zeroed(x):
+        keep = smooth.reshape(-1, *[1] * (x.ndim - 1))
+        return jnp.asarray(np.where(keep, np.asarray(x), 0.0))
+
+    return jax.tree.map(zeroed, jacobian)
 
 
-def _rows(slope: Array) -> Array:
-    """(flights, n, ...) as (flights * n, ...)"""
-    return slope.reshape(-1, *slope.shape[2:])
+def _rows(free: Free) -> int:
+    return sum(x.size for x in free.values()) + 1
 
 
-def _with_rows(values: Array, count: int, fill: Any) -> Array:
-    return jnp.concatenate(
-        [values, jnp.full((count, *values.shape[1:]), fill, values.dtype)]
-    )
+def _compressed(
+    residuals: np.ndarray, slopes: dict[str, np.ndarray], missing: float, runs: int
+) -> LinearResiduals:
+    """Over the square root of the runs; `missing` is added to the sum of squares."""
+    count = residuals.size
+    columns = [slope.reshape(count, -1) for slope in slopes.values()]
+    table = np.concatenate([*columns, residuals.reshape(count, 1)], axis=1)
+    wide = table.shape[1]
+    # At least as many rows as columns, and one of them for what is missing.
+    table = np.concatenate([table, np.zeros((wide, wide))])
+    table[-1, -1] = np.sqrt(missing)
+    triangle = np.asarray(np.linalg.qr(table / np.sqrt(runs), mode="r"))
+    jacobian, begin = {}, 0
+    for (address, slope), column in zip(slopes.items(), columns, strict=True):
+        end = begin + column.shape[1]
+        part = triangle[:, begin:end].reshape(wide, *slope.shape[2:])
+        jacobian[address], begin = jnp.asarray(part), end
+    return LinearResiduals(jnp.asarray(triangle[:, -1]), jacobian)
 
 
-def _share_reached(slope: Array) -> float:
-    reached = jnp.any(slope.reshape(len(slope), -1) != 0.0, axis=1)
-    return float(jnp.mean(reached))
+def _reached(slopes: dict[str, np.ndarray]) -> dict[str, float]:
+    """Share of the flights to which each parameter matters, beyond rounding."""
+    sizes = {
+        a: np.max(np.abs(s.reshape(len(s), -1)), axis=1) for a, s in slopes.items()
+    }
+    largest = np.max(list(sizes.values()), axis=0)
+    return {
+        a: float(np.mean((size > 0.0) & (size > ROUNDING * largest)))
+        for a, size in sizes.items()
+    }

@@ -61,6 +61,7 @@ class Judgement:
     not_finite_before: int
     not_finite_after: int
     comparisons: tuple[Comparison, ...]
+    """None if fewer than two runs are finite"""
 
     def __getitem__(self, name: tuple[str, str]) -> Comparison:
         """The comparison of a quantity and a statistic, such as `"downrange", "std"`.
@@ -111,18 +112,15 @@ def judge(
         flown.append((values, np.asarray(finite) & (np.arange(len(filled)) < runs)))
     (values_before, finite_before), (values_after, finite_after) = flown
     both = finite_before & finite_after
-    if both.sum() < 2:
-        raise ValueError(
-            f"of {runs} held-out runs {both.sum()} are finite before and after: nothing "
-            "can be compared"
-        )
-    pair = where_finite(values_before, both), where_finite(values_after, both)
-    losses, resampled = _resampled(pair, loss, int(both.sum()))
-    comparisons = [_comparison("loss", "", losses)]
-    for quantity in _columns(pair[0]):
-        for statistic in _STATISTICS:
-            found = resampled[quantity][statistic]
-            comparisons.append(_comparison(quantity, statistic, found))
+    comparisons = []
+    if both.sum() >= 2:
+        pair = where_finite(values_before, both), where_finite(values_after, both)
+        losses, resampled = _resampled(pair, loss, int(both.sum()))
+        comparisons.append(_comparison("loss", "", losses))
+        for quantity in _columns(pair[0]):
+            for statistic in _STATISTICS:
+                found = resampled[quantity][statistic]
+                comparisons.append(_comparison(quantity, statistic, found))
     return Judgement(
         runs=int(both.sum()),
         not_finite_before=int(runs - finite_before.sum()),

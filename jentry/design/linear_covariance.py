@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Key
 
 from .._addresses import leaves_by_address
 from ..campaign.dispersions import Dispersion, check_dispersions, disperse, draw
-from ..campaign.monte_carlo import LANES, fly_run, over_runs
+from ..campaign.monte_carlo import LANES, filled_up, fly_run, over_runs
 from ..flight.misses import misses
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
@@ -27,7 +27,7 @@ from .batch_gradient import Outputs
 from .sensitivity import named
 
 
-_SAMPLES = 100_000
+_SAMPLED = 100_000
 """Draws that are put through the linear models; no flights"""
 
 
@@ -55,17 +55,14 @@ class Spread:
     nominal: float
     """At the mean of all draws"""
     mean: float
+    """Predicted, like the next"""
     standard_deviation: float
-    monte_carlo_mean: float
-    """NaN if none was flown, like the next"""
-    monte_carlo_standard_deviation: float
-
-    @property
-    def ratio(self) -> float:
-        """Predicted standard deviation over the flown one."""
-        if self.monte_carlo_standard_deviation == 0.0:
-            return float("nan")
-        return self.standard_deviation / self.monte_carlo_standard_deviation
+    flown_mean: float
+    """Of the Monte Carlo; NaN if none was flown, like the next two"""
+    flown_standard_deviation: float
+    ratio: float
+    """Predicted standard deviation over the flown one, for the same draws: what is left
+    is not the luck of the draws"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -92,6 +89,11 @@ class LinearCovariance:
     """By output and dispersion"""
     runs: int
     """Of the Monte Carlo beside it, finite ones"""
+    failed: int
+    """And those that are not finite"""
+    without_model: dict[str, float]
+    """Share of the flights by end conditions that the nominal flight does not meet, and
+    of which nothing is predicted"""
 
 
 def linear_covariance(
@@ -131,48 +133,54 @@ def linear_covariance(
     pairs = tuple(dispersions.items())
 
     axes = _along_axes(pairs)
-    count = max(runs, 1) + len(axes)
-    drawn = _draws(
-        pairs, key, jnp.arange(-(-count // (LANES * devices)) * LANES * devices)
-    )
+    drawn = _draws(pairs, key, jnp.arange(max(runs, LANES)))
     points = {
-        name: np.concatenate([[point[name] for point in axes], drawn[name]])
-        for name in dispersions
+        name: np.concatenate([[point[name] for point in axes], np.asarray(values)])
+        for name, values in drawn.items()
     }
-    total = -(-count // (LANES * devices)) * LANES * devices
-    points = {name: jnp.asarray(values[:total]) for name, values in points.items()}
-    values, codes, finite = _fly_draws(
-        scenario, pairs, points, outputs, solver, devices
-    )
-    codes, finite = np.asarray(codes), np.asarray(finite)
-    flown = {n: np.asarray(v) for n, v in _columns(values).items()}
+    count = len(axes) + max(runs, LANES)
+    filled = filled_up(np.arange(count), devices)
+    given = {name: jnp.asarray(values[filled]) for name, values in points.items()}
+    flown = _fly_draws(scenario, pairs, given, outputs, solver, devices)
+    values, codes, finite = jax.tree.map(lambda x: np.asarray(x)[:count], flown)
+    columns = _columns(values)
     if not finite[0]:
         raise ValueError(
             "the flight at the mean of all draws is not finite: it has no derivatives"
         )
 
-    models = {}
+    models, without_model = {}, {}
     for code in np.unique(codes[finite]):
         name = scenario.termination.names[int(code)]
         model = _linear_model(scenario, pairs, outputs, solver, name)
-        if model is not None:
+        if model is None:
+            without_model[name] = float(np.mean(codes[finite] == code))
+        else:
             models[name] = model
-    sampled = _predict(models, pairs, jax.random.fold_in(key, 1))
+    if not models:
+        raise ValueError("the nominal flight meets none of the end conditions alone")
 
-    ran = slice(len(axes), len(axes) + runs)
-    kept = finite[ran]
+    of_runs = np.arange(len(axes), len(axes) + runs)
+    kept = of_runs[finite[of_runs]]
+    sampled = _through(
+        models,
+        _standard(
+            pairs, _draws(pairs, jax.random.fold_in(key, 1), jnp.arange(_SAMPLED))
+        ),
+    )
+    same = _through(models, _standard(pairs, {n: x[kept] for n, x in points.items()}))
     spreads, effects = {}, {}
-    for name, column in flown.items():
-        of_runs = column[ran][kept]
-        predicted = sampled[name]
+    for name, column in columns.items():
+        enough = kept.size > 1
+        spread = float(np.std(column[kept], ddof=1)) if enough else np.nan
+        predicted = float(np.std(same[name], ddof=1)) if enough else np.nan
         spreads[name] = Spread(
             nominal=float(column[0]),
-            mean=float(np.mean(predicted)),
-            standard_deviation=float(np.std(predicted)),
-            monte_carlo_mean=float(np.mean(of_runs)) if of_runs.size else np.nan,
-            monte_carlo_standard_deviation=(
-                float(np.std(of_runs, ddof=1)) if of_runs.size > 1 else np.nan
-            ),
+            mean=float(np.mean(sampled[name])),
+            standard_deviation=float(np.std(sampled[name])),
+            flown_mean=float(np.mean(column[kept])) if enough else np.nan,
+            flown_standard_deviation=spread,
+            ratio=predicted / spread if spread > 0.0 else np.nan,
         )
         effects[name] = {}
         for place, dispersion in enumerate(dispersions):
@@ -185,7 +193,10 @@ def linear_covariance(
                 flown=float(0.5 * (above - below)),
                 bend=float(0.5 * (above + below) - column[0]),
             )
-    return LinearCovariance(models, spreads, effects, int(kept.sum()))
+    failed = int(of_runs.size - kept.size)
+    return LinearCovariance(
+        models, spreads, effects, int(kept.size), failed, without_model
+    )
 
 
 Pairs = tuple[tuple[str, Dispersion], ...]
@@ -282,16 +293,13 @@ def _linearize(scenario, pairs: Pairs, outputs, solver):
     return slopes, *others
 
 
-def _predict(
-    models: dict[str, LinearModel], pairs: Pairs, key: Key[Array, ""]
-) -> dict[str, np.ndarray]:
-    """Outputs of many draws by the linear models."""
-    draws = _draws(pairs, key, jnp.arange(_SAMPLES))
+def _standard(pairs: Pairs, draws: Draws) -> dict[str, np.ndarray]:
+    """Draws in standard deviations from their mean."""
     standard = {}
     for name, dispersion in pairs:
         mean, deviation = (float(x) for x in dispersion.distribution.moments())
         standard[name] = (np.asarray(draws[name]) - mean) / deviation
-    return _through(models, standard)
+    return standard
 
 
 def _through(

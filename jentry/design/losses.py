@@ -85,9 +85,20 @@ def excess(values: Values, limit: Scalar | float) -> Scalar:
 def control_effort(history: History) -> Scalar:
     """Mean square rate at which a flight turns its lift, 1/s2.
 
-    Of the cosine of the bank and of the angle of attack, between the entries of a history
-    (`tune(..., history=1.0)`); bank reversals are discrete and not counted.
+    Of the cosine of the bank and of the angle of attack, between the entries of its
+    history; bank reversals are discrete and not counted. Of one flight, so take it in the
+    outputs:
+
+        outputs = lambda scenario, flight: (
+            misses(scenario, flight), control_effort(flight.history)
+        )
+        tune(..., outputs=outputs, history=1.0)
     """
+    if history.time.ndim != 1:
+        raise ValueError(
+            f"the history has times of shape {history.time.shape}: the control effort is "
+            "of one flight, take it in the outputs"
+        )
     flying = jnp.isfinite(history.time)
     between = flying[1:] & flying[:-1]
     interval = jnp.where(between, jnp.diff(history.time), 1.0)

@@ -13,7 +13,7 @@ from jaxtyping import Array
 from .._addresses import addresses_of, leaves_by_address
 from ..campaign.monte_carlo import fly_run
 from ..flight.misses import misses
-from ..flight.scenario import Scenario, check, require_effect
+from ..flight.scenario import Scenario, check, require_effect, without_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
 from .batch_gradient import FORWARD_UP_TO, Outputs
@@ -35,7 +35,7 @@ class Sensitivity:
 def sensitivity(
     scenario: Scenario,
     outputs: Outputs = misses,
-    wrt: Callable[[Any], Any] = lambda s: s.initial_state,
+    wrt: Callable[[Any], Any] | None = None,
     *,
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
@@ -50,12 +50,12 @@ def sensitivity(
     **Arguments:**
 
     - `outputs`: a function of scenario and flight, such as `misses`; of any structure.
-    - `wrt`: lens to the leaves, of any shape.
+    - `wrt`: lens to the leaves, of any shape; the initial state if not given.
     - `history`: interval (s) of the flight's history, if the outputs look at it.
     - `mode`: "forward" or "reverse"; by the number of leaves if not given.
 
     **Raises:** `ValueError` for a lens that reaches no leaf, a leaf without effect, and a
-    flight that is not finite.
+    flight or a derivative that is not finite.
 
         s = sensitivity(scenario, wrt=lambda s: s.planet.density_scale)
         s.jacobian["downrange"]["planet.density_scale"]
@@ -63,8 +63,12 @@ def sensitivity(
     check(scenario)
     if mode not in (None, "forward", "reverse"):
         raise ValueError(f'mode is {mode!r}: it must be "forward" or "reverse"')
-    addresses = addresses_of(scenario, wrt)
     known = leaves_by_address(scenario)
+    if wrt is None:
+        entry = addresses_of(scenario, lambda s: s.initial_state)
+        addresses = [a for a in entry if a not in without_effect(scenario)]
+    else:
+        addresses = addresses_of(scenario, wrt)
     for address in addresses:
         require_effect(scenario, address)
     count = sum(known[address].size for address in addresses)
@@ -81,6 +85,13 @@ def sensitivity(
     by_output = leaves_by_address(values)
     names = list(by_output)
     flat = jax.tree.structure(values).flatten_up_to(jacobian)
+    for name, by_address in zip(names, flat, strict=True):
+        for address, slope in by_address.items():
+            if not np.all(np.isfinite(slope)):
+                raise ValueError(
+                    f"the derivative of {named(name)} to {address} is not finite: the "
+                    "output may have none there, as a distance has not at zero"
+                )
     return Sensitivity(
         values={named(n): np.asarray(value) for n, value in by_output.items()},
         jacobian={

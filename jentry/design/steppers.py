@@ -1,4 +1,9 @@
-"""How tuning goes on from what it knows: first-order descent, or least squares."""
+"""How tuning goes on from what it knows: optimizers of optax and solvers of optimistix.
+
+A stepper says where to look next; flying is left to others. Optimistix asks for nothing
+but value and slope at the point where it looks, so it is given a linear function that has
+them there, and steps once.
+"""
 
 from abc import abstractmethod
 from typing import Any
@@ -15,118 +20,126 @@ from .evaluation import Evaluation
 from .parameters import Free
 
 
+_FIRST = 1.0
+"""Length of the first step of a solver, in free numbers, about. It knows no curvature
+yet, and farther out all flights may have gone astray"""
+
+
 class AbstractStepper(eqx.Module):
     """Goes from an evaluated point to the next one to evaluate."""
 
     @abstractmethod
     def init(self, free: Free, evaluation: Evaluation) -> PyTree:
-        """State before the first step."""
+        """State before the first step; of the evaluation only the shapes may matter."""
 
     @abstractmethod
     def step(
-        self, free: Free, state: PyTree, evaluation: Evaluation
+        self, free: Free, state: PyTree, evaluation: Evaluation, best: Free
     ) -> tuple[Free, PyTree, bool]:
-        """The next point, the state, and whether the stepper has converged."""
+        """The next point, the state, and whether the stepper has converged.
+
+        `best` is the best point so far.
+        """
 
 
 class Descent(AbstractStepper):
-    """An optax optimizer."""
+    """An optax optimizer. From where no gradient is to be had it goes back halfway to the
+    best point, and begins anew."""
 
     optimizer: optax.GradientTransformation = eqx.field(static=True)
+    fresh_draws: bool = eqx.field(static=True)
+    """So that a gradient of zero tells nothing of the point"""
 
     def init(self, free: Free, evaluation: Evaluation) -> PyTree:
         return self.optimizer.init(free)
 
-    def step(self, free, state, evaluation):
-        updates, state = self.optimizer.update(evaluation.gradient, state, free)
+    def step(self, free, state, evaluation, best):
+        slope = any(np.any(np.asarray(g)) for g in evaluation.gradient.values())
+        lost = not slope and not self.fresh_draws
+        if not np.isfinite(evaluation.followed) or lost:
+            halfway = jax.tree.map(lambda a, b: 0.5 * (a + b), free, best)
+            return halfway, self.optimizer.init(halfway), False
+        optimizer = optax.with_extra_args_support(self.optimizer)
+        try:
+            updates, state = optimizer.update(
+                evaluation.gradient,
+                state,
+                free,
+                value=jnp.asarray(evaluation.followed),
+                grad=evaluation.gradient,
+            )
+        except TypeError as error:
+            if "value_fn" not in str(error):
+                raise
+            raise ValueError(
+                "this optimizer wants to evaluate the loss itself, as line searches of "
+                "optax do: take optimistix.LBFGS in its place"
+            ) from error
         return optax.apply_updates(free, updates), state, False
 
 
-class _MinimisationState(eqx.Module):
+class SolverState(eqx.Module):
+    """Of a solver of optimistix."""
+
     size: Array
-    """Norm of the gradient at the start, by which the loss is divided: the first step of
-    a solver that knows no curvature yet is then of length one"""
-    not_finite: Array
-    """Flights that were not at the start: a point with more is taken for a bad one"""
+    """By which all that it is shown is divided: it does not know the unit of a loss"""
+    failed: Array
+    """Flights that were at the start: a point with more is taken for a bad one"""
     accepted: Free
-    solver: Any
+    inner: Any
 
 
-class Minimisation(AbstractStepper):
-    """An optimistix minimiser, such as `BFGS`, step by step from outside.
+class Solver(AbstractStepper):
+    """A least-squares solver or a minimiser of optimistix."""
 
-    It is shown loss and gradient as a linear function, which at the point where it looks
-    is all that it asks for.
-    """
-
-    solver: optimistix.AbstractMinimiser = eqx.field(static=True)
+    solver: optimistix.AbstractLeastSquaresSolver | optimistix.AbstractMinimiser
 
     def init(self, free: Free, evaluation: Evaluation) -> PyTree:
-        known = jnp.asarray(evaluation.loss), evaluation.gradient, free
-        structure = jax.eval_shape(lambda: known[0])
-        state = self.solver.init(_plane, free, known, {}, structure, None, frozenset())
-        size = optax.tree.norm(evaluation.gradient)
-        size = jnp.where(size > 0.0, size, 1.0)
-        return _MinimisationState(size, jnp.asarray(evaluation.not_finite), free, state)
-
-    def step(self, free, state, evaluation):
-        worse = evaluation.not_finite > int(state.not_finite)
-        loss = jnp.asarray(np.inf if worse else evaluation.loss)
-        given = loss, evaluation.gradient
-        known = *jax.tree.map(lambda x: x / state.size, given), free
-        following, state, done = _minimisation_step(self.solver, known, state)
-        return following, state, bool(done)
-
-
-def _plane(free: Free, known) -> tuple[Array, None]:
-    loss, gradient, here = known
-    moved = jax.tree.map(lambda g, a, b: jnp.sum(g * (a - b)), gradient, free, here)
-    return loss + sum(jax.tree.leaves(moved)), None
-
-
-@eqx.filter_jit
-def _minimisation_step(solver, known, state: _MinimisationState):
-    given = known, {}
-    accepted, inner, _ = solver.step(
-        _plane, state.accepted, *given, state.solver, frozenset()
-    )
-    done, _ = solver.terminate(_plane, accepted, *given, inner, frozenset())
-    after = _MinimisationState(state.size, state.not_finite, accepted, inner)
-    return inner.y_eval, after, done
-
-
-class _LeastSquaresState(eqx.Module):
-    size: Array
-    """Norm of the Jacobian at the start, by which all is divided: a solver begins with a
-    damping of one, which is then of the size of the curvature"""
-    accepted: Free
-    solver: Any
-
-
-class LeastSquares(AbstractStepper):
-    """An optimistix solver, such as `LevenbergMarquardt`, step by step from outside.
-
-    It is shown the flights' residuals and their Jacobian as a linear function, which at
-    the point where it looks is all that it asks for.
-    """
-
-    solver: optimistix.AbstractLeastSquaresSolver = eqx.field(static=True)
-
-    def init(self, free: Free, evaluation: Evaluation) -> PyTree:
-        structure = jax.eval_shape(lambda: evaluation.residuals)
-        known = evaluation.residuals, evaluation.jacobian, free
-        state = self.solver.init(
+        value, slope = self._shown(evaluation)
+        known = value, slope, free
+        structure = jax.eval_shape(lambda: value)
+        inner = self.solver.init(
             _linear, free, known, _OPTIONS, structure, None, frozenset()
         )
-        slopes = jax.tree.leaves(evaluation.jacobian)
-        size = jnp.sqrt(sum(jnp.sum(slope**2) for slope in slopes))
-        return _LeastSquaresState(jnp.where(size > 0.0, size, 1.0), free, state)
+        if not hasattr(inner, "y_eval"):
+            raise ValueError(
+                f"{type(self.solver).__name__} does not look at one point at a time: "
+                "take another solver, such as optimistix.LBFGS or LevenbergMarquardt"
+            )
+        # The first step is the gradient, or with least squares nearly that, since the
+        # damping begins at one.
+        if self._least_squares:
+            downhill = [jnp.tensordot(value, s, 1) for s in slope.values()]
+            size = np.sqrt(float(optax.tree.norm(downhill)) / _FIRST)
+        else:
+            size = float(optax.tree.norm(slope)) / _FIRST
+        size = size if np.isfinite(size) and size > 0.0 else 1.0
+        return SolverState(
+            jnp.asarray(size), jnp.asarray(evaluation.failed), free, inner
+        )
 
-    def step(self, free, state, evaluation):
-        given = evaluation.residuals, evaluation.jacobian
-        known = *jax.tree.map(lambda x: x / state.size, given), free
-        following, state, done = _least_squares_step(self.solver, known, state)
+    def step(self, free, state, evaluation, best):
+        value, slope = self._shown(evaluation)
+        if evaluation.failed > int(state.failed):
+            value = jnp.full_like(value, jnp.inf)
+        if not bool(jnp.all(jnp.isfinite(value))):
+            # To be rejected; infinite residuals would make differences that are not.
+            value = jnp.full_like(value, 1e100)
+            slope = jax.tree.map(jnp.zeros_like, slope)
+        value, slope = jax.tree.map(lambda x: x / state.size, (value, slope))
+        following, state, done = _step(self.solver, (value, slope, free), state)
         return following, state, bool(done)
+
+    @property
+    def _least_squares(self) -> bool:
+        return isinstance(self.solver, optimistix.AbstractLeastSquaresSolver)
+
+    def _shown(self, evaluation: Evaluation) -> tuple[Array, Any]:
+        """Residuals and their Jacobian, or loss and gradient."""
+        if self._least_squares:
+            assert evaluation.linear is not None
+            return evaluation.linear.residuals, evaluation.linear.jacobian
+        return jnp.asarray(evaluation.followed), evaluation.gradient
 
 
 _OPTIONS = {"jac": "bwd"}
@@ -134,21 +147,20 @@ _OPTIONS = {"jac": "bwd"}
 
 
 def _linear(free: Free, known) -> tuple[Array, None]:
-    residuals, jacobian, here = known
+    value, slope, here = known
     moved = [
-        jnp.tensordot(
-            jacobian[address], free[address] - here[address], here[address].ndim
-        )
+        jnp.tensordot(slope[address], free[address] - here[address], here[address].ndim)
         for address in here
     ]
-    return residuals + sum(moved), None
+    return value + sum(moved), None
 
 
 @eqx.filter_jit
-def _least_squares_step(solver, known, state: _LeastSquaresState):
+def _step(solver, known, state: SolverState):
     given = known, _OPTIONS
     accepted, inner, _ = solver.step(
-        _linear, state.accepted, *given, state.solver, frozenset()
+        _linear, state.accepted, *given, state.inner, frozenset()
     )
     done, _ = solver.terminate(_linear, accepted, *given, inner, frozenset())
-    return inner.y_eval, _LeastSquaresState(state.size, accepted, inner), done
+    after = SolverState(state.size, state.failed, accepted, inner)
+    return inner.y_eval, after, done

@@ -1,13 +1,11 @@
 """Tune any numbers of a scenario by gradient through its Monte Carlo."""
 
 import dataclasses
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import optax
 import optimistix
@@ -20,12 +18,13 @@ from ..flight.misses import misses
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
 from .batch_gradient import FORWARD_UP_TO, Loss, Outputs, Problem
+from .course import Course
 from .evaluation import Evaluator
 from .judgement import Judgement, held_out as held_out_key, judge
 from .losses import MeanSquare
-from .parameters import Bounds, Free, Parameters
-from .steppers import AbstractStepper, Descent, LeastSquares, Minimisation
-from .tuning_record import Entry, read_record, restored, write_record
+from .parameters import Bounds, Parameters
+from .steppers import AbstractStepper, Descent, Solver
+from .tuning_record import Entry, Record, told
 
 
 Optimizer = (
@@ -54,8 +53,9 @@ class Tuned:
     @property
     def reached(self) -> dict[str, float]:
         """Share of the flights that each parameter reaches with a gradient, at the best
-        point. Near zero it was tuned by few flights, and at zero not at all: it acts
-        through a discrete choice, or behind a limit; see `smooth_switching`."""
+        point, of the law that was followed. Near zero it was tuned by few flights, and at
+        zero not at all: it acts through a discrete choice, or behind a limit; for those
+        of drag tracking see `smooth_switching`."""
         return self.history[self.best].reached
 
 
@@ -81,6 +81,7 @@ def tune(
     seconds: float | None = None,
     held_out: int = 5000,
     record: Path | str | None = None,
+    labels: Mapping[str, Any] | None = None,
     report: Callable[[list[Entry], int], None] | None = None,
 ) -> Tuned:
     """Make a loss of many dispersed flights small, by their exact gradient.
@@ -95,9 +96,10 @@ def tune(
     - `where`: lens to the leaves to tune, of any shape: `lambda s: s.guidance.gains`.
     - `loss`: a number of the outputs of the runs, each of shape (runs, ...); see
       `design.losses`.
-    - `optimizer`: of optax, for any loss; or a least-squares solver of optimistix, such as
-      `LevenbergMarquardt(rtol=1e-6, atol=1e-6)`, for a loss that is a `MeanSquare`. With
-      few parameters the latter needs far fewer steps. Steps are relative: a learning
+    - `optimizer`: a minimiser of optimistix, such as `LBFGS(rtol=1e-6, atol=1e-6)`, for
+      any loss, and the best choice for few parameters; a least-squares solver, such as
+      `LevenbergMarquardt(rtol=1e-6, atol=1e-6)`, for a loss that is a `MeanSquare`; or an
+      optimizer of optax, for many parameters, fresh draws and surrogates. A learning
       rate of 0.1 moves a positive number by about a tenth.
     - `dispersions`, `key`, `runs`: the draws. They are the same in each step, unless
       `fresh_draws`: then each gradient has new ones, while the best point is still
@@ -108,11 +110,14 @@ def tune(
     - `outputs`: what is looked at of a flight, a function of scenario and flight, for
       example `lambda s, f: (misses(s, f), f.peaks)`. `history` (s) gives the flights
       one, see `fly`; define the function once, since another one is compiled anew.
-    - `mode`: "forward" or "reverse"; by the number of parameters if not given.
+    - `mode`: "forward" or "reverse"; by the number of parameters if not given. Least
+      squares goes forward.
     - `surrogate`: takes the scenario to a smoother one whose gradient is followed, such
       as `smooth_switching`. The loss and the best point are those of the exact law.
     - `held_out`: runs to judge by.
-    - `record`: a file that is kept up to date, and from which the same call resumes.
+    - `record`: a file that is kept up to date, and from which the same call resumes; it
+      may ask for more steps. `labels` are kept in it and compared: what tells your
+      losses and optimizers apart.
     - `report`: is called after each step with the history and the place of the best.
 
     **Raises:** `ValueError` for leaves that cannot be tuned, a leaf that is dispersed as
@@ -122,13 +127,15 @@ def tune(
             scenario,
             lambda s: s.guidance.gains,
             MeanSquare(lambda misses: misses.downrange / km),
-            optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6),
+            optimistix.LBFGS(rtol=1e-6, atol=1e-6),
             dispersions,
             jax.random.key(0),
         )
         tuned.scenario, tuned.judgement["downrange", "std"]
     """
     check(scenario)
+    if not dispersions:
+        raise ValueError("nothing is dispersed: give dispersions")
     check_dispersions(scenario, dispersions)
     parameters = Parameters.of(scenario, where, bounds)
     _require_disjoint(scenario, parameters, dispersions)
@@ -140,15 +147,12 @@ def tune(
     ):
         if value < least:
             raise ValueError(f"{name} is {value}: it must be at least {least}")
-    if mode not in (None, "forward", "reverse"):
-        raise ValueError(f'mode is {mode!r}: it must be "forward" or "reverse"')
-    forward = parameters.count <= FORWARD_UP_TO if mode is None else mode == "forward"
-
+    stepper = _stepper(optimizer, loss, fresh_draws)
+    least_squares = _is_least_squares(optimizer)
     exact = Problem(scenario, parameters, outputs, solver, history)
     followed = exact
     if surrogate is not None:
         followed = dataclasses.replace(exact, scenario=surrogate(scenario))
-    stepper = _stepper(optimizer, loss, fresh_draws)
     evaluate = Evaluator(
         exact,
         followed,
@@ -157,64 +161,26 @@ def tune(
         key,
         runs,
         fresh_draws=fresh_draws,
-        forward=forward,
-        least_squares=isinstance(stepper, LeastSquares),
+        forward=_is_forward(mode, parameters.count, least_squares),
+        least_squares=least_squares,
     )
-    description = _description(exact, followed, loss, dispersions, key, runs, stepper)
-    place = None if record is None else Path(record)
-
-    entries: list[Entry] = []
-    begin, already = time.perf_counter(), 0.0
-    following, state, best = parameters.start(), None, 0
-    stored: list[np.ndarray] | None = None
-    if place is not None and place.exists():
-        entries, following, stored = read_record(place, description)
-        best, already = _best(entries), entries[-1].seconds
-    stopped = _why_stop(entries, best, patience, tolerance, steps, seconds)
-    while not stopped:
-        evaluation = evaluate(following, len(entries))
-        if not entries and not np.isfinite(evaluation.loss):
-            raise ValueError(
-                f"none of the {runs} flights is finite at the start: fly one of them and "
-                "see why, jentry.monte_carlo(scenario, dispersions, key, runs=1)"
-            )
-        entries.append(
-            Entry(
-                loss=evaluation.loss,
-                gradient_norm=_norm(evaluation.gradient),
-                not_finite=evaluation.not_finite,
-                flights=evaluate.flights_per_step * (len(entries) + 1),
-                seconds=already + time.perf_counter() - begin,
-                values=jax.tree.map(np.asarray, parameters.values(following)),
-                free=following,
-                reached=evaluation.reached,
-            )
-        )
-        if len(entries) == 1 or entries[-1].better_than(entries[best]):
-            best = len(entries) - 1
-        if state is None:
-            state = stepper.init(following, evaluation)
-            if stored is not None and place is not None:
-                state = restored(state, stored, place)
-        if np.isfinite(evaluation.loss) or isinstance(stepper, Minimisation):
-            following, state, converged = stepper.step(following, state, evaluation)
-        else:
-            # Every flight failed: go back halfway to the best point.
-            converged = False
-            following = jax.tree.map(
-                lambda a, b: 0.5 * (a + b), following, entries[best].free
-            )
-        # As host arrays: a program is compiled anew for each placement of its arguments.
-        following = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), following)
-        if place is not None:
-            write_record(place, description, entries, following, state)
+    stored = None
+    if record is not None:
+        asked = loss, outputs, optimizer, fresh_draws, labels or {}
+        description = _description(exact, followed, dispersions, key, runs, asked)
+        stored = Record(Path(record), description)
+    course = Course(parameters.start())
+    if stored is not None and stored.path.exists():
+        course.resume(stored, evaluate)
+    limits = steps, seconds, patience, tolerance
+    while not (stopped := course.why_stop(*limits)):
+        course.advance(evaluate, stepper, parameters)
+        if stored is not None:
+            course.store(stored)
         if report is not None:
-            report(entries, best)
-        stopped = _why_stop(entries, best, patience, tolerance, steps, seconds)
-        if converged and not stopped:
-            stopped = "converged"
+            report(course.entries, course.best)
 
-    values = entries[best].values
+    values = course.entries[course.best].values
     tuned = replace_leaves(scenario, values)
     judgement = judge(
         scenario,
@@ -227,7 +193,24 @@ def tune(
         solver,
         history,
     )
-    return Tuned(tuned, values, entries, best, stopped, judgement)
+    return Tuned(tuned, values, course.entries, course.best, stopped, judgement)
+
+
+def _is_least_squares(optimizer: Optimizer) -> bool:
+    return isinstance(optimizer, optimistix.AbstractLeastSquaresSolver)
+
+
+def _is_forward(mode: str | None, count: int, least_squares: bool) -> bool:
+    if mode not in (None, "forward", "reverse"):
+        raise ValueError(f'mode is {mode!r}: it must be "forward" or "reverse"')
+    if least_squares:
+        if mode == "reverse":
+            raise ValueError(
+                "a least-squares solver goes forward: leave the mode out, or take "
+                "another optimizer for so many parameters"
+            )
+        return True
+    return count <= FORWARD_UP_TO if mode is None else mode == "forward"
 
 
 def _require_disjoint(
@@ -244,91 +227,51 @@ def _require_disjoint(
 
 def _stepper(optimizer: Optimizer, loss: Loss, fresh_draws: bool) -> AbstractStepper:
     if isinstance(optimizer, optax.GradientTransformation):
-        return Descent(optimizer)
-    if isinstance(optimizer, optimistix.AbstractMinimiser):
-        if fresh_draws:
-            raise ValueError(_SAME_DRAWS)
-        return Minimisation(optimizer)
-    if not isinstance(optimizer, optimistix.AbstractLeastSquaresSolver):
+        return Descent(optimizer, fresh_draws)
+    if not isinstance(
+        optimizer,
+        optimistix.AbstractLeastSquaresSolver | optimistix.AbstractMinimiser,
+    ):
         raise ValueError(
             f"the optimizer is a {type(optimizer).__name__}: give one of optax, or a "
-            "least-squares solver of optimistix"
-        )
-    if not isinstance(loss, MeanSquare):
-        raise ValueError(
-            "a least-squares solver needs residuals: give the loss as "
-            "MeanSquare(lambda outputs: ...), or take an optimizer of optax"
+            "minimiser or a least-squares solver of optimistix"
         )
     if fresh_draws:
-        raise ValueError(_SAME_DRAWS)
-    return LeastSquares(optimizer)
-
-
-_SAME_DRAWS = (
-    "a solver of optimistix compares steps on the same draws: leave fresh_draws out, or "
-    "take an optimizer of optax"
-)
+        raise ValueError(
+            "a solver of optimistix compares points on the same draws: leave fresh_draws "
+            "out, or take an optimizer of optax"
+        )
+    if _is_least_squares(optimizer) and not isinstance(loss, MeanSquare):
+        raise ValueError(
+            "a least-squares solver needs residuals: give the loss as "
+            "MeanSquare(lambda outputs: ...), or take another optimizer"
+        )
+    return Solver(optimizer)
 
 
 def _description(
     exact: Problem,
     followed: Problem,
-    loss: Loss,
     dispersions: Mapping[str, Dispersion],
     key: Key[Array, ""],
     runs: int,
-    stepper: AbstractStepper,
+    asked: tuple[Loss, Outputs, Optimizer, bool, Mapping[str, Any]],
 ) -> dict[str, Any]:
     """What a tuning run is: two that are equal take the same steps.
 
-    Of functions and optimizers only the names can be told.
+    Of functions the names can be told, and of optimizers of optax nothing.
     """
-    seed = jax.random.key_data(key).tolist()
+    loss, outputs, optimizer, fresh_draws, labels = asked
+    known = describe(exact.scenario, dispersions, 0, exact.solver, exact.history)
     return {
-        **describe(exact.scenario, dispersions, 0, exact.solver, exact.history),
-        "seed": seed,
+        **known,
+        "seed": jax.random.key_data(key).tolist(),
         "runs": runs,
         "followed": str(followed.scenario),
-        "parameters": {a: type(m).__name__ for a, m in exact.parameters.maps.items()},
-        "loss": type(loss).__name__,
-        "stepper": type(stepper).__name__,
+        "parameters": {a: told(m) for a, m in exact.parameters.maps.items()},
+        "loss": told(loss),
+        "outputs": told(outputs),
+        "optimizer": told(optimizer),
+        "fresh_draws": fresh_draws,
+        "labels": {name: str(value) for name, value in labels.items()},
     }
-
-
-def _best(entries: list[Entry]) -> int:
-    best = 0
-    for place, entry in enumerate(entries):
-        if entry.better_than(entries[best]):
-            best = place
-    return best
-
-
-def _norm(gradient: Free) -> float:
-    return float(np.sqrt(sum(np.sum(np.square(g)) for g in gradient.values())))
-
-
-def _why_stop(
-    entries: list[Entry],
-    best: int,
-    patience: int,
-    tolerance: float,
-    steps: int,
-    seconds: float | None,
-) -> str:
-    """Empty if there is no reason to."""
-    if not entries:
-        return ""
-    if entries[-1].gradient_norm == 0.0 and np.isfinite(entries[-1].loss):
-        return "no gradient reaches the parameters"
-    if len(entries) >= steps:
-        return f"{steps} steps"
-    if seconds is not None and entries[-1].seconds >= seconds:
-        return f"{seconds:g} s"
-    if len(entries) > patience:
-        earlier = entries[: len(entries) - patience]
-        before = earlier[_best(earlier)]
-        now = entries[best]
-        fewer = now.not_finite < before.not_finite
-        if not fewer and now.loss > before.loss - tolerance * abs(before.loss):
-            return f"no progress in {patience} steps"
-    return ""

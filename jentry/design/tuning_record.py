@@ -1,15 +1,17 @@
 """What a tuning run has done so far: its history, and the file it resumes from."""
 
 import dataclasses
+import functools
 import json
 import os
-import tempfile
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
@@ -26,11 +28,13 @@ class Entry:
     """One evaluated point."""
 
     loss: float
-    """By the exact law"""
+    """By the exact law, over the draws that are the same for all points"""
     gradient_norm: float
-    """With respect to the free numbers"""
-    not_finite: int
-    """Flights left out"""
+    """With respect to the free numbers, of the law and the draws that are followed"""
+    failed: int
+    """Flights that are not finite: the loss is without them"""
+    gradients_failed: int
+    """Finite flights that the gradient is without"""
     flights: int
     """Flown so far, a flight with its gradient counting once"""
     seconds: float
@@ -43,93 +47,147 @@ class Entry:
 
     def better_than(self, other: "Entry") -> bool:
         """Fewer flights that are not finite, or as many and less loss."""
-        if self.not_finite != other.not_finite:
-            return self.not_finite < other.not_finite
+        if self.failed != other.failed:
+            return self.failed < other.failed
         return self.loss < other.loss
 
 
-def write_record(
-    path: Path,
-    description: dict[str, Any],
-    history: list[Entry],
-    following: Free,
-    state: PyTree,
-) -> None:
-    """Store all that resumption needs, at once or not at all."""
-    arrays = {"description": np.array(json.dumps(description))}
-    for name in ("loss", "gradient_norm", "not_finite", "flights", "seconds"):
-        arrays[name] = np.array([getattr(entry, name) for entry in history])
-    for name in ("values", "free", "reached"):
-        for address in getattr(history[0], name):
-            column = [getattr(entry, name)[address] for entry in history]
-            arrays[f"{name}/{address}"] = np.array(column)
-    arrays |= {f"following/{a}": np.asarray(x) for a, x in following.items()}
-    leaves = jax.tree.leaves(eqx.filter(state, eqx.is_array))
-    arrays |= {f"state/{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+_NUMBERS = "loss", "gradient_norm", "failed", "gradients_failed", "flights", "seconds"
+_BY_ADDRESS = "values", "free", "reached"
+
+
+@dataclasses.dataclass(frozen=True)
+class Record:
+    """The file of a tuning run, and what the run is."""
+
+    path: Path
+    description: dict[str, Any]
+    """In plain values"""
+
+    def write(
+        self, history: list[Entry], following: Free, state: PyTree, converged: bool
+    ) -> None:
+        """Store all that resumption needs, at once or not at all."""
+        arrays = {"description": np.array(json.dumps(self.description))}
+        for name in _NUMBERS:
+            arrays[name] = np.array([getattr(entry, name) for entry in history])
+        for name in _BY_ADDRESS:
+            for address in getattr(history[0], name):
+                column = [getattr(entry, name)[address] for entry in history]
+                arrays[f"{name}/{address}"] = np.array(column)
+        arrays |= {f"following/{a}": np.asarray(x) for a, x in following.items()}
+        arrays["converged"] = np.array(converged)
+        for number, leaf in enumerate(_leaves(state)):
+            arrays[f"state/{number}"] = leaf
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        partial = self.path.with_name(f"{self.path.name}.partial")
         try:
-            np.savez(file, allow_pickle=False, **arrays)
-            file.close()
-            os.replace(file.name, path)
+            with partial.open("wb") as file:
+                np.savez(file, allow_pickle=False, **arrays)
+            os.replace(partial, self.path)
         except BaseException:
-            os.unlink(file.name)
+            partial.unlink(missing_ok=True)
             raise
 
+    def read(self) -> tuple[list[Entry], Free, list[np.ndarray], bool]:
+        """History, next point, leaves of the stepper's state, and whether it converged.
 
-def read_record(
-    path: Path, description: dict[str, Any]
-) -> tuple[list[Entry], Free, list[np.ndarray]]:
-    """History, next point and leaves of the state of the stepper.
+        **Raises:** `ValueError` for a file that is no record or of another tuning run,
+        and says where they differ.
+        """
+        try:
+            with self.path.open("rb") as file, np.load(file) as stored:
+                arrays = {name: stored[name] for name in stored.files}
+            known = json.loads(str(arrays["description"]))
+        except _UNREADABLE as error:
+            raise ValueError(
+                f"{self.path} is no record of a tuning run: {error}"
+            ) from None
+        wanted = json.loads(json.dumps(self.description))
+        difference = first_difference(known, wanted)
+        if difference:
+            raise ValueError(
+                f"{self.path} holds another tuning run: {difference}; choose another "
+                "place, or remove it"
+            )
 
-    **Raises:** `ValueError` for a file that is no record or of another tuning run, and
-    says where they differ.
+        def part(name: str) -> dict[str, np.ndarray]:
+            prefix = f"{name}/"
+            names = [n for n in arrays if n.startswith(prefix)]
+            return {n.removeprefix(prefix): arrays[n] for n in names}
+
+        columns = {name: part(name) for name in _BY_ADDRESS}
+        history = []
+        for i in range(len(arrays["loss"])):
+            numbers = {name: arrays[name][i].item() for name in _NUMBERS}
+            at = {n: {a: x[i] for a, x in columns[n].items()} for n in _BY_ADDRESS}
+            entry = Entry(
+                **numbers,
+                values={a: np.asarray(x) for a, x in at["values"].items()},
+                free={a: jnp.asarray(x) for a, x in at["free"].items()},
+                reached={a: float(x) for a, x in at["reached"].items()},
+            )
+            history.append(entry)
+        following = {a: jnp.asarray(x) for a, x in part("following").items()}
+        leaves = part("state")
+        state = [leaves[str(i)] for i in range(len(leaves))]
+        return history, following, state, bool(arrays["converged"])
+
+
+def _leaves(state: PyTree) -> list[np.ndarray]:
+    return [np.asarray(_plain(x)) for x in jax.tree.leaves(_numbers_of(state))]
+
+
+def _numbers_of(state: PyTree) -> PyTree:
+    return eqx.filter(state, eqx.is_array)
+
+
+def _plain(leaf: Any) -> Any:
+    """Random keys as the numbers that they are made of."""
+    return jax.random.key_data(leaf) if _is_key(leaf) else leaf
+
+
+def _is_key(leaf: Any) -> bool:
+    return jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
+
+
+def restored(like: PyTree, stored: list[np.ndarray]) -> PyTree:
+    """The state of a stepper from its stored leaves, in the structure of a fresh one.
+
+    Raises `ValueError` if they do not fit.
     """
-    try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
-        known = json.loads(str(arrays["description"]))
-    except _UNREADABLE as error:
-        raise ValueError(f"{path} is no record of a tuning run: {error}") from None
-    difference = first_difference(known, json.loads(json.dumps(description)))
-    if difference:
-        raise ValueError(
-            f"{path} holds another tuning run: {difference}; choose another place, or "
-            "remove it"
-        )
-
-    def part(name: str) -> dict[str, np.ndarray]:
-        prefix = f"{name}/"
-        return {
-            k.removeprefix(prefix): v for k, v in arrays.items() if k.startswith(prefix)
-        }
-
-    groups = {name: part(name) for name in ("values", "free", "reached")}
-    history = [
-        Entry(
-            loss=float(arrays["loss"][i]),
-            gradient_norm=float(arrays["gradient_norm"][i]),
-            not_finite=int(arrays["not_finite"][i]),
-            flights=int(arrays["flights"][i]),
-            seconds=float(arrays["seconds"][i]),
-            values={a: np.asarray(x[i]) for a, x in groups["values"].items()},
-            free={a: jax.numpy.asarray(x[i]) for a, x in groups["free"].items()},
-            reached={a: float(x[i]) for a, x in groups["reached"].items()},
-        )
-        for i in range(len(arrays["loss"]))
-    ]
-    following = {a: jax.numpy.asarray(x) for a, x in part("following").items()}
-    state = part("state")
-    return history, following, [state[str(i)] for i in range(len(state))]
-
-
-def restored(like: PyTree, leaves: list[np.ndarray], path: Path) -> PyTree:
-    """The state of a stepper from its stored leaves, in the structure of a fresh one."""
     numbers, others = eqx.partition(like, eqx.is_array)
     fresh, structure = jax.tree.flatten(numbers)
-    if [x.shape for x in fresh] != [x.shape for x in leaves]:
+    if [np.shape(_plain(x)) for x in fresh] != [x.shape for x in stored]:
         raise ValueError(
-            f"{path} was written with another optimizer: it cannot be resumed with this"
+            "the record was written with another optimizer: it cannot be resumed with "
+            "this one"
         )
-    numbers = jax.tree.unflatten(structure, [jax.numpy.asarray(x) for x in leaves])
-    return eqx.combine(numbers, others)
+    leaves = [
+        jax.random.wrap_key_data(jnp.asarray(x)) if _is_key(like) else jnp.asarray(x)
+        for like, x in zip(fresh, stored, strict=True)
+    ]
+    return eqx.combine(jax.tree.unflatten(structure, leaves), others)
+
+
+def told(thing: Any) -> Any:
+    """In plain values, what can be told of a loss, a map or an optimizer."""
+    if isinstance(thing, functools.partial):
+        return [told(thing.func), told(thing.args), told(thing.keywords)]
+    if dataclasses.is_dataclass(thing) and not isinstance(thing, type):
+        fields = {
+            f.name: told(getattr(thing, f.name)) for f in dataclasses.fields(thing)
+        }
+        return {"type": type(thing).__qualname__, **fields}
+    if isinstance(thing, Mapping):
+        return {str(name): told(value) for name, value in thing.items()}
+    if isinstance(thing, jax.Array | np.ndarray):
+        return np.asarray(thing).tolist()
+    if thing is None or isinstance(thing, str | bool | int | float):
+        return thing
+    if isinstance(thing, tuple | list) and not hasattr(thing, "_fields"):
+        return [told(item) for item in thing]
+    if callable(thing):
+        module = getattr(thing, "__module__", "")
+        return f"{module}.{getattr(thing, '__qualname__', type(thing).__qualname__)}"
+    return type(thing).__qualname__
