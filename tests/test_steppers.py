@@ -9,18 +9,24 @@ import optax
 import optimistix
 import pytest
 
-from jentry.design.evaluation import Evaluation
-from jentry.design.steppers import Descent, LeastSquares, Minimisation
-from jentry.design.tuning_record import Entry, read_record, restored, write_record
+from jentry.design.evaluation import Evaluation, LinearResiduals
+from jentry.design.steppers import Descent, Solver
+from jentry.design.tuning_record import Entry, Record, restored
 
 
 SOLVERS = {
-    "descent": lambda: Descent(optax.adam(0.2)),
-    "least squares": lambda: LeastSquares(optimistix.LevenbergMarquardt(1e-8, 1e-8)),
-    "minimisation": lambda: Minimisation(optimistix.BFGS(1e-8, 1e-8)),
+    "descent": lambda: Descent(optax.adam(0.2), False),
+    "least squares": lambda: Solver(optimistix.LevenbergMarquardt(1e-8, 1e-8)),
+    "minimisation": lambda: Solver(optimistix.BFGS(1e-8, 1e-8)),
+    "limited memory": lambda: Solver(optimistix.LBFGS(1e-8, 1e-8)),
 }
 
-STEPS = {"descent": 600, "least squares": 60, "minimisation": 120}
+STEPS = {
+    "descent": 600,
+    "least squares": 60,
+    "minimisation": 120,
+    "limited memory": 120,
+}
 
 START = {"a": jnp.asarray(-1.2), "b": jnp.asarray([1.0, 3.0])}
 
@@ -44,7 +50,9 @@ def evaluate(free, scale=1.0):
     loss, gradient, of_flight, jacobian = known(free)
     jacobian = jax.tree.map(lambda x: scale * x, jacobian)
     gradient = jax.tree.map(lambda x: scale**2 * x, gradient)
-    return Evaluation(scale**2 * float(loss), gradient, 0, scale * of_flight, jacobian)
+    loss = scale**2 * float(loss)
+    linear = LinearResiduals(scale * of_flight, jacobian)
+    return Evaluation(loss, loss, gradient, 0, 0, {}, linear)
 
 
 def points(stepper, steps, free=START, state=None, scale=1.0):
@@ -54,7 +62,7 @@ def points(stepper, steps, free=START, state=None, scale=1.0):
         evaluation = evaluate(free, scale)
         if state is None:
             state = stepper.init(free, evaluation)
-        free, state, converged = stepper.step(free, state, evaluation)
+        free, state, converged = stepper.step(free, state, evaluation, START)
         visited.append(free)
     return visited, state, converged
 
@@ -94,26 +102,27 @@ def test_the_state_can_be_stored_and_gone_on_from(name, tmp_path):
     stepper = SOLVERS[name]()
     visited, state, _ = points(stepper, 3)
     path = tmp_path / "record.npz"
-    entry = Entry(0.0, 0.0, 0, 0, 0.0, {}, {}, {})
-    write_record(path, {}, [entry], visited[-1], state)
-    _, following, leaves = read_record(path, {})
+    entry = Entry(0.0, 0.0, 0, 0, 0, 0.0, {}, {}, {})
+    record = Record(path, {})
+    record.write([entry], visited[-1], state, False)
+    _, following, leaves, _ = record.read()
     assert same(following, visited[-1])
     fresh = stepper.init(following, evaluate(following))
-    stored = restored(fresh, leaves, path)
+    stored = restored(fresh, leaves)
     assert same(stored, state)
     again, _, _ = points(stepper, 5, following, stored)
     assert same(again, found(name)[0][3:9])
 
 
 def test_the_first_step_of_descent_is_that_of_its_optimizer():
-    visited, _, _ = points(Descent(optax.sgd(1e-3)), 1)
+    visited, _, _ = points(Descent(optax.sgd(1e-3), False), 1)
     gradient = known(START)[1]
     expected = jax.tree.map(lambda x, g: x - 1e-3 * g, START, gradient)
     for address, value in expected.items():
         np.testing.assert_allclose(visited[1][address], value, rtol=1e-15)
 
 
-@pytest.mark.parametrize("name", ["least squares", "minimisation"])
+@pytest.mark.parametrize("name", ["least squares", "minimisation", "limited memory"])
 @pytest.mark.parametrize("scale", [1e-5, 1e4])
 def test_the_unit_of_the_loss_makes_no_difference(name, scale):
     """A solver begins with a step or a damping of one, whatever the loss is counted in."""
@@ -134,30 +143,82 @@ def test_at_a_minimum_nothing_moves(name):
     assert all(same(free, at_rest) for free in visited)
 
 
-@pytest.mark.parametrize(
-    "changes", [{"loss": np.inf}, {"loss": 0.0, "not_finite": 1}], ids=["all", "more"]
-)
-def test_minimisation_turns_back_from_where_flights_fail(changes):
-    """However small the loss of those that are left."""
-    stepper = SOLVERS["minimisation"]()
-    (_, tried), state, _ = points(stepper, 1)
+def failure(at, **changes):
+    """Of all flights, unless told otherwise."""
+    evaluation = evaluate(at)
     nothing = jax.tree.map(jnp.zeros_like, START)
-    given = {"gradient": nothing, "not_finite": 0} | changes
-    back, state, converged = stepper.step(tried, state, Evaluation(**given))
+    linear = jax.tree.map(lambda x: jnp.full_like(x, jnp.inf), evaluation.linear)
+    given = {"loss": np.inf, "followed": np.inf, "failed": 1, "linear": linear}
+    given = {"gradient": nothing, "gradients_failed": 0, "reached": {}} | given
+    return Evaluation(**(given | changes))
+
+
+@pytest.mark.parametrize("name", ["least squares", "minimisation", "limited memory"])
+@pytest.mark.parametrize("changes", [{}, {"loss": 0.0, "followed": 0.0}])
+def test_a_solver_turns_back_from_where_flights_fail(name, changes):
+    """However small the loss of those that are left; and finds the minimum all the same."""
+    stepper = SOLVERS[name]()
+    (_, tried), state, _ = points(stepper, 1)
+    failed = failure(tried, **changes)
+    back, state, converged = stepper.step(tried, state, failed, START)
     assert not converged
-    for address, start in START.items():
-        share = (back[address] - start) / (tried[address] - start)
-        assert np.all((0.0 < share) & (share < 1.0))
-    visited, _, converged = points(stepper, STEPS["minimisation"], back, state)
+
+    def distance(free):
+        return max(float(np.max(np.abs(free[a] - START[a]))) for a in START)
+
+    assert 0.0 < distance(back) < distance(tried)
+    visited, _, converged = points(stepper, STEPS[name], back, state)
     assert converged
     np.testing.assert_allclose(visited[-1]["a"], 1.0, rtol=0.0, atol=1e-6)
+
+
+def test_descent_goes_back_halfway_and_begins_anew():
+    stepper = SOLVERS["descent"]()
+    visited, state, _ = points(stepper, 3)
+    tried = visited[-1]
+    back, state, _ = stepper.step(tried, state, failure(tried), START)
+    for address, start in START.items():
+        expected = 0.5 * (start + tried[address])
+        np.testing.assert_allclose(back[address], expected, rtol=1e-15)
+    assert same(state, stepper.init(back, evaluate(back)))
+
+
+def test_a_gradient_of_zero_is_nothing_to_a_descent_with_fresh_draws():
+    nothing = jax.tree.map(jnp.zeros_like, START)
+    for fresh, moves in ((False, True), (True, False)):
+        stepper = Descent(optax.sgd(0.1), fresh)
+        state = stepper.init(START, evaluate(START))
+        flat = Evaluation(1.0, 1.0, nothing, 0, 0, {})
+        after, _, _ = stepper.step(
+            START, state, flat, {a: 0.0 * x for a, x in START.items()}
+        )
+        assert same(after, START) is not moves
+
+
+@pytest.mark.parametrize(
+    "optimizer",
+    [
+        optimistix.NelderMead(1e-6, 1e-6),
+        optimistix.BestSoFarMinimiser(optimistix.BFGS(1e-6, 1e-6)),
+    ],
+)
+def test_a_solver_that_looks_elsewhere_is_refused(optimizer):
+    with pytest.raises(ValueError, match="does not look at one point at a time"):
+        Solver(optimizer).init(START, evaluate(START))
+
+
+def test_a_line_search_of_optax_is_refused():
+    stepper = Descent(optax.lbfgs(), False)
+    state = stepper.init(START, evaluate(START))
+    with pytest.raises(ValueError, match="optimistix.LBFGS"):
+        stepper.step(START, state, evaluate(START), START)
 
 
 def test_least_squares_steps_are_those_of_the_solver_from_inside():
     """Of optimistix itself, over residuals that are divided by the same number."""
     solver = optimistix.LevenbergMarquardt(1e-8, 1e-8)
-    jacobian = known(START)[3]
-    size = jnp.sqrt(sum(jnp.sum(x**2) for x in jax.tree.leaves(jacobian)))
+    downhill = known(START)[1]  # twice the residuals times their Jacobian
+    size = jnp.sqrt(0.5 * optax.tree.norm(downhill))
     solution = optimistix.least_squares(
         lambda free, _: residuals(free) / size, solver, START, max_steps=200
     )

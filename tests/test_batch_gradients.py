@@ -1,0 +1,98 @@
+"""Gradients of the loss of a batch, through whole dispersed flights of the missions.
+
+From entry on the command is clipped and released at instants that move with the gains,
+and each of them makes a kink somewhere in a step of the solver. A difference across one
+is no derivative, so the step is chosen flight by flight: of a ladder of central
+differences that pair counts that agrees best, which nothing of the derivative enters.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jentry.campaign.monte_carlo import LANES, drawn_inputs
+from jentry.design.batch_gradient import (
+    Problem,
+    batch_gradient,
+    batch_outputs,
+    loss_and_weights,
+)
+from jentry.design.parameters import Parameters
+from jentry.flight import FixedStep, misses
+from jentry.missions import find_mission
+
+
+LADDER = (5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5, 2e-5, 1e-5)
+"""Steps of the logarithm of a gain"""
+
+
+def gains(scenario):
+    return scenario.guidance.gains, scenario.guidance.observer
+
+
+def squares(misses, scale):
+    """Of each flight; the altitude and the crossrange in km."""
+    parts = misses.downrange / scale, misses.altitude / 1e3, misses.crossrange / 1e3
+    return sum(part**2 for part in parts)
+
+
+def differences(problem, free, address, inputs, scale):
+    """Derivative of the mean of the squares."""
+
+    def at(step):
+        moved = free | {address: free[address] + step}
+        return np.asarray(squares(batch_outputs(problem, moved, inputs, 1)[0], scale))
+
+    rates = np.stack([(at(h) - at(-h)) / (2.0 * h) for h in LADDER])
+    steadiest = np.argmin(np.abs(np.diff(rates, axis=0)), axis=0)
+    return np.mean(rates[steadiest + 1, np.arange(rates.shape[1])])
+
+
+@pytest.mark.parametrize(
+    ("mission", "variant", "scale", "slower"),
+    [
+        ("mars-drag-tracking", "table-3", 1e3, 1.0),
+        pytest.param(
+            *("mars-drag-tracking", "energy-index", 1e3, 1.0), marks=pytest.mark.slow
+        ),
+        pytest.param(
+            *("mars-range-tracking", "in-plane", 20.0, 1.4), marks=pytest.mark.slow
+        ),
+        pytest.param(
+            *("mars-range-tracking", "three-dimensional", 20.0, 1.4),
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_gradient_of_a_batch_matches_differences(mission, variant, scale, slower):
+    """In both modes, for every gain; the observer slower than it is by a factor e or so,
+    since the miss of a good one hardly depends on it."""
+    mission = find_mission(mission)
+    scenario = mission.scenario(variant)
+    parameters = Parameters.of(scenario, gains, None)
+    free = parameters.start() | {"guidance.observer.epsilon": jnp.asarray(slower)}
+    problem = Problem(scenario, parameters, misses, FixedStep(), None)
+    table, key = mission.dispersion_table(), jax.random.key(0)
+    inputs = drawn_inputs(scenario, table, key, np.arange(LANES))
+
+    def loss(misses):
+        return jnp.mean(squares(misses, scale))
+
+    outputs, finite = batch_outputs(problem, free, inputs, 1)
+    assert np.all(finite)
+    _, weights = loss_and_weights(loss, outputs)
+    forward, reverse = (
+        batch_gradient(problem, free, inputs, weights, 1, mode)
+        for mode in (True, False)
+    )
+    assert int(forward.failed) == int(reverse.failed) == 0
+    for address in parameters.addresses:
+        expected = differences(problem, free, address, inputs, scale)
+        # What differences leave: rounding of the end, and kinks nearer than the ladder.
+        np.testing.assert_allclose(forward.total[address], expected, rtol=1e-5)
+        # Rounding, over 2000 steps and back.
+        np.testing.assert_allclose(
+            reverse.total[address], forward.total[address], rtol=1e-9
+        )
+        assert int(forward.reached[address]) == LANES

@@ -1,0 +1,235 @@
+"""Derivatives of a flight, and spreads predicted from them."""
+
+import functools
+
+import cheap
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import fly_compiled, mars_scenario, with_leaf
+
+from jentry.campaign import Dispersion, Normal, Uniform, add, monte_carlo
+from jentry.campaign.dispersions import scaled_dispersions
+from jentry.design import linear_covariance, sensitivity
+from jentry.flight import misses
+from jentry.missions import find_mission
+from jentry.units import degree
+
+
+def miss_of(scenario):
+    return misses(scenario, fly_compiled(scenario, cheap.SOLVER))
+
+
+def two(s):
+    return s.planet.density_scale, s.initial_state.flight_path_angle
+
+
+def found(mode=None, outputs=misses):
+    return sensitivity(cheap.scenario(), outputs, two, solver=cheap.SOLVER, mode=mode)
+
+
+def test_jacobian_matches_differences():
+    result = found()
+    for address, step in (
+        ("planet.density_scale", 1e-4),
+        ("initial_state.flight_path_angle", 1e-5),
+    ):
+        ends = []
+        for sign in (1.0, -1.0):
+            inputs = {a: np.atleast_1d(_leaf(a)) for a in result.jacobian["downrange"]}
+            inputs[address] = inputs[address] + sign * step
+            campaign = monte_carlo(cheap.scenario(), inputs=inputs, solver=cheap.SOLVER)
+            ends.append(campaign.misses)
+        for name, by_address in result.jacobian.items():
+            up, down = (getattr(end, name)[0] for end in ends)
+            # Steps of 1 s are coarse: the third derivative of what they make of it.
+            np.testing.assert_allclose(
+                by_address[address], (up - down) / (2.0 * step), rtol=2e-4, atol=1e-3
+            )
+
+
+def _leaf(address):
+    part, name = address.split(".")
+    return float(getattr(getattr(cheap.scenario(), part), name))
+
+
+def test_modes_agree_and_values_are_those_of_the_flight():
+    forward, reverse = found("forward"), found("reverse")
+    here = miss_of(cheap.scenario())
+    for name, by_address in forward.jacobian.items():
+        assert forward.values[name] == pytest.approx(float(getattr(here, name)))
+        for address, slope in by_address.items():
+            # Rounding; the velocity does not move where it ends the flight.
+            np.testing.assert_allclose(
+                reverse.jacobian[name][address], slope, rtol=1e-9, atol=1e-6
+            )
+
+
+def end_time(scenario, flight):
+    return flight.time
+
+
+def test_one_number_and_one_table():
+    result = found(outputs=end_time)
+    assert list(result.values) == ["output"]
+    assert result.ended_by in cheap.scenario().termination.names
+
+
+def test_the_initial_state_is_the_default_without_what_has_no_effect():
+    result = sensitivity(mars_scenario(), solver=cheap.SOLVER)
+    addresses = list(result.jacobian["downrange"])
+    assert "initial_state.velocity" in addresses
+    assert "initial_state.latitude" not in addresses
+    # The entry point moves the vehicle and not the target: 1 rad is one radius.
+    longitude = result.jacobian["downrange"]["initial_state.longitude"]
+    assert longitude == pytest.approx(3397e3, rel=1e-9)
+
+
+def distance(scenario, flight):
+    return jnp.sqrt(0.0 * flight.time)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"wrt": lambda s: ()}, "a lens reaches no leaf"),
+        ({"mode": "both"}, "mode is 'both'"),
+        ({"outputs": distance}, "derivative of output to .* is not finite"),
+    ],
+)
+def test_what_has_no_derivative_is_an_error(options, message):
+    with pytest.raises(ValueError, match=message):
+        sensitivity(cheap.scenario(), solver=cheap.SOLVER, **options)
+
+
+# Linear covariance.
+
+
+def table():
+    return {
+        "mass": Dispersion(lambda s: s.vehicle.mass, Normal(0.0, 4.0), apply=add),
+        "path": Dispersion(
+            lambda s: s.initial_state.flight_path_angle,
+            Uniform(-0.02 * degree, 0.02 * degree),
+            apply=add,
+        ),
+    }
+
+
+@functools.cache
+def analysed(corner: bool):
+    scenario = at_corner() if corner else cheap.scenario()
+    return linear_covariance(
+        scenario,
+        scaled_dispersions(table(), 0.1),
+        key=jax.random.key(2),
+        runs=256,
+        solver=cheap.SOLVER,
+    )
+
+
+@functools.cache
+def at_corner():
+    """The altitude of the nominal end is made an end condition as well."""
+    flight = fly_compiled(cheap.scenario(), cheap.SOLVER)
+    return with_leaf(
+        cheap.scenario(),
+        lambda s: s.termination.conditions["ground"].altitude,
+        float(flight.state.altitude),
+    )
+
+
+def test_one_end_condition_is_plain_linear_covariance():
+    """The root of the sum of squares of derivative times standard deviation."""
+    analysis = analysed(False)
+    (model,) = analysis.models.values()
+    slopes = sensitivity(
+        cheap.scenario(),
+        wrt=lambda s: (s.vehicle.mass, s.initial_state.flight_path_angle),
+        solver=cheap.SOLVER,
+    ).jacobian
+    deviations = {
+        "vehicle.mass": 0.4,
+        "initial_state.flight_path_angle": 0.004 * degree / np.sqrt(12.0),
+    }
+    for name in ("downrange", "altitude"):
+        expected = np.sqrt(
+            sum((slopes[name][a] * d) ** 2 for a, d in deviations.items())
+        )
+        spread = analysis.spreads[name]
+        # A standard deviation of 100 000 draws.
+        assert spread.standard_deviation == pytest.approx(expected, rel=0.01)
+        # What is not linear at a tenth of these dispersions.
+        assert spread.ratio == pytest.approx(1.0, abs=2e-3)
+    assert analysis.runs == 256 and analysis.failed == 0 and not analysis.without_model
+
+
+def test_on_the_bend_of_two_end_conditions_both_are_needed():
+    """There the plain one is wrong by tens of per cent, however small the dispersions."""
+    analysis = analysed(True)
+    assert set(analysis.models) == {"ground", "velocity"}
+    for name in ("downrange", "altitude", "velocity"):
+        assert analysis.spreads[name].ratio == pytest.approx(1.0, abs=0.01)
+    plain = analysed(False).spreads["altitude"].standard_deviation
+    both = analysis.spreads["altitude"].standard_deviation
+    assert both < 0.8 * plain
+
+
+def test_effects_of_each_dispersion_are_flown_as_predicted():
+    for by_dispersion in analysed(False).effects.values():
+        for effect in by_dispersion.values():
+            assert effect.linear == pytest.approx(effect.flown, rel=2e-3, abs=1e-6)
+
+
+def test_what_the_nominal_flight_never_meets_is_told():
+    """Flights that skip out through the ceiling, of a nominal one that does not."""
+    wide = {
+        "path": Dispersion(
+            lambda s: s.initial_state.flight_path_angle,
+            Uniform(-1.0 * degree, 8.0 * degree),
+            apply=add,
+        )
+    }
+    shallow = with_leaf(
+        cheap.scenario(), lambda s: s.initial_state.flight_path_angle, -14.4 * degree
+    )
+    analysis = linear_covariance(
+        shallow, wide, key=jax.random.key(0), runs=128, solver=cheap.SOLVER
+    )
+    ends = {*analysis.models, *analysis.without_model}
+    assert len(ends) > 1
+    assert all(0.0 < share < 1.0 for share in analysis.without_model.values())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dispersions": {}}, "nothing is dispersed"),
+        ({"runs": 1, "key": jax.random.key}, "runs is 1"),
+        ({"runs": 100}, "runs is 100: give 2 or more with a key"),
+    ],
+)
+def test_what_cannot_be_analysed_is_an_error(options, message):
+    if "key" in options:
+        options = options | {"key": jax.random.key(0)}
+    given = {"dispersions": table()} | options
+    with pytest.raises(ValueError, match=message):
+        linear_covariance(cheap.scenario(), **given)
+
+
+@pytest.mark.slow
+def test_mars_mission_is_predicted_at_a_tenth_and_departs_at_full_size():
+    mission = find_mission("mars-drag-tracking")
+    ratios = []
+    for factor in (0.1, 1.0):
+        analysis = linear_covariance(
+            mission.scenario(),
+            scaled_dispersions(mission.dispersion_table(), factor),
+            key=jax.random.key(0),
+            runs=1000,
+        )
+        assert set(analysis.models) == {"altitude", "velocity"}
+        ratios.append(analysis.spreads["downrange"].ratio)
+    assert ratios[0] == pytest.approx(1.0, abs=0.1)
+    assert abs(ratios[1] - 1.0) > 0.1
