@@ -384,3 +384,15 @@ def test_fly_warns_without_float64():
         cwd=here.parent,
     )
     assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.parametrize("step", [1.0, 0.1])
+def test_two_end_conditions_that_are_met_at_once_end_a_flight(step):
+    """One closes much faster than the other, in other units: the end is found all the
+    same, within the time that any other takes."""
+    profile = BankProfile(PolynomialProfile([0.5915, 0.0302], 503.0, 6247.0))
+    scenario = with_leaf(
+        mars_scenario(profile), lambda s: s.planet.density_scale, 1.0432
+    )
+    flight = fly_compiled(scenario, FixedStep(step))
+    assert int(flight.outcome) == Outcome.REACHED

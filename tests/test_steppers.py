@@ -2,6 +2,7 @@
 
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -62,7 +63,7 @@ def points(stepper, steps, free=START, state=None, scale=1.0):
         evaluation = evaluate(free, scale)
         if state is None:
             state = stepper.init(free, evaluation)
-        free, state, converged = stepper.step(free, state, evaluation, START)
+        free, state, converged = stepper.step(free, state, evaluation, free)
         visited.append(free)
     return visited, state, converged
 
@@ -109,7 +110,8 @@ def test_the_state_can_be_stored_and_gone_on_from(name, tmp_path):
     assert same(following, visited[-1])
     fresh = stepper.init(following, evaluate(following))
     stored = restored(fresh, leaves)
-    assert same(stored, state)
+    numbers = [eqx.filter(x, eqx.is_array) for x in (stored, state)]
+    assert same(*map(jax.tree.leaves, numbers))
     again, _, _ = points(stepper, 5, following, stored)
     assert same(again, found(name)[0][3:9])
 

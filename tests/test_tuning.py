@@ -77,8 +77,7 @@ def test_the_best_bank_is_found(name):
     assert result.reached == {"guidance.bank_angle": 1.0}
     comparison = result.judgement["loss", ""]
     assert comparison.lower
-    # Other draws of the same: within a third of the loss that they were tuned on.
-    assert comparison.after.value == pytest.approx(best.loss, rel=0.35)
+    assert comparison.after.value < 0.1 * comparison.before.value
 
 
 def test_all_optimizers_end_at_the_same_point():
@@ -151,8 +150,8 @@ class Fragile(AbstractContinuousLaw[None]):
         ), None
 
 
-def fragile(limit):
-    law = Fragile(jnp.asarray(50 * degree), jnp.asarray(limit))
+def fragile(most):
+    law = Fragile(jnp.asarray(50 * degree), jnp.asarray(most))
     return eqx.tree_at(lambda s: s.guidance, scenario(), law)
 
 
@@ -162,40 +161,34 @@ def density():
 
 
 @functools.cache
-def flown(limit):
-    """Which of the runs are finite, at the start."""
-    start = fragile(limit)
-    campaign = monte_carlo(start, density(), KEY, RUNS, solver=cheap.SOLVER)
-    return np.isfinite(campaign.flights.state.velocity) & (campaign.flights.outcome > 0)
-
-
-LIMIT = 119.0
-"""m/s2, which some of the flights exceed"""
+def limit():
+    """m/s2, which half of the flights exceed"""
+    campaign = monte_carlo(scenario(), density(), KEY, RUNS, solver=cheap.SOLVER)
+    return float(np.median(campaign.flights.peaks.drag))
 
 
 @pytest.mark.parametrize("forward", [True, False])
 def test_flights_that_fail_do_not_poison_the_gradient(forward):
     """It is the gradient of the others alone."""
-    start = fragile(LIMIT)
+    start = fragile(limit())
     parameters = Parameters.of(start, bank, None)
     problem = Problem(start, parameters, misses, cheap.SOLVER, None)
     free = parameters.start()
     inputs = {"planet.density_scale": jnp.linspace(0.8, 1.2, 64)}
     outputs, finite = batch_outputs(problem, free, inputs, 1)
     assert 4 < int(jnp.sum(finite)) < 60
-    weights = jax.tree.map(jnp.zeros_like, outputs)
-    everywhere = eqx.tree_at(lambda w: w.downrange, weights, jnp.ones(64))
-    found = batch_gradient(problem, free, inputs, everywhere, 1, forward)
-    assert int(found.failed) == 64 - int(jnp.sum(finite))
+    nothing = jax.tree.map(jnp.zeros_like, outputs)
+    weights = eqx.tree_at(lambda w: w.downrange, nothing, jnp.where(finite, 1.0, 0.0))
+    found = batch_gradient(problem, free, inputs, weights, 1, forward)
 
     others = jnp.where(finite, inputs["planet.density_scale"], 0.8)
     sound = {"planet.density_scale": others}
-    only = eqx.tree_at(lambda w: w.downrange, weights, jnp.where(finite, 1.0, 0.0))
-    expected = batch_gradient(problem, free, sound, only, 1, forward)
+    expected = batch_gradient(problem, free, sound, weights, 1, forward)
     np.testing.assert_allclose(
         found.total[ADDRESS], expected.total[ADDRESS], rtol=1e-12
     )
-    assert int(expected.failed) == 0
+    assert int(found.counted) == int(jnp.sum(finite))
+    assert int(found.failed) == int(expected.failed) == 0
 
 
 ADDRESS = "guidance.bank_angle"
@@ -203,7 +196,7 @@ ADDRESS = "guidance.bank_angle"
 
 @pytest.mark.parametrize("name", OPTIMIZERS)
 def test_flights_that_fail_are_counted_and_left_out(name):
-    start = fragile(LIMIT)
+    start = fragile(limit())
     result = tuned(name, start=start, table=density(), steps=5)
     failed = [entry.failed for entry in result.history]
     assert 0 < failed[0] < RUNS
@@ -329,7 +322,6 @@ def test_path_constraints_and_control_effort_enter_the_loss():
             "needs residuals",
         ),
         ({"fresh_draws": True}, "compares points on the same draws"),
-        ({"optimizer": 0.1}, "the optimizer is a float"),
         ({"loss": lambda m: m.downrange}, r"the loss has shape \(32,\)"),
         ({"where": lambda s: s.vehicle.mass}, "vehicle.mass is tuned, and"),
         ({"where": lambda s: ()}, "a lens reaches no leaf"),

@@ -142,8 +142,9 @@ def linear_covariance(
     filled = filled_up(np.arange(count), devices)
     given = {name: jnp.asarray(values[filled]) for name, values in points.items()}
     flown = _fly_draws(scenario, pairs, given, outputs, solver, devices)
-    values, codes, finite = jax.tree.map(lambda x: np.asarray(x)[:count], flown)
-    columns = _columns(values)
+    values, codes, finite = jax.tree.map(lambda x: x[:count], flown)
+    columns = {name: np.asarray(x) for name, x in _columns(values).items()}
+    codes, finite = np.asarray(codes), np.asarray(finite)
     if not finite[0]:
         raise ValueError(
             "the flight at the mean of all draws is not finite: it has no derivatives"

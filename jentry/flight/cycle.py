@@ -149,6 +149,7 @@ def _next_trial(
 
     The next step is differentiated as one of Newton's method: it moves with the margin.
     """
+    moved = (bracket.margin - margin) / bracket.trial
     margin, far, far_margin = select(
         taken,
         (margin, bracket.far - bracket.trial, bracket.far_margin),
@@ -156,6 +157,9 @@ def _next_trial(
     )
     in_sight = jnp.isfinite(far)
     closing = jnp.where(in_sight, (margin - far_margin) / far, 1.0)
+    # Where two conditions compete, the margin behind the end may be another's and a
+    # steeper one: then the step just taken tells better how fast this one closes.
+    closing = jnp.where(taken & (moved > 0.0), jnp.minimum(closing, moved), closing)
     closing, far, far_margin = lax.stop_gradient((closing, far, far_margin))
     aim = jnp.where(in_sight, _AIM_SHORT * margin / closing, full_step)
     return Bracket(aim, margin, far, far_margin)
