@@ -44,7 +44,9 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=256)
     parser.add_argument("--held-out", type=int, default=5000)
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=60, help="of the gradient methods")
+    parser.add_argument(
+        "--steps", type=int, default=150, help="of the gradient methods"
+    )
     parser.add_argument("--evaluations", type=int, default=600, help="of the others")
     options = parser.parse_args()
     jentry.setup(fast=True)
@@ -159,7 +161,7 @@ def main() -> None:
             count += search.population_size
 
     methods = {
-        "L-BFGS": by_gradient(optimistix.LBFGS(rtol=1e-6, atol=1e-6), 20),
+        "L-BFGS": by_gradient(optimistix.LBFGS(rtol=1e-6, atol=1e-6), 60),
         "Levenberg-Marquardt": by_gradient(
             optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6), 20
         ),

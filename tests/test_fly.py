@@ -29,8 +29,9 @@ from jentry.flight import (
     check,
     fly,
 )
-from jentry.guidance import Sampled
+from jentry.guidance import BankProfile, Sampled
 from jentry.motion import EntryState
+from jentry.onboard import PolynomialProfile
 from jentry.units import degree, km
 
 
