@@ -21,6 +21,7 @@ from jentry.units import degree
 
 
 cli = importlib.import_module("jentry.cli.main")
+design = importlib.import_module("jentry.cli.design")
 
 
 @pytest.fixture
@@ -28,7 +29,8 @@ def command(monkeypatch, capsys, tmp_path):
     """Runs the command in this process: its exit code, and what it printed."""
     monkeypatch.setitem(ALL, "cheap", cheap.MISSION)
     # What it settles holds for the whole process.
-    monkeypatch.setattr(cli, "set_up", lambda *how, **options: None)
+    for module in (cli, design):
+        monkeypatch.setattr(module, "set_up", lambda *how, **options: None)
     monkeypatch.chdir(tmp_path)
 
     def run(*words):
@@ -333,3 +335,73 @@ def test_exit_codes_of_the_process(words, code, said, tmp_path):
     assert run.returncode == code
     assert run.stderr.startswith(said) and run.stderr.count("\n") == (code != 0)
     assert bool(run.stdout) == (code == 0)
+
+
+# Design.
+
+TUNE = ("--gains", "guidance.bank_angle", "--runs", 16, "--held-out", 32, "--step", 1)
+
+
+def tune(command, *words):
+    return command("tune", "cheap", *TUNE, *words)
+
+
+def test_tune_writes_what_monte_carlo_flies(command, tmp_path):
+    code, printed, said = tune(command, "--steps", 3)
+    assert code == 0
+    assert said.count("step ") == 3 and "best" in said
+    assert "guidance.bank_angle" in printed and "100 %" in printed
+    assert "32 held-out draws" in printed and "95 % interval" in printed
+    folder = tmp_path / "results" / "cheap-tuned"
+    with open(folder / "history.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["step"] for row in rows] == ["1", "2", "3"]
+    losses = [float(row["loss"]) for row in rows]
+    best = rows[losses.index(min(losses))]
+    given = ("--config", folder / "tuned.toml", "--runs", 4, "--out", "flown")
+    assert monte_carlo(command, *given)[0] == 0
+    described = json.loads((tmp_path / "flown" / "campaign.json").read_text())
+    flown = described["scenario"]["guidance.bank_angle"]["value"]
+    assert flown == float(best["guidance.bank_angle"])
+
+
+def test_tune_resumes_and_refuses_another_run(command):
+    assert tune(command, "--steps", 2)[0] == 0
+    _, _, said = tune(command, "--steps", 3)
+    assert said.count("step ") == 1
+    result = tune(command, "--steps", 3, "--of", "altitude=500m")
+    assert_refused(result, "holds another tuning run")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--loss", "least"), "loss is 'least': choose from mean-square, cvar"),
+        (("--optimizer", "newton"), "optimizer is 'newton': choose from lbfgs"),
+        (("--gains", "guidance.bank"), "no leaf 'guidance.bank'"),
+        (("--of", "range=1km"), "no miss 'range'; nearest"),
+        (("--of", "altitude=-1km"), "the scale must be greater than zero"),
+        (("--bounds", "guidance.bank_angle=1"), "write ADDRESS=LOW:HIGH"),
+        (("--bounds", "guidance.bank_angle=2:3"), "on both sides of its value"),
+        (("--smooth",), "has no field of the type AbstractSwitching"),
+        (("--runs", 1), "runs is 1"),
+    ],
+)
+def test_tune_refuses(command, words, message):
+    assert_refused(tune(command, *words), message)
+
+
+def test_sensitivity_prints_derivatives_and_spreads(command):
+    given = ("--wrt", "initial_state.velocity,vehicle.mass", "--runs", 40)
+    code, printed, said = command(
+        "sensitivity", "cheap", "--step", 1, "--scale", 0.1, *given
+    )
+    assert (code, said) == (0, "")
+    for words in ("initial_state.velocity", "vehicle.mass", "dispersions x 0.1"):
+        assert words in printed
+    assert "holds" in printed and "one std of" in printed
+
+
+def test_sensitivity_refuses_a_scale_of_nothing(command):
+    result = command("sensitivity", "cheap", "--step", 1, "--scale", 0)
+    assert_refused(result, "scale is 0: it must be greater than zero")

@@ -99,7 +99,7 @@ def tune(
     - `optimizer`: a minimiser of optimistix, such as `LBFGS(rtol=1e-6, atol=1e-6)`, for
       any loss, and the best choice for few parameters; a least-squares solver, such as
       `LevenbergMarquardt(rtol=1e-6, atol=1e-6)`, for a loss that is a `MeanSquare`; or an
-      optimizer of optax, for many parameters, fresh draws and surrogates. A learning
+      optimizer of optax, for many parameters or fresh draws. A learning
       rate of 0.1 moves a positive number by about a tenth.
     - `dispersions`, `key`, `runs`: the draws. They are the same in each step, unless
       `fresh_draws`: then each gradient has new ones, while the best point is still
