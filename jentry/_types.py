@@ -39,6 +39,16 @@ def scalar(default: Any = MISSING, *, unit: str = "1", positive: bool = False) -
     return eqx.field(converter=as_float_array, metadata=metadata, **given)
 
 
+def optional_scalar(*, unit: str = "1") -> Any:
+    """A physical number that may be none, and then is no leaf."""
+
+    def convert(value: Any) -> Any:
+        return None if value is None else as_float_array(value)
+
+    metadata = {"unit": unit, "positive": False}
+    return eqx.field(converter=convert, metadata=metadata, default=None)
+
+
 def table(*, unit: str = "1") -> Any:
     """An array of physical numbers: one leaf."""
     return eqx.field(converter=as_float_array, metadata={"unit": unit})

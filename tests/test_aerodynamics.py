@@ -63,7 +63,7 @@ def _points(count):
 
 def test_gradient_matches_finite_differences(aerodynamics):
     def coefficients(point):
-        return jnp.stack(aerodynamics.coefficients(*point))
+        return jnp.stack(aerodynamics.coefficients(*point, 300.0 * point[1]))
 
     value_at = jax.jit(coefficients)
     slope_at = jax.jit(jax.jacfwd(coefficients))
@@ -82,13 +82,13 @@ def test_gradients_are_finite_everywhere(aerodynamics):
     angles, machs = _points(200)
     angles = jnp.concatenate([angles, ANGLES, ANGLES])
     machs = jnp.concatenate([machs, MACHS[:6], MACHS[1:]])
-    slopes = over(jax.jacrev(aerodynamics.coefficients, argnums=(0, 1)))(angles, machs)
+    slopes = over(jax.jacrev(aerodynamics.coefficients, argnums=(0, 1)))(angles, machs, machs)
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(slopes))
 
 
 def test_vmap_equals_loop(aerodynamics):
     angles, machs = _points(20)
-    f = jax.jit(lambda a, m: jnp.stack(aerodynamics.coefficients(a, m)))
+    f = jax.jit(lambda a, m: jnp.stack(aerodynamics.coefficients(a, m, 300.0 * m)))
     loop = [[float(c) for c in f(a, m)] for a, m in zip(angles, machs, strict=True)]
     batch = over(f)(angles, machs)
     # The same operations in another order of fusion: rounding.
@@ -100,14 +100,14 @@ def test_vmap_equals_loop(aerodynamics):
 
 def test_polynomials_start_with_the_constant_term():
     aerodynamics = PolynomialAerodynamics([-0.04, 0.8], [0.05, -0.1, 0.9])
-    lift, drag = aerodynamics.coefficients(jnp.asarray(0.5), jnp.asarray(7.0))
+    lift, drag = aerodynamics.coefficients(*map(jnp.asarray, (0.5, 7.0, 2e3)))
     assert float(lift) == pytest.approx(-0.04 + 0.8 * 0.5, rel=1e-15)  # rounding
     assert float(drag) == pytest.approx(0.05 - 0.1 * 0.5 + 0.9 * 0.25, rel=1e-15)
 
 
 def test_polynomial_of_one_term_is_a_constant():
     aerodynamics = PolynomialAerodynamics([0.3], [1.1])
-    lift, drag = aerodynamics.coefficients(jnp.asarray(0.5), jnp.asarray(7.0))
+    lift, drag = aerodynamics.coefficients(*map(jnp.asarray, (0.5, 7.0, 2e3)))
     assert (float(lift), float(drag)) == (0.3, 1.1)
 
 
@@ -115,7 +115,7 @@ def test_polynomial_is_differentiable_in_its_coefficients():
     angle, mach = jnp.asarray(0.4), jnp.asarray(6.0)
 
     def drag(coefficients):
-        return PolynomialAerodynamics([0.0], coefficients).coefficients(angle, mach)[1]
+        return PolynomialAerodynamics([0.0], coefficients).coefficients(angle, mach, 2e3)[1]
 
     slopes = jax.grad(drag)(jnp.asarray([0.05, -0.1, 0.9]))
     np.testing.assert_allclose(slopes, [1.0, 0.4, 0.16], rtol=1e-15)  # rounding
@@ -138,7 +138,7 @@ def test_polynomial_refuses(lift, drag, message):
 
 def test_table_passes_through_its_values():
     table = _table()
-    lift, drag = over(lambda a: over(lambda m: table.coefficients(a, m))(MACHS))(ANGLES)
+    lift, drag = over(lambda a: over(lambda m: table.coefficients(a, m, 2e3))(MACHS))(ANGLES)
     # Rounding.
     np.testing.assert_allclose(lift, table.lift_coefficients, rtol=1e-14, atol=1e-15)
     np.testing.assert_allclose(drag, table.drag_coefficients, rtol=1e-14)
@@ -150,7 +150,7 @@ def test_table_of_a_product_of_straight_lines_is_exact():
     angles, machs = _points(50)
     angles = jnp.clip(angles, ANGLES[0], ANGLES[-1])
     machs = jnp.clip(machs, MACHS[0], MACHS[-1])
-    lift, _ = over(table.coefficients)(angles, machs)
+    lift, _ = over(table.coefficients)(angles, machs, machs)
     expected = (1.0 + 2.0 * angles) * (3.0 - 0.1 * machs)
     np.testing.assert_allclose(lift, expected, rtol=1e-13)  # rounding
 
@@ -159,14 +159,14 @@ def test_table_comes_near_a_smooth_function():
     angles, machs = _points(300)
     angles = jnp.clip(angles, ANGLES[0], ANGLES[-1])
     machs = jnp.clip(machs, MACHS[0], MACHS[-1])
-    lift, drag = over(_table().coefficients)(angles, machs)
+    lift, drag = over(_table().coefficients)(angles, machs, machs)
     # Six angles up to 15 deg apart: second order next to the flat top of the lift.
     np.testing.assert_allclose(lift, over(_lift)(angles, machs), atol=1.5e-2)
     np.testing.assert_allclose(drag, over(_drag)(angles, machs), atol=1.5e-2)
 
 
 def test_table_has_no_kinks_across_its_lines():
-    slope = jax.jacfwd(lambda p: jnp.stack(_table().coefficients(p[0], p[1])))
+    slope = jax.jacfwd(lambda p: jnp.stack(_table().coefficients(p[0], p[1], 2e3)))
     inner = [(ANGLES[2], jnp.asarray(3.3)), (jnp.asarray(0.3), MACHS[3])]
     for axis, (angle, mach) in enumerate(inner):
         move = 1e-9 * jnp.eye(2)[axis]
@@ -179,7 +179,7 @@ def test_table_does_not_overshoot_a_step():
     step = jnp.broadcast_to(jnp.where(MACHS > 1.0, 1.0, 0.3), (6, 7))
     table = TabulatedAerodynamics(ANGLES, MACHS, step, step)
     machs = jnp.linspace(0.4, 25.0, 801)
-    _, drag = over(lambda m: table.coefficients(jnp.asarray(0.2), m))(machs)
+    _, drag = over(lambda m: table.coefficients(jnp.asarray(0.2), m, 2e3))(machs)
     assert np.all(np.diff(drag) >= -1e-15)  # rounding
     assert float(jnp.min(drag)) >= 0.3 - 1e-15
     assert float(jnp.max(drag)) <= 1.0 + 1e-15
@@ -195,8 +195,8 @@ def test_table_does_not_overshoot_a_step():
 )
 def test_table_is_held_at_its_edges(outside, edge):
     table = _table()
-    values = table.coefficients(*map(jnp.asarray, outside))
-    assert values == table.coefficients(*map(jnp.asarray, edge))
+    values = table.coefficients(*map(jnp.asarray, outside), 2e3)
+    assert values == table.coefficients(*map(jnp.asarray, edge), 2e3)
 
 
 def test_table_is_differentiable_in_its_values():
@@ -206,7 +206,7 @@ def test_table_is_differentiable_in_its_values():
     def lift(values):
         return TabulatedAerodynamics(
             ANGLES, MACHS, values, table.drag_coefficients
-        ).coefficients(angle, mach)[0]
+        ).coefficients(angle, mach, 2e3)[0]
 
     direction = jnp.cos(jnp.arange(42.0)).reshape(6, 7) * table.lift_coefficients
     _, slope = jax.jvp(lift, (table.lift_coefficients,), (direction,))

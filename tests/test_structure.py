@@ -16,6 +16,7 @@ FLOORS = {
     "_types": 0,
     "units": 0,
     "_math": 0,
+    "_batching": 0,
     "_addresses": 0,
     "_interpolation": 0,
     "_tables": 0,

@@ -31,7 +31,14 @@ _CONSTRAINTS = {
     "heat_rate": "W/m2",
     "load_factor": "1",
 }
-_MISSES = {"downrange": "m", "crossrange": "m", "altitude": "m", "velocity": "m/s"}
+_MISSES = {
+    "downrange": "m",
+    "crossrange": "m",
+    "altitude": "m",
+    "velocity": "m/s",
+    "flight_path_angle": "rad",
+    "heading": "rad",
+}
 
 
 def _angles(controls: Controls) -> dict[str, Scalar]:
@@ -84,7 +91,9 @@ def dataset(
         put(f"end_{name}", values, unit, f"{_words(name)} at the end")
     for name, unit in _MISSES.items():
         values = getattr(campaign.misses, name)
-        put(f"{name}_error", values, unit, f"{name} error, actual minus desired")
+        if values is not None:
+            words = f"{_words(name)} error, actual minus desired"
+            put(f"{name}_error", values, unit, words)
     for name, unit in _CONSTRAINTS.items():
         put(f"peak_{name}", getattr(flights.peaks, name), unit, f"peak {_words(name)}")
 

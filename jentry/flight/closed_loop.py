@@ -13,7 +13,7 @@ from .._types import Flag, Scalar
 from ..guidance.law import AbstractContinuousLaw, AbstractSampledLaw
 from ..motion.dynamics import entry_dynamics, equatorial_dynamics
 from ..motion.forces import air_data
-from ..motion.quantities import load_factor, sutton_graves_heat_rate
+from ..motion.quantities import convective_heat_rate, load_factor
 from ..motion.state import Controls, EntryState
 from ..onboard.navigation import Measurement, measure
 from .scenario import Scenario
@@ -27,7 +27,7 @@ class Peaks(eqx.Module):
     dynamic_pressure: Scalar
     """Pa"""
     heat_rate: Scalar
-    """W/m2, Sutton-Graves at the stagnation point"""
+    """W/m2, at the stagnation point"""
     load_factor: Scalar
     """In units of 9.80665 m/s2"""
 
@@ -69,13 +69,20 @@ def guidance_period(scenario: Scenario) -> float | None:
     return law.period if isinstance(law, AbstractSampledLaw) else None
 
 
-def sense(scenario: Scenario, state: EntryState) -> Measurement:
-    """What the vehicle measures in a state, flying at its trim angle of attack.
+def sense(
+    scenario: Scenario, state: EntryState, memory: Any = None, held: Any = None
+) -> Measurement:
+    """What the vehicle measures in a state, at the angle of attack that it flies.
 
-    A law that commands another one needs its sensed forces at that: there is none yet.
+    Without memory, before the first command, that is the trim angle of attack.
     """
-    vehicle = scenario.vehicle
-    return measure(scenario.planet, vehicle, state, vehicle.trim_angle_of_attack)
+    law, vehicle = scenario.guidance, scenario.vehicle
+    angle_of_attack = None
+    if isinstance(law, AbstractSampledLaw) and memory is not None:
+        angle_of_attack = law.angle_of_attack(state, memory, held)
+    if angle_of_attack is None:
+        angle_of_attack = vehicle.trim_angle_of_attack
+    return measure(scenario.planet, vehicle, state, angle_of_attack)
 
 
 def start(scenario: Scenario, step: float) -> Lane:
@@ -107,7 +114,7 @@ def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
     law = scenario.guidance
     if not isinstance(law, AbstractSampledLaw):
         return lane
-    measurement = sense(scenario, lane.state)
+    measurement = sense(scenario, lane.state, lane.memory, lane.held)
     decided = law.update(lane.flown, measurement, lane.memory, lane.held)
     decides = lane.on_schedule if due is None else lane.on_schedule & due
     memory, held = select(decides, decided, (lane.memory, lane.held))
@@ -124,7 +131,7 @@ def command(
 ) -> tuple[Controls, Any]:
     """What the law commands, and the rate of its memory."""
     law = scenario.guidance
-    measurement = sense(scenario, state)
+    measurement = sense(scenario, state, memory, held)
     if isinstance(law, AbstractSampledLaw):
         return law(flown, measurement, memory, held)
     assert isinstance(law, AbstractContinuousLaw)
@@ -153,8 +160,12 @@ def path_constraints(
     return Peaks(
         drag=air.drag,
         dynamic_pressure=air.dynamic_pressure,
-        heat_rate=sutton_graves_heat_rate(
-            air.density, air.airspeed, vehicle.nose_radius, planet.heating_coefficient
+        heat_rate=convective_heat_rate(
+            air.density,
+            air.airspeed,
+            vehicle.nose_radius,
+            planet.heating_coefficient,
+            planet.heating_exponent,
         ),
         load_factor=load_factor(air),
     )

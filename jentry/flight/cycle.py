@@ -13,6 +13,7 @@ from jax import lax
 
 from .._setup import fast_options_are_on
 from .._types import Flag, Scalar
+from ..guidance.law import AbstractLaw, AbstractSampledLaw
 from .closed_loop import (
     Bracket,
     Lane,
@@ -36,6 +37,10 @@ _END_TOLERANCE = 1e-9
 
 _STEPS_TO_THE_END = 12
 """It takes four or five, twice as many where two conditions are met at once."""
+
+
+_SAME_TIME = 1e-6
+"""s; times differ by the rounding of some thousand cycles."""
 
 
 class Plan(eqx.Module):
@@ -77,12 +82,34 @@ class Plan(eqx.Module):
                     f"history is {history} s and the guidance period {period} s: one "
                     "must be a multiple of the other"
                 )
-        scheduled = math.ceil(scenario.termination.time_limit / duration - 1e-9)
+        law, limit = scenario.guidance, scenario.termination.time_limit
+        scheduled = math.ceil(limit / duration - 1e-9)
+        if varies(law):
+            assert isinstance(law, AbstractSampledLaw)
+            if duration < law.period - 1e-9:
+                raise ValueError(
+                    f"history is {history} s: with a cycle that varies it must be a "
+                    f"multiple of the longest, {law.period} s"
+                )
+            scheduled = law.most_cycles(limit)
         steps = solver.steps_in(duration) if isinstance(solver, FixedStep) else 1
         cycles = scheduled + math.ceil(_STEPS_TO_THE_END / steps)
         decide_every = 1 if period is None else round(period / duration)
         keep_every = 1 if history is None else round(history / duration)
         return cls(duration, scheduled, cycles, decide_every, keep_every, solver)
+
+    def kept(self, scenario: Scenario, lanes: Lane) -> Lane:
+        """Of the lanes at the starts of all cycles those that the history keeps."""
+        if not varies(scenario.guidance):
+            return jax.tree.map(lambda x: x[: self.scheduled : self.keep_every], lanes)
+        interval = self.duration * self.keep_every
+        count = math.ceil(scenario.termination.time_limit / interval - 1e-9)
+        grid = interval * jnp.arange(count)
+        flown = jnp.where(lanes.running, lanes.flown, jnp.inf)
+        index = jnp.searchsorted(flown, grid - _SAME_TIME)
+        lanes = jax.tree.map(lambda x: x[index], lanes)
+        there = lanes.running & (jnp.abs(lanes.flown - grid) < _SAME_TIME)
+        return eqx.tree_at(lambda lanes: lanes.running, lanes, there)
 
     def decided(self, scenario: Scenario, lane: Lane) -> Lane:
         """The lane after what a sampled law decides at this time, if its cycle starts."""
@@ -94,14 +121,34 @@ class Plan(eqx.Module):
     def cycle(self, scenario: Scenario, lane: Lane) -> Lane:
         """One guidance cycle, or a part of one where the history wants it finer."""
         lane = self.decided(scenario, lane)
+        law, duration = scenario.guidance, self.duration
+        if varies(law):
+            assert isinstance(law, AbstractSampledLaw)
+            duration = law.cycle(lane.held)
         if isinstance(self.solver, Adaptive):
-            return _adaptive_cycle(scenario, self.solver, self.duration, lane)
+            return _adaptive_cycle(scenario, self.solver, duration, lane)
         assert isinstance(self.solver, FixedStep)
-        return _fixed_cycle(scenario, self.solver, self.duration, lane)
+        steps = self.solver.steps_in(self.duration)
+        if varies(law):
+            trial = jnp.where(lane.on_schedule, duration / steps, lane.bracket.trial)
+            lane = eqx.tree_at(lambda lane: lane.bracket.trial, lane, trial)
+        return _fixed_cycle(scenario, self.solver, duration / steps, steps, lane)
+
+
+def varies(law: AbstractLaw) -> bool:
+    """Whether the guidance cycle of a law depends on the flight."""
+    return (
+        isinstance(law, AbstractSampledLaw)
+        and type(law).cycle is not AbstractSampledLaw.cycle
+    )
 
 
 def _fixed_cycle(
-    scenario: Scenario, solver: FixedStep, duration: float, lane: Lane
+    scenario: Scenario,
+    solver: FixedStep,
+    full_step: Scalar | float,
+    steps: int,
+    lane: Lane,
 ) -> Lane:
     """Step on until the cycle is over, or the end is located within its tolerance.
 
@@ -110,7 +157,6 @@ def _fixed_cycle(
     of them come within the tolerance, always on the near side. They are steps of the same
     solver, so that the order is kept up to the end.
     """
-    steps = solver.steps_in(duration)
     field = vector_field(scenario, lane.held)
     conditions = scenario.termination
 
@@ -134,7 +180,7 @@ def _fixed_cycle(
             (lane.flown, lane.state, lane.memory, lane.peaks),
         )
         running = lane.running & finite
-        after = _next_trial(bracket, margin, taken, duration / steps)
+        after = _next_trial(bracket, margin, taken, full_step)
         bracket = select(running, after, bracket)
         running = running & (bracket.trial >= _END_TOLERANCE)
         return Lane(flown, state, memory, lane.held, peaks, bracket, running), None
@@ -143,7 +189,7 @@ def _fixed_cycle(
 
 
 def _next_trial(
-    bracket: Bracket, margin: Scalar, taken: Flag, full_step: float
+    bracket: Bracket, margin: Scalar, taken: Flag, full_step: Scalar | float
 ) -> Bracket:
     """After a step to a margin, which was taken or was found to cross the end.
 
@@ -173,7 +219,7 @@ def is_finite(y: Any) -> Flag:
 
 
 def _adaptive_cycle(
-    scenario: Scenario, solver: Adaptive, duration: float, lane: Lane
+    scenario: Scenario, solver: Adaptive, duration: Scalar | float, lane: Lane
 ) -> Lane:
     """Integrate to the end of the cycle, or to the first end condition."""
     field = vector_field(scenario, lane.held)

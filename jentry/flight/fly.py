@@ -88,7 +88,7 @@ def fly(
         lane, lanes = while_running_with_history(
             plan.cycle, _running, scenario, lane, plan.cycles
         )
-        lanes = jax.tree.map(lambda x: x[: plan.scheduled : plan.keep_every], lanes)
+        lanes = plan.kept(scenario, lanes)
         kept = jax.vmap(lambda lane: _observe(scenario, plan, lane))(lanes)
     end = end_of_flight(scenario, lane)
     return Flight(

@@ -12,24 +12,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, Bool, PyTree
+from jaxtyping import PyTree
 
+from .._batching import any_lane
 from .._types import Count
 
 
 Carry = TypeVar("Carry", bound=PyTree)
 Parameters = TypeVar("Parameters", bound=PyTree)
-
-
-@jax.custom_batching.custom_vmap
-def _any_lane(running: Bool[Array, "..."]) -> Bool[Array, "..."]:
-    """Whether any flight of the batch runs: one answer for all, also under `vmap`."""
-    return running
-
-
-@_any_lane.def_vmap
-def _(axis_size, in_batched, running):
-    return _any_lane(jnp.any(running)), False
 
 
 def _stack_of(tree: PyTree, length: int) -> PyTree:
@@ -84,7 +74,7 @@ def while_running_with_history(
 def _run(parameters, carry, cycle, running, max_cycles, keep):
     def going(loop):
         index, carry, _ = loop
-        return _any_lane(running(carry)) & (index < max_cycles)
+        return any_lane(running(carry)) & (index < max_cycles)
 
     def body(loop):
         index, carry, history = loop

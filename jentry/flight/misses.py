@@ -2,6 +2,7 @@
 
 import equinox as eqx
 
+from .._math import safe_sqrt
 from .._types import Scalar
 from ..motion.quantities import ground_track
 from .fly import Flight
@@ -19,6 +20,16 @@ class Misses(eqx.Module):
     """m"""
     velocity: Scalar
     """m/s"""
+    flight_path_angle: Scalar | None = None
+    """rad; none if the target has none"""
+    heading: Scalar | None = None
+    """rad; none if the target has none"""
+
+    @property
+    def distance(self) -> Scalar:
+        """From the target, m."""
+        square = self.downrange * self.downrange + self.crossrange * self.crossrange
+        return safe_sqrt(square + self.altitude * self.altitude)
 
 
 def misses(scenario: Scenario, flight: Flight) -> Misses:
@@ -30,4 +41,10 @@ def misses(scenario: Scenario, flight: Flight) -> Misses:
         crossrange=crossrange - target.crossrange,
         altitude=end.altitude - target.altitude,
         velocity=end.velocity - target.velocity,
+        flight_path_angle=_difference(end.flight_path_angle, target.flight_path_angle),
+        heading=_difference(end.heading, target.heading),
     )
+
+
+def _difference(actual: Scalar, desired: Scalar | None) -> Scalar | None:
+    return None if desired is None else actual - desired

@@ -7,7 +7,7 @@ import numpy as np
 from jax.core import Tracer
 
 from .._addresses import field_metadata, leaves_by_address
-from .._types import Scalar, scalar
+from .._types import Scalar, optional_scalar, scalar
 from ..guidance.law import AbstractLaw
 from ..motion.state import EntryState
 from ..world.planet import Planet
@@ -28,6 +28,10 @@ class Target(eqx.Module):
     velocity: Scalar = scalar(unit="m/s")
     downrange: Scalar = scalar(unit="m")
     crossrange: Scalar = scalar(0.0, unit="m")
+    flight_path_angle: Scalar | None = optional_scalar(unit="rad")
+    """None where any will do"""
+    heading: Scalar | None = optional_scalar(unit="rad")
+    """Likewise"""
 
 
 class Scenario(eqx.Module):

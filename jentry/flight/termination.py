@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from .._types import Scalar, scalar
 from ..motion.state import EntryState
+from ..onboard.track import Track
 
 
 class Outcome(enum.IntEnum):
@@ -72,6 +73,18 @@ class AltitudeAbove(AbstractEndCondition):
 
     def margin(self, state: EntryState) -> Scalar:
         return self.altitude - state.altitude
+
+
+class TargetPassed(AbstractEndCondition):
+    """Ends in the plane across a track through its target."""
+
+    track: Track
+    radius: Scalar = scalar(unit="m", positive=True)
+    """Of the sphere on which the way to go is measured"""
+    outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
+
+    def margin(self, state: EntryState) -> Scalar:
+        return self.radius * self.track.to_go(state)
 
 
 class Termination(eqx.Module):

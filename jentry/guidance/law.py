@@ -1,12 +1,13 @@
 """What a guidance law is: the two protocols that the closed loop knows."""
 
+import math
 from abc import abstractmethod
 from typing import Generic, TypeVar
 
 import equinox as eqx
 
 from .._types import Scalar
-from ..motion.state import Controls
+from ..motion.state import Controls, EntryState
 from ..onboard.navigation import Measurement
 
 
@@ -48,7 +49,24 @@ class AbstractSampledLaw(AbstractLaw, Generic[Memory, Held]):
     """
 
     period: eqx.AbstractVar[float]
-    """Guidance cycle, s; static"""
+    """Guidance cycle, s; static. The longest one of a law whose cycle varies"""
+
+    def cycle(self, held: Held) -> Scalar | float:
+        """How long what was just decided is held, s."""
+        return self.period
+
+    def most_cycles(self, time_limit: float) -> int:
+        """That a flight up to the time limit (s) can take."""
+        return math.ceil(time_limit / self.period - 1e-9)
+
+    def angle_of_attack(
+        self, state: EntryState, memory: Memory, held: Held
+    ) -> Scalar | None:
+        """At which the vehicle flies now, and its sensed forces are measured, rad.
+
+        None for a law that leaves the angle of attack at trim.
+        """
+        return None
 
     @abstractmethod
     def init(self, measurement: Measurement) -> tuple[Memory, Held]:

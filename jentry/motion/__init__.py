@@ -7,10 +7,10 @@ from .dynamics import (
 )
 from .forces import AirData as AirData, air_data as air_data
 from .quantities import (
+    convective_heat_rate as convective_heat_rate,
     detra_kemp_riddell_heat_rate as detra_kemp_riddell_heat_rate,
     energy as energy,
     ground_track as ground_track,
     load_factor as load_factor,
-    sutton_graves_heat_rate as sutton_graves_heat_rate,
 )
 from .state import Controls as Controls, EntryState as EntryState

@@ -55,7 +55,7 @@ def air_data(
     airspeed = _airspeed(planet, state)
     mach = airspeed / planet.atmosphere.speed_of_sound(state.altitude)
     dynamic_pressure = 0.5 * density * airspeed * airspeed
-    lift, drag = vehicle.coefficients(angle_of_attack, mach)
+    lift, drag = vehicle.coefficients(angle_of_attack, mach, airspeed)
     area_to_mass = vehicle.reference_area / vehicle.mass
     return AirData(
         density=density,

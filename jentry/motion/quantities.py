@@ -21,17 +21,21 @@ def load_factor(air: AirData) -> Scalar:
     return jnp.sqrt(air.lift * air.lift + air.drag * air.drag) / standard_gravity
 
 
-def sutton_graves_heat_rate(
-    density: Scalar, velocity: Scalar, nose_radius: Scalar, coefficient: Scalar
+def convective_heat_rate(
+    density: Scalar,
+    velocity: Scalar,
+    nose_radius: Scalar,
+    coefficient: Scalar,
+    exponent: float = 3,
 ) -> Scalar:
-    """Convective heat rate at the stagnation point, W/m2.
+    """Heat rate at the stagnation point, W/m2, by Sutton and Graves.
 
     `coefficient` is that of the planet's gas, kg^0.5/m: 1.7415e-4 for air, 1.9027e-4
-    for Mars.
+    for Mars. Published studies take other powers of the velocity than 3.
 
     Reference: K. Sutton, R. A. Graves, NASA TR R-376, 1971.
     """
-    return coefficient * jnp.sqrt(density / nose_radius) * velocity**3
+    return coefficient * jnp.sqrt(density / nose_radius) * velocity**exponent
 
 
 def detra_kemp_riddell_heat_rate(

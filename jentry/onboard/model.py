@@ -43,7 +43,7 @@ class OnboardModel(eqx.Module):
 
     @property
     def lift_to_drag(self) -> Scalar:
-        """At the trim angle of attack and a Mach number of 20."""
+        """At the trim angle of attack, a Mach number of 20 and 6 km/s."""
         lift, drag = self._trim_coefficients()
         return lift / drag
 
@@ -55,4 +55,6 @@ class OnboardModel(eqx.Module):
 
     def _trim_coefficients(self) -> tuple[Scalar, Scalar]:
         angle_of_attack = self.vehicle.trim_angle_of_attack
-        return self.vehicle.coefficients(angle_of_attack, 20.0 + 0.0 * angle_of_attack)
+        return self.vehicle.coefficients(
+            angle_of_attack, 20.0 + 0.0 * angle_of_attack, 6000.0 + 0.0 * angle_of_attack
+        )

@@ -2,7 +2,9 @@
 
 from .aerodynamics import (
     AbstractAerodynamics as AbstractAerodynamics,
+    AbstractInvertibleAerodynamics as AbstractInvertibleAerodynamics,
     ConstantAerodynamics as ConstantAerodynamics,
+    ExponentialAerodynamics as ExponentialAerodynamics,
     PolynomialAerodynamics as PolynomialAerodynamics,
     TabulatedAerodynamics as TabulatedAerodynamics,
 )

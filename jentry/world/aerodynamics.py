@@ -1,4 +1,4 @@
-"""Aerodynamic coefficients over angle of attack and Mach number."""
+"""Aerodynamic coefficients over angle of attack and speed."""
 
 import os
 from abc import abstractmethod
@@ -20,9 +20,18 @@ class AbstractAerodynamics(eqx.Module):
 
     @abstractmethod
     def coefficients(
-        self, angle_of_attack: Scalar, mach: Scalar
+        self, angle_of_attack: Scalar, mach: Scalar, airspeed: Scalar
     ) -> tuple[Scalar, Scalar]:
-        """Lift and drag coefficient at an angle of attack (rad) and a Mach number."""
+        """Lift and drag coefficient at an angle of attack (rad), a Mach number and an
+        airspeed (m/s): published fits are over the one or the other."""
+
+
+class AbstractInvertibleAerodynamics(AbstractAerodynamics):
+    """Aerodynamics in which the lift tells the angle of attack."""
+
+    @abstractmethod
+    def angle_of_attack(self, lift: Scalar, mach: Scalar, airspeed: Scalar) -> Scalar:
+        """At which the lift coefficient has a value, rad."""
 
 
 class ConstantAerodynamics(AbstractAerodynamics):
@@ -32,7 +41,7 @@ class ConstantAerodynamics(AbstractAerodynamics):
     drag_coefficient: Scalar = scalar(positive=True)
 
     def coefficients(
-        self, angle_of_attack: Scalar, mach: Scalar
+        self, angle_of_attack: Scalar, mach: Scalar, airspeed: Scalar
     ) -> tuple[Scalar, Scalar]:
         return self.lift_coefficient, self.drag_coefficient
 
@@ -61,12 +70,54 @@ class PolynomialAerodynamics(AbstractAerodynamics):
                 )
 
     def coefficients(
-        self, angle_of_attack: Scalar, mach: Scalar
+        self, angle_of_attack: Scalar, mach: Scalar, airspeed: Scalar
     ) -> tuple[Scalar, Scalar]:
         return (
             horner(self.lift_polynomial[::-1], angle_of_attack),
             horner(self.drag_polynomial[::-1], angle_of_attack),
         )
+
+
+class ExponentialAerodynamics(AbstractInvertibleAerodynamics):
+    """Lift linear and drag quadratic in the angle of attack, with tails over airspeed.
+
+    C_L = lift_slope a + lift_tail exp(-lift_decay v) + lift_constant and
+    C_D = drag_curvature max(a, least)^2 + drag_tail exp(-drag_decay v) + drag_constant,
+    with the angle of attack a in rad and the airspeed v in m/s. The fit to the tables of
+    the Common Aero Vehicle has this form; they begin at the `least` angle of attack,
+    below which the drag keeps its value.
+    """
+
+    lift_slope: Scalar = scalar(unit="1/rad", positive=True)
+    lift_tail: Scalar = scalar()
+    lift_decay: Scalar = scalar(unit="s/m")
+    lift_constant: Scalar = scalar()
+    drag_curvature: Scalar = scalar(unit="1/rad2")
+    drag_tail: Scalar = scalar()
+    drag_decay: Scalar = scalar(unit="s/m")
+    drag_constant: Scalar = scalar()
+    least_angle_of_attack: Scalar = scalar(unit="rad")
+
+    def lift_at_zero(self, airspeed: Scalar) -> Scalar:
+        """Lift coefficient at an angle of attack of zero."""
+        return self.lift_tail * jnp.exp(-self.lift_decay * airspeed) + (
+            self.lift_constant
+        )
+
+    def coefficients(
+        self, angle_of_attack: Scalar, mach: Scalar, airspeed: Scalar
+    ) -> tuple[Scalar, Scalar]:
+        lift = self.lift_slope * angle_of_attack + self.lift_at_zero(airspeed)
+        beyond = jnp.maximum(angle_of_attack, self.least_angle_of_attack)
+        drag = (
+            self.drag_curvature * beyond * beyond
+            + self.drag_tail * jnp.exp(-self.drag_decay * airspeed)
+            + self.drag_constant
+        )
+        return lift, drag
+
+    def angle_of_attack(self, lift: Scalar, mach: Scalar, airspeed: Scalar) -> Scalar:
+        return (lift - self.lift_at_zero(airspeed)) / self.lift_slope
 
 
 class TabulatedAerodynamics(AbstractAerodynamics):
@@ -137,7 +188,7 @@ class TabulatedAerodynamics(AbstractAerodynamics):
         return cls(*(jnp.asarray(numbers) for numbers in tables))
 
     def coefficients(
-        self, angle_of_attack: Scalar, mach: Scalar
+        self, angle_of_attack: Scalar, mach: Scalar, airspeed: Scalar
     ) -> tuple[Scalar, Scalar]:
         lift, drag = interpolate_surface(
             self.angles_of_attack,

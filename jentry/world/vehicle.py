@@ -22,8 +22,8 @@ class Vehicle(eqx.Module):
     """For the heat rate at the stagnation point."""
 
     def coefficients(
-        self, angle_of_attack: Scalar, mach: Scalar
+        self, angle_of_attack: Scalar, mach: Scalar, airspeed: Scalar
     ) -> tuple[Scalar, Scalar]:
         """Lift and drag coefficient as flown, the factors included."""
-        lift, drag = self.aerodynamics.coefficients(angle_of_attack, mach)
+        lift, drag = self.aerodynamics.coefficients(angle_of_attack, mach, airspeed)
         return self.lift_scale * lift, self.drag_scale * drag

@@ -1,0 +1,88 @@
+"""From the acceleration that a path asks for to angle of attack and bank, within limits."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .._math import sincos
+from .._types import Scalar, scalar
+from ..motion.state import Controls
+from ..units import standard_gravity
+from ..world.aerodynamics import AbstractInvertibleAerodynamics
+from ..world.planet import Planet
+from ..world.vehicle import Vehicle
+from .inverse_dynamics import Acceleration
+
+
+class FlightLimits(eqx.Module):
+    """What the vehicle may do, and may be exposed to: equations (11), (13)."""
+
+    least_angle_of_attack: Scalar = scalar(unit="rad")
+    largest_angle_of_attack: Scalar = scalar(unit="rad")
+    largest_bank: Scalar = scalar(unit="rad")
+    """To either side"""
+    load_factor: Scalar = scalar(positive=True)
+    """In units of 9.80665 m/s2"""
+    dynamic_pressure: Scalar = scalar(unit="Pa", positive=True)
+    heat_rate: Scalar = scalar(unit="W/m2", positive=True)
+
+
+def lift_coefficient(
+    planet: Planet, vehicle: Vehicle, altitude: Scalar, velocity: Scalar, lift: Scalar
+) -> Scalar:
+    """That gives a specific lift (m/s2)."""
+    dynamic_pressure = 0.5 * planet.density(altitude) * velocity * velocity
+    return lift * vehicle.mass / (dynamic_pressure * vehicle.reference_area)
+
+
+def attitude(
+    planet: Planet,
+    vehicle: Vehicle,
+    limits: FlightLimits,
+    altitude: Scalar,
+    velocity: Scalar,
+    wanted: Acceleration,
+    lift_factor: Scalar,
+) -> Controls:
+    """Angle of attack and bank: equations (33) to (36), corrected.
+
+    The lower limits on the angle of attack are those of equilibrium glide: with more
+    lift the vehicle glides where the air is thinner.
+
+    **Arguments:**
+
+    - `lift_factor`: actual lift in units of the model's.
+    """
+    aerodynamics = vehicle.aerodynamics
+    assert isinstance(aerodynamics, AbstractInvertibleAerodynamics)
+    radius = planet.radius + altitude
+    mach = velocity / planet.atmosphere.speed_of_sound(altitude)
+
+    total = jnp.sqrt(wanted.vertical * wanted.vertical + wanted.lateral**2)
+    cos_bank, sin_bank = wanted.vertical / total, wanted.lateral / total
+    sin_most, cos_most = sincos(limits.largest_bank)
+    beyond = cos_bank < cos_most
+    cos_bank = jnp.where(beyond, cos_most, cos_bank)
+    sin_bank = jnp.where(beyond, jnp.where(sin_bank < 0, -sin_most, sin_most), sin_bank)
+
+    def angle(coefficient: Scalar) -> Scalar:
+        return aerodynamics.angle_of_attack(coefficient, mach, velocity)
+
+    lift = jnp.minimum(total, limits.load_factor * standard_gravity) / lift_factor
+    wanted_angle = angle(lift_coefficient(planet, vehicle, altitude, velocity, lift))
+
+    weight = planet.gravity.acceleration(radius) - velocity * velocity / radius
+    loading = vehicle.mass * weight / (vehicle.reference_area * cos_bank)
+    heating = planet.heating_coefficient * velocity**planet.heating_exponent
+    at_heat_limit = (
+        0.5 * vehicle.nose_radius * (limits.heat_rate * velocity / heating) ** 2
+    )
+    least = jnp.maximum(
+        limits.least_angle_of_attack,
+        jnp.maximum(
+            angle(loading / limits.dynamic_pressure), angle(loading / at_heat_limit)
+        ),
+    )
+    angle_of_attack = jnp.minimum(
+        jnp.maximum(wanted_angle, least), limits.largest_angle_of_attack
+    )
+    return Controls(angle_of_attack, cos_bank, sin_bank)

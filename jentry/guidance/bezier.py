@@ -1,0 +1,245 @@
+"""Guidance along a Bézier curve by inverse dynamics.
+
+Source: H. Zhou, T. Rahman, W. Chen, "Neural Network Assisted Inverse Dynamic Guidance for
+Terminally Constrained Entry Flight", Mathematical Problems in Engineering, 2014; its
+equations as corrected in `onboard.bezier`, `inverse_dynamics` and `attitude`.
+"""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .._types import Scalar, scalar
+from ..motion.forces import air_data
+from ..motion.state import Controls, EntryState
+from ..onboard.bezier import BezierParameters, BezierPath, PathPoint
+from ..onboard.estimation import Estimate, FactorEstimator
+from ..onboard.model import OnboardModel
+from ..onboard.navigation import Measurement
+from ..onboard.track import Track
+from ..world.aerodynamics import AbstractInvertibleAerodynamics
+from .anchoring import AbstractAnchoring, Shape, StoredParameters
+from .attitude import FlightLimits, attitude
+from .inverse_dynamics import path_point, required_acceleration
+from .law import AbstractSampledLaw
+from .velocity_control import AbstractVelocityControl, NoVelocityControl
+from .velocity_prediction import Glide, Situation
+
+
+class Arrival(eqx.Module):
+    """How the target is to be reached."""
+
+    altitude: Scalar = scalar(unit="m")
+    flight_path_angle: Scalar = scalar(unit="rad")
+    heading: Scalar = scalar(unit="rad")
+
+
+class CycleSchedule(eqx.Module):
+    """Guidance cycles that become shorter towards the target, and a freeze at the end.
+
+    Each length must divide the one before, so that the cycles stay on the clock of the
+    longest.
+    """
+
+    cycles: tuple[float, ...] = eqx.field(default=(1.0, 0.1, 0.02), static=True)
+    """s, from the longest to the shortest"""
+    inside: tuple[float, ...] = eqx.field(default=(120.0, 15.0), static=True)
+    """s to go inside which the next one holds"""
+    freeze: float = eqx.field(default=0.1, static=True)
+    """s to go inside which the last command is held"""
+
+    def __check_init__(self):
+        if len(self.cycles) != len(self.inside) + 1:
+            raise ValueError(
+                f"{len(self.cycles)} cycles {self.cycles} and {len(self.inside)} limits "
+                f"{self.inside}: there must be one limit less than there are cycles"
+            )
+        for longer, shorter in zip(self.cycles, self.cycles[1:], strict=False):
+            ratio = longer / shorter
+            if ratio < 1.0 or abs(ratio - round(ratio)) > 1e-9:
+                raise ValueError(
+                    f"cycles {self.cycles} s: each must divide the one before"
+                )
+        if sorted(self.inside, reverse=True) != list(self.inside):
+            raise ValueError(f"limits {self.inside} s must be decreasing")
+
+    def duration(self, seconds_to_go: Scalar, before: Scalar) -> Scalar:
+        """Of the cycle that begins, s; never longer than the one before."""
+        duration = 0.0 * seconds_to_go + self.cycles[0]
+        for limit, cycle in zip(self.inside, self.cycles[1:], strict=True):
+            duration = jnp.where(seconds_to_go < limit, cycle, duration)
+        return jnp.minimum(duration, before)
+
+    def most_cycles(self, time_limit: float) -> int:
+        """In a flight up to the time limit (s); the times to go are estimates."""
+        count = math.ceil(time_limit / self.cycles[0])
+        for limit, cycle in zip(self.inside, self.cycles[1:], strict=True):
+            count += math.ceil(2.0 * limit / cycle)
+        return count
+
+
+class Decision(eqx.Module):
+    """What the law holds through a guidance cycle."""
+
+    controls: Controls
+    shape: Shape
+    along: Scalar
+    """Where the curve is anchored, rad along the track"""
+    estimate: Estimate
+    duration: Scalar
+    """Of this cycle, s"""
+    count: Scalar
+    """Of the cycles decided so far"""
+
+
+class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
+    """Flies a cubic Bézier curve to a target, anchored anew at every guidance cycle.
+
+    Position, flight-path angle and heading at the target are met by the curve; the
+    velocity there by what `velocity_control` does to it.
+
+    **Arguments:**
+
+    - `parameters`: k1 and k2 of the curve at the start.
+    - `track`, `arrival`: where to, and how.
+    - `anchoring`: `StoredParameters` (the paper's) or `Subdivision`.
+    - `acceleration_loop`: the commanded specific force is achieved, by the estimated
+      lift factor. Without it the model is inverted as printed, equation (34): with an
+      unknown factor of 10 % on the lift that loses a third of the flights.
+    """
+
+    parameters: BezierParameters
+    track: Track
+    arrival: Arrival
+    model: OnboardModel
+    limits: FlightLimits
+    estimator: FactorEstimator = eqx.field(default_factory=FactorEstimator)
+    anchoring: AbstractAnchoring = StoredParameters()
+    velocity_control: AbstractVelocityControl = NoVelocityControl()
+    schedule: CycleSchedule = CycleSchedule()
+    acceleration_loop: bool = eqx.field(default=True, static=True)
+
+    reads_sensors_between_cycles = False
+
+    def __check_init__(self):
+        aerodynamics = self.model.vehicle.aerodynamics
+        if not isinstance(aerodynamics, AbstractInvertibleAerodynamics):
+            raise ValueError(
+                f"the onboard model has {type(aerodynamics).__name__}: the law needs "
+                "aerodynamics whose lift tells the angle of attack"
+            )
+        self.velocity_control.check(self.glide)
+
+    @property
+    def period(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The longest guidance cycle, s."""
+        return self.schedule.cycles[0]
+
+    @property
+    def glide(self) -> Glide:
+        """What flies the curve."""
+        return Glide(self.model, self.limits, self.anchoring)
+
+    def target(self) -> PathPoint:
+        """The end of the curve."""
+        track, arrival = self.track, self.arrival
+        like = EntryState(
+            altitude=arrival.altitude,
+            longitude=track.target_longitude,
+            latitude=track.target_latitude,
+            velocity=1.0,
+            flight_path_angle=arrival.flight_path_angle,
+            heading=arrival.heading,
+        )
+        place = track.position(like)
+        return path_point(self.model.planet, place, like)
+
+    def init(self, measurement: Measurement) -> tuple[tuple[()], Decision]:
+        start = self._point(measurement.state)
+        shape = self.anchoring.shape(self.parameters, start, self.target())
+        nothing = 0.0 * start.along
+        trim = self.model.vehicle.trim_angle_of_attack + nothing
+        before = Decision(
+            controls=Controls(trim, nothing + 1.0, nothing),
+            shape=shape,
+            along=start.along,
+            estimate=self.estimator.start(nothing),
+            duration=nothing + self.schedule.cycles[0],
+            count=nothing,
+        )
+        return (), before
+
+    def update(
+        self, time: Scalar, measurement: Measurement, memory: tuple[()], held: Decision
+    ) -> tuple[tuple[()], Decision]:
+        planet, vehicle = self.model.planet, self.model.vehicle
+        state = measurement.state
+        flown_at = held.controls.angle_of_attack
+        expected = air_data(planet, vehicle, state, flown_at)
+        estimate = self.estimator.update(
+            held.estimate,
+            (measurement.lift, measurement.drag),
+            (expected.lift, expected.drag),
+            held.duration,
+        )
+        start, target = self._point(state), self.target()
+        distance = (target.along - start.along) * (planet.radius + state.altitude)
+        seconds_to_go = distance / state.velocity
+        shape = self.anchoring.carried(held.shape, held.along, start, target)
+        situation = Situation(start, state.velocity, shape, target, estimate.factors)
+        shape = self.velocity_control.adjusted(
+            self.glide, situation, held.count, seconds_to_go
+        )
+        inner = self.anchoring.inner(shape, start, target)
+        path = BezierPath.between(start, target, inner)
+        wanted = required_acceleration(
+            planet, start, path.second_slopes(0.0 * start.along), state.velocity
+        )
+        one = jnp.ones_like(state.velocity)
+        controls = attitude(
+            planet,
+            vehicle,
+            self.limits,
+            state.altitude,
+            state.velocity,
+            wanted,
+            estimate.factors.lift if self.acceleration_loop else one,
+        )
+        frozen = seconds_to_go < self.schedule.freeze
+        controls = _select(frozen, held.controls, controls)
+        return memory, Decision(
+            controls=controls,
+            shape=shape,
+            along=start.along,
+            estimate=estimate,
+            duration=self.schedule.duration(seconds_to_go, held.duration),
+            count=held.count + 1.0,
+        )
+
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: tuple[()], held: Decision
+    ) -> tuple[Controls, tuple[()]]:
+        return held.controls, ()
+
+    def cycle(self, held: Decision) -> Scalar:
+        return held.duration
+
+    def most_cycles(self, time_limit: float) -> int:
+        return self.schedule.most_cycles(time_limit)
+
+    def angle_of_attack(
+        self, state: EntryState, memory: tuple[()], held: Decision
+    ) -> Scalar:
+        return held.controls.angle_of_attack
+
+    def _point(self, state: EntryState) -> PathPoint:
+        return path_point(self.model.planet, self.track.position(state), state)
+
+
+def _select(condition, chosen, otherwise):
+    return Controls(
+        jnp.where(condition, chosen.angle_of_attack, otherwise.angle_of_attack),
+        jnp.where(condition, chosen.cos_bank, otherwise.cos_bank),
+        jnp.where(condition, chosen.sin_bank, otherwise.sin_bank),
+    )

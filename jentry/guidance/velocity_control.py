@@ -1,0 +1,154 @@
+"""How the curve is adjusted in flight so that the target is reached at a wanted velocity."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._batching import where_due
+from .._types import Flag, Scalar, scalar, table
+from .anchoring import Shape, StoredParameters
+from .velocity_prediction import (
+    AbstractVelocityPredictor,
+    FlownModel,
+    Glide,
+    Situation,
+)
+
+
+class AbstractVelocityControl(eqx.Module):
+    """Moves the third control point of the curve, or leaves it."""
+
+    @abstractmethod
+    def check(self, glide: Glide) -> None:
+        """Refuse a rule of anchoring that this control cannot work with."""
+
+    @abstractmethod
+    def adjusted(
+        self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
+    ) -> Shape:
+        """The shape after the decision of a guidance cycle, counted from 0."""
+
+
+class NoVelocityControl(AbstractVelocityControl):
+    """The velocity at the target is what it happens to be."""
+
+    def check(self, glide: Glide) -> None:
+        return
+
+    def adjusted(
+        self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
+    ) -> Shape:
+        return situation.shape
+
+
+class Epochs(eqx.Module):
+    """When the velocity is predicted: at every so many guidance cycles from the first.
+
+    Where the cycles become shorter, so does the time between the epochs. All flights of
+    a batch have them together, which is what makes them cheap.
+    """
+
+    every: int | None = eqx.field(default=25, static=True)
+    """Guidance cycles; none for the first cycle alone"""
+    last: float = eqx.field(default=2.0, static=True)
+    """No epoch in the last seconds before the target"""
+
+    def __check_init__(self):
+        if self.every is not None and self.every < 1:
+            raise ValueError(f"every is {self.every} cycles: it must be 1 or more")
+
+    def due(self, cycle: Scalar, seconds_to_go: Scalar) -> Flag:
+        """Whether one falls on this cycle."""
+        now = cycle == 0.0
+        if self.every is not None:
+            now = jnp.mod(cycle, float(self.every)) == 0.0
+        return now & (seconds_to_go > self.last)
+
+
+class PolynomialAdjustment(AbstractVelocityControl):
+    """k2 by the polynomial k2(v) of the nominal flight: equations (37) and (38).
+
+    The velocity is predicted as with the nominal k2. What a disturbance changes in it is
+    taken to be the same for all k2, so that the nominal k2 of twice the wanted velocity
+    less the predicted one is taken.
+
+    One polynomial belongs to one place on the nominal flight: there is a table of them,
+    interpolated. With the first one at every epoch, as printed, it gets worse.
+    """
+
+    wanted_velocity: Scalar = scalar(unit="m/s", positive=True)
+    nominal_k2: Scalar = scalar()
+    to_go: Float[Array, "..."] = table(unit="rad")
+    """(n,) angle to go at the places of the polynomials, increasing"""
+    polynomials: Float[Array, "..."] = table()
+    """(n, 3), k2 = p0 + p1 x + p2 x^2 with x = v/1000 m/s - 1"""
+    predictor: AbstractVelocityPredictor = FlownModel()
+    epochs: Epochs = Epochs(every=None)
+
+    def check(self, glide: Glide) -> None:
+        if not isinstance(glide.anchoring, StoredParameters):
+            raise ValueError(
+                f"the polynomial is one of k2, and {type(glide.anchoring).__name__} does "
+                "not keep it: use StoredParameters, or NewtonAdjustment"
+            )
+
+    def adjusted(
+        self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
+    ) -> Shape:
+        def act(shape: Shape) -> Shape:
+            nominal = eqx.tree_at(lambda s: s.second, shape, self.nominal_k2)
+            as_nominal = eqx.tree_at(lambda s: s.shape, situation, nominal)
+            predicted = self.predictor.predict(glide, as_nominal)
+            to_go = situation.target.along - situation.point.along
+            p0, p1, p2 = (
+                jnp.interp(to_go, self.to_go, self.polynomials[:, i]) for i in range(3)
+            )
+            x = 1e-3 * (2.0 * self.wanted_velocity - predicted) - 1.0
+            lower, upper = glide.anchoring.bounds(situation.point, situation.target)
+            k2 = jnp.clip(p0 + x * (p1 + x * p2), lower, upper)
+            return Shape(shape.first, k2)
+
+        return where_due(self.epochs.due(cycle, seconds_to_go), act, situation.shape)
+
+
+class NewtonAdjustment(AbstractVelocityControl):
+    """Beyond the paper: Newton's method on the predicted velocity at the target.
+
+    With any predictor, since all are differentiable: the flown model, or the network.
+    """
+
+    wanted_velocity: Scalar = scalar(unit="m/s", positive=True)
+    predictor: AbstractVelocityPredictor = FlownModel()
+    epochs: Epochs = Epochs()
+    iterations: int = eqx.field(default=1, static=True)
+    largest_step: float = eqx.field(default=0.3, static=True)
+    """Share of the room between the bounds that one iteration may move"""
+
+    def check(self, glide: Glide) -> None:
+        return
+
+    def adjusted(
+        self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
+    ) -> Shape:
+        lower, upper = glide.anchoring.bounds(situation.point, situation.target)
+
+        def miss(second: Scalar, first: Scalar) -> Scalar:
+            moved = eqx.tree_at(lambda s: s.shape, situation, Shape(first, second))
+            return self.predictor.predict(glide, moved) - self.wanted_velocity
+
+        def act(shape: Shape) -> Shape:
+            second = shape.second
+            most = self.largest_step * (upper - lower)
+            for _ in range(self.iterations):
+                value, slope = jax.jvp(
+                    lambda x: miss(x, shape.first), (second,), (jnp.ones_like(second),)
+                )
+                move = jnp.clip(-value / slope, -most, most)
+                move = jnp.where(jnp.isfinite(move), move, 0.0)
+                second = jnp.clip(second + move, lower, upper)
+            return Shape(shape.first, second)
+
+        return where_due(self.epochs.due(cycle, seconds_to_go), act, situation.shape)

@@ -1,0 +1,73 @@
+"""What the vehicle infers of lift and drag from what its accelerometers sense."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .._types import Scalar, scalar
+
+
+class Factors(eqx.Module):
+    """Actual specific forces in units of those that the onboard model expects.
+
+    Density, and lift or drag coefficient, enter a specific force as a product: sensed
+    accelerations tell the product, and the motion depends on no more. The factor on the
+    density alone is not observable.
+    """
+
+    lift: Scalar = scalar(1.0, positive=True)
+    drag: Scalar = scalar(1.0, positive=True)
+
+
+class Estimate(eqx.Module):
+    """Factors, and the weight of the samples behind each, (m/s2)^2."""
+
+    factors: Factors
+    lift_weight: Scalar
+    drag_weight: Scalar
+
+
+class FactorEstimator(eqx.Module):
+    """Recursive least squares with forgetting, for each axis.
+
+    The estimate f minimises the sum of (sensed - f expected)^2 over the samples, each
+    weighted by exp(-age / time_constant): where the force is small against noise and
+    bias it says little. With a time constant of zero it is the last ratio, which is
+    exact with perfect accelerometers.
+    """
+
+    time_constant: Scalar = scalar(0.0, unit="s")
+
+    def start(self, like: Scalar) -> Estimate:
+        """Before the first sample: the model is believed."""
+        nothing = 0.0 * like
+        return Estimate(Factors(nothing + 1.0, nothing + 1.0), nothing, nothing)
+
+    def update(
+        self,
+        estimate: Estimate,
+        sensed: tuple[Scalar, Scalar],
+        expected: tuple[Scalar, Scalar],
+        elapsed: Scalar,
+    ) -> Estimate:
+        """After one more sample.
+
+        **Arguments:**
+
+        - `sensed`, `expected`: lift and drag, m/s2; of the model without factors.
+        - `elapsed`: since the sample before, s.
+        """
+        kept = jnp.exp(-elapsed / jnp.maximum(self.time_constant, 1e-9))
+        lift, lift_weight = _refined(
+            estimate.factors.lift, estimate.lift_weight, sensed[0], expected[0], kept
+        )
+        drag, drag_weight = _refined(
+            estimate.factors.drag, estimate.drag_weight, sensed[1], expected[1], kept
+        )
+        return Estimate(Factors(lift, drag), lift_weight, drag_weight)
+
+
+def _refined(factor, weight, sensed, expected, kept):
+    weight = kept * weight + expected * expected
+    known = weight > 0.0
+    gain = jnp.where(known, expected / jnp.where(known, weight, 1.0), 0.0)
+    return factor + gain * (sensed - factor * expected), weight
