@@ -70,11 +70,16 @@ def guidance_period(scenario: Scenario) -> float | None:
 
 
 def sense(
-    scenario: Scenario, state: EntryState, memory: Any = None, held: Any = None
+    scenario: Scenario,
+    state: EntryState,
+    memory: Any = None,
+    held: Any = None,
+    sampled_at: Scalar | None = None,
 ) -> Measurement:
     """What the vehicle measures in a state, at the angle of attack that it flies.
 
     Without memory, before the first command, that is the trim angle of attack.
+    `sampled_at` (s) is given at the start of a guidance cycle.
     """
     law, vehicle = scenario.guidance, scenario.vehicle
     angle_of_attack = None
@@ -82,7 +87,14 @@ def sense(
         angle_of_attack = law.angle_of_attack(state, memory, held)
     if angle_of_attack is None:
         angle_of_attack = vehicle.trim_angle_of_attack
-    return measure(scenario.planet, vehicle, state, angle_of_attack)
+    return measure(
+        scenario.planet,
+        vehicle,
+        state,
+        angle_of_attack,
+        scenario.accelerometers,
+        sampled_at,
+    )
 
 
 def start(scenario: Scenario, step: float) -> Lane:
@@ -114,7 +126,8 @@ def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
     law = scenario.guidance
     if not isinstance(law, AbstractSampledLaw):
         return lane
-    measurement = sense(scenario, lane.state, lane.memory, lane.held)
+    state, memory, held = lane.state, lane.memory, lane.held
+    measurement = sense(scenario, state, memory, held, lane.flown)
     decided = law.update(lane.flown, measurement, lane.memory, lane.held)
     decides = lane.on_schedule if due is None else lane.on_schedule & due
     memory, held = select(decides, decided, (lane.memory, lane.held))

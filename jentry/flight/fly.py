@@ -1,6 +1,7 @@
 """Fly one scenario to its end: the pure function that everything else calls."""
 
 import warnings
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -26,6 +27,8 @@ class History(eqx.Module):
     controls: Controls
     constraints: Peaks
     """The constrained quantities at these times, not their peaks"""
+    decisions: Any
+    """What a sampled law holds: curves, estimates, commands. None of a continuous one"""
 
 
 class Flight(eqx.Module):
@@ -114,5 +117,6 @@ def _observe(scenario: Scenario, plan: Plan, lane: Lane) -> History:
     lane = plan.decided(scenario, eqx.tree_at(lambda lane: lane.state, lane, state))
     controls, _ = command(scenario, lane.flown, state, lane.memory, lane.held)
     constraints = path_constraints(scenario, state, controls)
-    seen = History(jnp.asarray(lane.flown), state, controls, constraints)
+    decisions = jax.tree.map(jnp.asarray, lane.held)
+    seen = History(jnp.asarray(lane.flown), state, controls, constraints, decisions)
     return jax.tree.map(lambda x: jnp.where(flying, x, jnp.nan), seen)

@@ -10,6 +10,11 @@ from .._addresses import field_metadata, leaves_by_address
 from .._types import Scalar, optional_scalar, scalar
 from ..guidance.law import AbstractLaw
 from ..motion.state import EntryState
+from ..onboard.navigation import (
+    AbstractAccelerometers,
+    Accelerometers,
+    PerfectAccelerometers,
+)
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 from .termination import Termination
@@ -43,6 +48,7 @@ class Scenario(eqx.Module):
     guidance: AbstractLaw
     termination: Termination
     target: Target
+    accelerometers: AbstractAccelerometers = PerfectAccelerometers()
     in_plane: bool = eqx.field(default=False, static=True)
     """Fly in the plane of the equator, due east, without the lateral component of lift."""
 
@@ -56,6 +62,7 @@ def check(scenario: Scenario) -> None:
     """
     if scenario.in_plane:
         _check_in_plane(scenario.initial_state)
+    _check_noise(scenario)
     for address, leaf in leaves_by_address(scenario).items():
         if not isinstance(leaf, Tracer):
             check_values(address, np.asarray(leaf), field_metadata(scenario, address))
@@ -69,6 +76,18 @@ def _check_in_plane(start: EntryState) -> None:
                 f"initial_state.{name} is {float(value):g} rad: a flight in the plane of "
                 f"the equator needs {wanted:g}; take in_plane=False for others"
             )
+
+
+def _check_noise(scenario: Scenario) -> None:
+    sensors, law = scenario.accelerometers, scenario.guidance
+    if not isinstance(sensors, Accelerometers) or isinstance(sensors.noise, Tracer):
+        return
+    if np.asarray(sensors.noise) != 0.0 and law.reads_sensors_between_cycles:
+        raise ValueError(
+            f"accelerometers.noise is {float(sensors.noise):g} m/s2: it is one of samples, "
+            f"and {type(law).__name__} reads its sensors at every instant; take 0, or a "
+            "law that reads them at its guidance cycles"
+        )
 
 
 def without_effect(scenario: Scenario) -> tuple[str, ...]:

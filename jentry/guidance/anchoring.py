@@ -63,6 +63,12 @@ class AbstractAnchoring(eqx.Module):
         """Velocity at the target, if the curve is anchored anew at every instant, m/s."""
 
     @abstractmethod
+    def features(
+        self, shape: Shape, start: PathPoint, target: PathPoint
+    ) -> tuple[Scalar, ...]:
+        """The numbers of order 1 that tell the curve, for a network."""
+
+    @abstractmethod
     def bounds(self, start: PathPoint, target: PathPoint) -> tuple[Scalar, Scalar]:
         """Between which the adjusted number makes sense."""
 
@@ -124,6 +130,11 @@ class StoredParameters(AbstractAnchoring):
         y = _runge_kutta(slopes, 1.0, left, y, steps)
         return y[-1] - slopes(left, y)[-1] * left / 3.0
 
+    def features(
+        self, shape: Shape, start: PathPoint, target: PathPoint
+    ) -> tuple[Scalar, ...]:
+        return shape.first, shape.second
+
     def bounds(self, start: PathPoint, target: PathPoint) -> tuple[Scalar, Scalar]:
         nothing = 0.0 * start.along
         return nothing + 0.3, nothing + 1.05
@@ -172,6 +183,12 @@ class Subdivision(AbstractAnchoring):
             return path.run(tau) * braking
 
         return _runge_kutta(slope, 0.0, 1.0, velocity, steps)
+
+    def features(
+        self, shape: Shape, start: PathPoint, target: PathPoint
+    ) -> tuple[Scalar, ...]:
+        per_length = 1.0 / (target.along - start.along)
+        return shape.first * per_length, shape.second * per_length
 
     def bounds(self, start: PathPoint, target: PathPoint) -> tuple[Scalar, Scalar]:
         to_go = target.along - start.along

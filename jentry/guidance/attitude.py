@@ -46,7 +46,11 @@ def attitude(
     """Angle of attack and bank: equations (33) to (36), corrected.
 
     The lower limits on the angle of attack are those of equilibrium glide: with more
-    lift the vehicle glides where the air is thinner.
+    lift the vehicle glides where the air is thinner. Its upper limits come last, that of
+    the load factor (33) among them: near the largest bank the lower ones ask for more
+    lift than the vehicle bears. Where the path asks for a bank beyond the largest one, as
+    when it bends down more than gravity does, the lift is what fits the largest best;
+    printed, it would be as large as that to the other side.
 
     **Arguments:**
 
@@ -64,11 +68,17 @@ def attitude(
     cos_bank = jnp.where(beyond, cos_most, cos_bank)
     sin_bank = jnp.where(beyond, jnp.where(sin_bank < 0, -sin_most, sin_most), sin_bank)
 
+    # What the wanted acceleration has in the direction that is flown: all of it, unless
+    # the bank is at its limit.
+    lift = wanted.vertical * cos_bank + wanted.lateral * sin_bank
+    most_lift = limits.load_factor * standard_gravity
+
+    def angle_of_lift(lift: Scalar) -> Scalar:
+        lift = lift / lift_factor
+        return angle(lift_coefficient(planet, vehicle, altitude, velocity, lift))
+
     def angle(coefficient: Scalar) -> Scalar:
         return aerodynamics.angle_of_attack(coefficient, mach, velocity)
-
-    lift = jnp.minimum(total, limits.load_factor * standard_gravity) / lift_factor
-    wanted_angle = angle(lift_coefficient(planet, vehicle, altitude, velocity, lift))
 
     weight = planet.gravity.acceleration(radius) - velocity * velocity / radius
     loading = vehicle.mass * weight / (vehicle.reference_area * cos_bank)
@@ -82,7 +92,6 @@ def attitude(
             angle(loading / limits.dynamic_pressure), angle(loading / at_heat_limit)
         ),
     )
-    angle_of_attack = jnp.minimum(
-        jnp.maximum(wanted_angle, least), limits.largest_angle_of_attack
-    )
+    most = jnp.minimum(limits.largest_angle_of_attack, angle_of_lift(most_lift))
+    angle_of_attack = jnp.minimum(jnp.maximum(angle_of_lift(lift), least), most)
     return Controls(angle_of_attack, cos_bank, sin_bank)

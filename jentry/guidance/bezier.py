@@ -6,6 +6,7 @@ equations as corrected in `onboard.bezier`, `inverse_dynamics` and `attitude`.
 """
 
 import math
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -120,7 +121,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
     schedule: CycleSchedule = CycleSchedule()
     acceleration_loop: bool = eqx.field(default=True, static=True)
 
-    reads_sensors_between_cycles = False
+    reads_sensors_between_cycles: ClassVar[bool] = False
 
     def __check_init__(self):
         aerodynamics = self.model.vehicle.aerodynamics
@@ -186,10 +187,13 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
         start, target = self._point(state), self.target()
         distance = (target.along - start.along) * (planet.radius + state.altitude)
         seconds_to_go = distance / state.velocity
+        factors = estimate.factors
         shape = self.anchoring.carried(held.shape, held.along, start, target)
-        situation = Situation(start, state.velocity, shape, target, estimate.factors)
         shape = self.velocity_control.adjusted(
-            self.glide, situation, held.count, seconds_to_go
+            self.glide,
+            Situation(start, state.velocity, shape, target, factors),
+            held.count,
+            seconds_to_go,
         )
         inner = self.anchoring.inner(shape, start, target)
         path = BezierPath.between(start, target, inner)
@@ -204,7 +208,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
             state.altitude,
             state.velocity,
             wanted,
-            estimate.factors.lift if self.acceleration_loop else one,
+            factors.lift if self.acceleration_loop else one,
         )
         frozen = seconds_to_go < self.schedule.freeze
         controls = _select(frozen, held.controls, controls)
@@ -221,6 +225,16 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
         self, time: Scalar, measurement: Measurement, memory: tuple[()], held: Decision
     ) -> tuple[Controls, tuple[()]]:
         return held.controls, ()
+
+    def situation(self, state: EntryState, decision: Decision) -> Situation:
+        """What a prediction of the velocity at the target starts from."""
+        return Situation(
+            point=self._point(state),
+            velocity=state.velocity,
+            shape=decision.shape,
+            target=self.target(),
+            factors=decision.estimate.factors,
+        )
 
     def cycle(self, held: Decision) -> Scalar:
         return held.duration

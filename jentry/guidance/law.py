@@ -2,7 +2,7 @@
 
 import math
 from abc import abstractmethod
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import equinox as eqx
 
@@ -21,6 +21,9 @@ class AbstractLaw(eqx.Module):
     A law reads a `Measurement`, never the truth, and remembers nothing itself: its
     memory travels beside the state of the vehicle. It is one of two kinds, below.
     """
+
+    reads_sensors_between_cycles: ClassVar[bool] = True
+    """Whether it needs its measured forces at other times than its guidance cycles"""
 
 
 class AbstractContinuousLaw(AbstractLaw, Generic[Memory]):

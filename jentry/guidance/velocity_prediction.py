@@ -1,13 +1,17 @@
 """The velocity at the target, predicted on board by flying the model along the curve."""
 
+import enum
 from abc import abstractmethod
 
 import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from .._types import Scalar
 from ..onboard.bezier import PathPoint
 from ..onboard.estimation import Factors
 from ..onboard.model import OnboardModel
+from ..onboard.network import Network
 from .anchoring import AbstractAnchoring, Shape
 from .attitude import FlightLimits, attitude
 from .inverse_dynamics import directions, required_acceleration, seconds_per_radian
@@ -90,3 +94,80 @@ class FlownModel(AbstractVelocityPredictor):
             situation.target,
             self.steps,
         )
+
+
+STATE_FEATURES = (
+    "angle to go, rad",
+    "altitude, 10 km",
+    "slope of the path along the track, 0.01",
+    "cross-track angle, 1e-4",
+    "cross-track slope, 1e-3",
+    "velocity, km/s",
+)
+CURVE_AND_FACTOR_FEATURES = (
+    "first number of the shape",
+    "second number of the shape",
+    "lift factor",
+    "drag factor",
+)
+
+
+class Inputs(enum.Enum):
+    """What a network is told."""
+
+    STATE = "the state"
+    ALL = "the state, the curve and the estimated factors"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the features, with their units."""
+        if self is Inputs.STATE:
+            return STATE_FEATURES
+        return STATE_FEATURES + CURVE_AND_FACTOR_FEATURES
+
+
+def features(glide: Glide, situation: Situation, inputs: Inputs) -> Float[Array, " n"]:
+    """What a network reads of a situation."""
+    point, target = situation.point, situation.target
+    numbers = [
+        target.along - point.along,
+        1e-4 * point.altitude,
+        100.0 * point.altitude_slope / (glide.model.planet.radius + point.altitude),
+        1e4 * point.cross,
+        1e3 * point.cross_slope,
+        1e-3 * situation.velocity,
+    ]
+    if inputs is not Inputs.STATE:
+        numbers += glide.anchoring.features(situation.shape, point, target)
+        numbers += [situation.factors.lift, situation.factors.drag]
+    return jnp.stack(numbers)
+
+
+class NetworkPredictor(AbstractVelocityPredictor):
+    """A network that has learnt from flights.
+
+    It gives ln(v / v_f) / X for the velocity v and the angle to go X, so that
+    its error vanishes as the target comes near.
+    """
+
+    network: Network
+    inputs: Inputs = eqx.field(default=Inputs.ALL, static=True)
+
+    def __check_init__(self):
+        expected = len(self.inputs.names)
+        (given,) = self.network.input_mean.shape
+        if given != expected:
+            raise ValueError(
+                f"the network has {given} inputs: {self.inputs.value} are {expected}"
+            )
+
+    def predict(self, glide: Glide, situation: Situation) -> Scalar:
+        to_go = situation.target.along - situation.point.along
+        rate = self.network(features(glide, situation, self.inputs))
+        return situation.velocity * jnp.exp(-to_go * rate)
+
+
+def learnt_from(situation: Situation, final_velocity: Scalar) -> Scalar:
+    """The output of the network that predicts a velocity at the target."""
+    to_go = situation.target.along - situation.point.along
+    return jnp.log(situation.velocity / final_velocity) / to_go

@@ -5,10 +5,7 @@ Terminally Constrained Entry Flight", 2014. What the paper leaves open is stated
 is chosen.
 """
 
-import dataclasses
 import functools
-
-import equinox as eqx
 
 from ..campaign.dispersions import Dispersion, Normal, Uniform, add
 from ..flight.scenario import Scenario, Target
@@ -18,7 +15,6 @@ from ..guidance.attitude import FlightLimits
 from ..guidance.bezier import Arrival, BezierGuidance, CycleSchedule
 from ..guidance.velocity_control import (
     AbstractVelocityControl,
-    Epochs,
     NewtonAdjustment,
     NoVelocityControl,
 )

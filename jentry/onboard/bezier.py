@@ -33,10 +33,11 @@ class BezierParameters(eqx.Module):
 
     The tangents meet, in the vertical plane, between start and target. k1 is the place
     of the second control point on the way from the start to there, k2 that of the third
-    on the way from there to the target.
+    on the way from there to the target. Both are negative or more than 1 where the
+    tangents meet elsewhere.
     """
 
-    k1: Scalar = scalar(positive=True)
+    k1: Scalar = scalar()
     k2: Scalar = scalar()
 
 
@@ -76,9 +77,7 @@ def bezier_parameters(
     """Equation (29): the parameters of a curve with these inner points."""
     meet = tangents_meet(start, target)
     to_go = target.along - start.along
-    return BezierParameters(
-        k1=inner.first / meet, k2=1.0 - inner.last / (to_go - meet)
-    )
+    return BezierParameters(k1=inner.first / meet, k2=1.0 - inner.last / (to_go - meet))
 
 
 class BezierPath(eqx.Module):

@@ -56,5 +56,7 @@ class OnboardModel(eqx.Module):
     def _trim_coefficients(self) -> tuple[Scalar, Scalar]:
         angle_of_attack = self.vehicle.trim_angle_of_attack
         return self.vehicle.coefficients(
-            angle_of_attack, 20.0 + 0.0 * angle_of_attack, 6000.0 + 0.0 * angle_of_attack
+            angle_of_attack,
+            20.0 + 0.0 * angle_of_attack,
+            6000.0 + 0.0 * angle_of_attack,
         )

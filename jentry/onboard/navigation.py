@@ -1,9 +1,13 @@
 """What the vehicle measures of its own flight."""
 
-import equinox as eqx
+from abc import abstractmethod
 
-from .._types import Scalar
-from ..motion.forces import air_data
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .._types import Scalar, scalar
+from ..motion.forces import AirData, air_data
 from ..motion.state import EntryState
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
@@ -19,9 +23,65 @@ class Measurement(eqx.Module):
     """Sensed specific force along the relative wind, m/s2"""
 
 
+class AbstractAccelerometers(eqx.Module):
+    """What is sensed of the specific forces."""
+
+    @abstractmethod
+    def read(self, air: AirData, sampled_at: Scalar | None) -> tuple[Scalar, Scalar]:
+        """Lift and drag, m/s2.
+
+        **Arguments:**
+
+        - `sampled_at`: time of the sample, s; none where it is read between samples.
+        """
+
+
+class PerfectAccelerometers(AbstractAccelerometers):
+    """The actual forces."""
+
+    def read(self, air: AirData, sampled_at: Scalar | None) -> tuple[Scalar, Scalar]:
+        return air.lift, air.drag
+
+
+class Accelerometers(AbstractAccelerometers):
+    """One along and one across the relative wind, each with errors of its own."""
+
+    lift_bias: Scalar = scalar(0.0, unit="m/s2")
+    drag_bias: Scalar = scalar(0.0, unit="m/s2")
+    lift_scale_error: Scalar = scalar(0.0)
+    """Share of the force"""
+    drag_scale_error: Scalar = scalar(0.0)
+    noise: Scalar = scalar(0.0, unit="m/s2")
+    """Standard deviation of a sample; the samples are independent"""
+    noise_seed: Scalar = scalar(0.0)
+    """Between 0 and 1, which noise this flight has; disperse it with `Uniform(0, 1)`"""
+
+    def read(self, air: AirData, sampled_at: Scalar | None) -> tuple[Scalar, Scalar]:
+        lift = air.lift * (1.0 + self.lift_scale_error) + self.lift_bias
+        drag = air.drag * (1.0 + self.drag_scale_error) + self.drag_bias
+        if sampled_at is None:
+            return lift, drag
+        seed = (self.noise_seed * 2.0**31).astype(jnp.uint32)
+        millisecond = jnp.round(1e3 * sampled_at).astype(jnp.uint32)
+        key = jax.random.fold_in(
+            jax.random.fold_in(jax.random.key(0), seed), millisecond
+        )
+        noise = self.noise * jax.random.normal(key, (2,), dtype=float)
+        return lift + noise[0], drag + noise[1]
+
+
 def measure(
-    planet: Planet, vehicle: Vehicle, state: EntryState, angle_of_attack: Scalar
+    planet: Planet,
+    vehicle: Vehicle,
+    state: EntryState,
+    angle_of_attack: Scalar,
+    accelerometers: AbstractAccelerometers = PerfectAccelerometers(),
+    sampled_at: Scalar | None = None,
 ) -> Measurement:
-    """Perfect navigation and accelerometers, at an angle of attack (rad)."""
+    """Perfect navigation, and the accelerometers, at an angle of attack (rad).
+
+    `sampled_at` as of `AbstractAccelerometers.read`.
+    """
     air = air_data(planet, vehicle, state, angle_of_attack)
-    return Measurement(state=state, lift=air.lift, drag=air.drag)
+    lift, drag = accelerometers.read(air, sampled_at)
+    return Measurement(state=state, lift=lift, drag=drag)

@@ -55,7 +55,9 @@ class Track(eqx.Module):
         cos_along = jnp.sqrt(x * x + y * y)
         cos_cross, sin_cross = x / cos_along, y / cos_along
         heading = _horizontally(state.longitude, state.latitude, state.heading)
-        to_north, outwards, to_east = (_dot(heading, axis) for axis in (north, out, east))
+        to_north, outwards, to_east = (
+            _dot(heading, axis) for axis in (north, out, east)
+        )
         return TrackPosition(
             along=jnp.arctan2(sin_along, cos_along),
             cross=jnp.arctan2(y, x),
