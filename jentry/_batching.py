@@ -8,6 +8,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, PyTree
 
+from ._types import Flag
+
 
 T = TypeVar("T", bound=PyTree)
 
@@ -23,11 +25,11 @@ def _(axis_size, in_batched, condition):
     return any_lane(jnp.any(condition)), False
 
 
-def where_due(due: Bool[Array, ""], act: Callable[[T], T], otherwise: T) -> T:
+def where_due(due: Flag, act: Callable[[T], T], otherwise: T) -> T:
     """`act(otherwise)` where it is due, computed only while it is for any flight.
 
     `lax.cond` under `vmap` computes both sides at all times; this skips what no flight
     of the batch needs. Worth it where all flights of a batch are due together.
     """
-    acted = lax.cond(any_lane(due), act, lambda same: same, otherwise)
+    acted = lax.cond(any_lane(jnp.asarray(due)), act, lambda same: same, otherwise)
     return jax.tree.map(lambda a, b: jnp.where(due, a, b), acted, otherwise)

@@ -16,6 +16,8 @@ slug = 14.593902937206364
 pound = 0.45359237
 minute = 60.0
 hour = 3600.0
+micro_g = 9.80665e-6
+"""m/s2"""
 standard_gravity = 9.80665
 """m/s2, the g in which load factors are counted"""
 

@@ -94,6 +94,9 @@ def dataset(
         if values is not None:
             words = f"{_words(name)} error, actual minus desired"
             put(f"{name}_error", values, unit, words)
+    if scenario.target.heading is not None:
+        distance = campaign.misses.distance
+        put("miss_distance", distance, "m", "distance from the target at the end")
     for name, unit in _CONSTRAINTS.items():
         put(f"peak_{name}", getattr(flights.peaks, name), unit, f"peak {_words(name)}")
 

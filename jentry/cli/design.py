@@ -97,7 +97,7 @@ def tune(
     dispersions: Dispersions = None,
     set_: Set = None,
     config: Config = None,
-    step: Step = 0.1,
+    step: Step = None,
     fast: Fast = False,
 ) -> None:
     """Tune gains, or any numbers, by gradient through a Monte Carlo."""
@@ -160,16 +160,59 @@ def tune(
         fail("interrupted; the same command resumes", 130)
     print_tuned(chosen, scenario, tuned)
     write_history(folder / "history.csv", tuned)
+    stepped = "" if step is None else f", --step {step:g}"
     write_overrides(
         folder / "tuned.toml",
         f"{mission} tuned by jentry: {loss} over {runs} draws of seed {seed}, {wanted},\n"
-        f"{len(tuned.history)} steps, --step {step:g}. Fly it:\n"
+        f"{len(tuned.history)} steps{stepped}. Fly it:\n"
         f"jentry monte-carlo {mission} --config FILE",
         variant,
         {**overrides.values, **tuned.values},
         overrides.written or reading,
     )
     typer.echo(f"tuned scenario: {folder / 'tuned.toml'}")
+
+
+@app.command()
+def train(
+    mission: MissionName,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the networks; results/MISSION-networks if not given."
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of flights and weights.")] = 0,
+    flights: Annotated[int, typer.Option(help="Flown from the entry.")] = 2000,
+    again: Annotated[int, typer.Option(help="Flown from places on the way.")] = 10000,
+    iterations: Annotated[int, typer.Option(help="Of the optimizer.")] = 5000,
+    workers: Workers = None,
+) -> None:
+    """Fly the data and train the networks of a mission."""
+    set_up(workers)
+    from ..missions import ALL, find_mission
+    from .design_report import print_cards
+
+    chosen = find_mission(mission)
+    if chosen.train is None:
+        able = ", ".join(m.name for m in ALL.values() if m.train is not None)
+        raise ValueError(f"mission {chosen.name} has no networks to train: {able} has")
+    for name, value in (("flights", flights), ("again", again)):
+        if value < 100:
+            raise ValueError(f"--{name} is {value}: a network takes 100 or more")
+    if iterations < 1:
+        raise ValueError(f"--iterations is {iterations}: it must be 1 or more")
+    folder = out or Path("results") / f"{chosen.name}-networks"
+    cards = chosen.train(
+        folder,
+        seed,
+        flights=flights,
+        again=again,
+        iterations=iterations,
+        report=lambda line: typer.echo(line, err=True),
+    )
+    print_cards(chosen, cards)
+    typer.echo(f"networks: {folder}")
 
 
 @app.command()
@@ -192,7 +235,7 @@ def sensitivity(
     dispersions: Dispersions = None,
     set_: Set = None,
     config: Config = None,
-    step: Step = 0.1,
+    step: Step = None,
 ) -> None:
     """Derivatives of the misses, and their spread predicted from one flight."""
     set_up(workers)

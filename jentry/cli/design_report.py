@@ -1,7 +1,7 @@
 """What the commands that design read from their options and print."""
 
 import csv
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -254,3 +254,17 @@ def print_covariance(
             cells += [f"{x:z.4f}" for x in edge]
         table.add_row(dispersion, *cells)
     print_under(console, "effect of one standard deviation, same units", table)
+
+
+def print_cards(mission: Mission, cards: Mapping[str, Mapping[str, Any]]) -> None:
+    """What each trained network is for, and how well it does on flights held out."""
+    columns = ("held out mean error", "held out 95 % error", "... mean at the start")
+    keys = (
+        "held out mean error, m/s",
+        "held out 95 % error, m/s",
+        "held out mean error at the start, m/s",
+    )
+    table = new_table("network", "purpose", *(f"{c}, m/s" for c in columns))
+    for name, card in cards.items():
+        table.add_row(name, card["purpose"], *(f"{card[key]:.3f}" for key in keys))
+    print_under(new_console(), f"{mission.name}: trained networks", table)

@@ -55,7 +55,7 @@ def fly(
     variant: Variant = None,
     set_: Set = None,
     config: Config = None,
-    step: Step = 0.1,
+    step: Step = None,
     history: Annotated[
         float | None, typer.Option(help="Keep the flight at this interval, s.")
     ] = None,
@@ -113,7 +113,7 @@ def monte_carlo(
     ] = None,
     set_: Set = None,
     config: Config = None,
-    step: Step = 0.1,
+    step: Step = None,
     history: Annotated[
         float | None, typer.Option(help="Keep all trajectories at this interval, s.")
     ] = None,

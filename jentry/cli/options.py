@@ -39,7 +39,13 @@ Config = Annotated[
         help="TOML file with `variant`, `[set]` and `[dispersions]`.",
     ),
 ]
-Step = Annotated[float, typer.Option(help="Largest step of the solver, s.")]
+Step = Annotated[
+    float | None,
+    typer.Option(
+        help="Largest step of the solver, s; 0.1 if not given, and for a law with a "
+        "guidance cycle that varies one step a cycle."
+    ),
+]
 Dispersions = Annotated[
     str | None, typer.Option(help="Reading of the dispersions: see `jentry list`.")
 ]

@@ -32,7 +32,14 @@ def print_under(console: Console, title: str, table: Table) -> None:
     console.print(table)
 
 
+_SHORT = 10.0
+"""m; lengths that are all below it are shown in metres"""
+
+
 def at_edge(values, unit: str):
+    """Values in the unit that they are shown in, and that unit."""
+    if unit == "m" and np.all(np.abs(values) < _SHORT):
+        return np.asarray(values), unit
     factor, edge_unit = _EDGE_UNITS.get(unit, (1.0, unit))
     return np.asarray(values) / factor, edge_unit
 
@@ -46,6 +53,8 @@ _OTHER_UNITS = {
     "dynamic_pressure": "Pa",
     "heat_rate": "W/m2",
     "load_factor": "g",
+    "flight_path_angle": "rad",
+    "heading": "rad",
 }
 
 

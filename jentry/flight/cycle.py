@@ -39,6 +39,9 @@ _STEPS_TO_THE_END = 12
 """It takes four or five, twice as many where two conditions are met at once."""
 
 
+_STEP = 0.1
+"""s, of a solver that is given none."""
+
 _SAME_TIME = 1e-6
 """s; times differ by the rounding of some thousand cycles."""
 
@@ -70,11 +73,14 @@ class Plan(eqx.Module):
                 "the Adaptive solver cannot be compiled with the options of "
                 "jentry.setup(fast=True), which would end this process: leave them off"
             )
-        period = guidance_period(scenario)
+        law, period = scenario.guidance, guidance_period(scenario)
+        if isinstance(solver, FixedStep):
+            solver = solver.or_step(period if period and varies(law) else _STEP)
+            assert solver.step is not None
         if history is not None and not history > 0.0:
             raise ValueError(f"history is {history} s: the interval must be positive")
         given = [d for d in (period, history) if d is not None]
-        default = 20 * solver.step if isinstance(solver, FixedStep) else 1.0
+        default = 20 * (solver.step or _STEP) if isinstance(solver, FixedStep) else 1.0
         duration = min(given, default=default)
         for other in given:
             if abs(other / duration - round(other / duration)) > 1e-9:
@@ -82,7 +88,7 @@ class Plan(eqx.Module):
                     f"history is {history} s and the guidance period {period} s: one "
                     "must be a multiple of the other"
                 )
-        law, limit = scenario.guidance, scenario.termination.time_limit
+        limit = scenario.termination.time_limit
         scheduled = math.ceil(limit / duration - 1e-9)
         if varies(law):
             assert isinstance(law, AbstractSampledLaw)

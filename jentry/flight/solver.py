@@ -77,16 +77,22 @@ class FixedStep(AbstractSolver):
     of the drag-tracking law needs less than 2.8 epsilon with the paper's gains.
     """
 
-    step: float = eqx.field(default=0.1, static=True)
-    """s"""
+    step: float | None = eqx.field(default=None, static=True)
+    """s; if none is given, 0.1, or for a law with a guidance cycle that varies, which
+    holds its command, one step a cycle"""
     method: diffrax.AbstractSolver = RungeKutta4()
 
     def __check_init__(self):
-        if not self.step > 0.0:
+        if self.step is not None and not self.step > 0.0:
             raise ValueError(f"step is {self.step} s: it must be positive")
+
+    def or_step(self, step: float) -> "FixedStep":
+        """This, with a step (s) if it has none."""
+        return FixedStep(step, self.method) if self.step is None else self
 
     def steps_in(self, duration: float) -> int:
         """How many steps a duration (s) takes."""
+        assert self.step is not None
         return max(1, math.ceil(duration / self.step - 1e-9))
 
     def advance(self, field: VectorField, time: Scalar, duration: Scalar, y: Y) -> Y:

@@ -162,8 +162,14 @@ class Subdivision(AbstractAnchoring):
         self, shape: Shape, before: Scalar, start: PathPoint, target: PathPoint
     ) -> Shape:
         none = 0.0 * before
-        along = (before, before + shape.first, target.along - shape.second)
-        curve = BezierPath((*along, target.along), (none,) * 4, (none,) * 4)
+        along = (
+            before,
+            before + shape.first,
+            target.along - shape.second,
+            target.along,
+        )
+        flat = none, none, none, none
+        curve = BezierPath(along, flat, flat)
         inner = curve.after(curve.parameter_at(start.along)).inner
         return Shape(inner.first, inner.last)
 

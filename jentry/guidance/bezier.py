@@ -37,47 +37,41 @@ class Arrival(eqx.Module):
 
 
 class CycleSchedule(eqx.Module):
-    """Guidance cycles that become shorter towards the target, and a freeze at the end.
+    """Guidance cycles that become shorter towards the target, and a freeze at the end."""
 
-    Each length must divide the one before, so that the cycles stay on the clock of the
-    longest.
-    """
-
-    cycles: tuple[float, ...] = eqx.field(default=(1.0, 0.1, 0.02), static=True)
-    """s, from the longest to the shortest"""
-    inside: tuple[float, ...] = eqx.field(default=(120.0, 15.0), static=True)
-    """s to go inside which the next one holds"""
+    shorter: tuple[tuple[float, float], ...] = eqx.field(
+        default=((120.0, 0.1), (15.0, 0.02)), static=True
+    )
+    """Time to go inside which a shorter cycle holds, and the cycle, s. Each cycle must
+    divide the longer one, so that they stay on one clock"""
     freeze: float = eqx.field(default=0.1, static=True)
-    """s to go inside which the last command is held"""
+    """Time to go inside which the last command is held, s"""
 
-    def __check_init__(self):
-        if len(self.cycles) != len(self.inside) + 1:
-            raise ValueError(
-                f"{len(self.cycles)} cycles {self.cycles} and {len(self.inside)} limits "
-                f"{self.inside}: there must be one limit less than there are cycles"
-            )
-        for longer, shorter in zip(self.cycles, self.cycles[1:], strict=False):
-            ratio = longer / shorter
-            if ratio < 1.0 or abs(ratio - round(ratio)) > 1e-9:
+    def check(self, period: float) -> None:
+        """Refuse what does not go with the longest cycle (s)."""
+        inside = [limit for limit, _ in self.shorter]
+        if sorted(inside, reverse=True) != inside:
+            raise ValueError(f"times to go {inside} s of the cycles must be decreasing")
+        cycles = [period, *(cycle for _, cycle in self.shorter)]
+        for longer, shorter in zip(cycles, cycles[1:], strict=False):
+            ratio = longer / shorter if shorter > 0.0 else 0.0
+            if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9:
                 raise ValueError(
-                    f"cycles {self.cycles} s: each must divide the one before"
+                    f"guidance cycles {cycles} s: each must divide the one before"
                 )
-        if sorted(self.inside, reverse=True) != list(self.inside):
-            raise ValueError(f"limits {self.inside} s must be decreasing")
 
     def duration(self, seconds_to_go: Scalar, before: Scalar) -> Scalar:
         """Of the cycle that begins, s; never longer than the one before."""
-        duration = 0.0 * seconds_to_go + self.cycles[0]
-        for limit, cycle in zip(self.inside, self.cycles[1:], strict=True):
-            duration = jnp.where(seconds_to_go < limit, cycle, duration)
-        return jnp.minimum(duration, before)
+        duration = before
+        for limit, cycle in self.shorter:
+            inside = seconds_to_go < limit
+            duration = jnp.where(inside, jnp.minimum(duration, cycle), duration)
+        return duration
 
-    def most_cycles(self, time_limit: float) -> int:
+    def most_cycles(self, period: float, time_limit: float) -> int:
         """In a flight up to the time limit (s); the times to go are estimates."""
-        count = math.ceil(time_limit / self.cycles[0])
-        for limit, cycle in zip(self.inside, self.cycles[1:], strict=True):
-            count += math.ceil(2.0 * limit / cycle)
-        return count
+        count = math.ceil(time_limit / period)
+        return count + sum(math.ceil(2.0 * to_go / c) for to_go, c in self.shorter)
 
 
 class Decision(eqx.Module):
@@ -104,6 +98,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
 
     - `parameters`: k1 and k2 of the curve at the start.
     - `track`, `arrival`: where to, and how.
+    - `schedule`, `period`: guidance cycles, `period` the longest, s.
     - `anchoring`: `StoredParameters` (the paper's) or `Subdivision`.
     - `acceleration_loop`: the commanded specific force is achieved, by the estimated
       lift factor. Without it the model is inverted as printed, equation (34): with an
@@ -119,6 +114,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
     anchoring: AbstractAnchoring = StoredParameters()
     velocity_control: AbstractVelocityControl = NoVelocityControl()
     schedule: CycleSchedule = CycleSchedule()
+    period: float = eqx.field(default=1.0, static=True)
     acceleration_loop: bool = eqx.field(default=True, static=True)
 
     reads_sensors_between_cycles: ClassVar[bool] = False
@@ -130,12 +126,10 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
                 f"the onboard model has {type(aerodynamics).__name__}: the law needs "
                 "aerodynamics whose lift tells the angle of attack"
             )
+        if not self.period > 0.0:
+            raise ValueError(f"period is {self.period} s: it must be positive")
+        self.schedule.check(self.period)
         self.velocity_control.check(self.glide)
-
-    @property
-    def period(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The longest guidance cycle, s."""
-        return self.schedule.cycles[0]
 
     @property
     def glide(self) -> Glide:
@@ -166,7 +160,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
             shape=shape,
             along=start.along,
             estimate=self.estimator.start(nothing),
-            duration=nothing + self.schedule.cycles[0],
+            duration=nothing + self.period,
             count=nothing,
         )
         return (), before
@@ -240,7 +234,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
         return held.duration
 
     def most_cycles(self, time_limit: float) -> int:
-        return self.schedule.most_cycles(time_limit)
+        return self.schedule.most_cycles(self.period, time_limit)
 
     def angle_of_attack(
         self, state: EntryState, memory: tuple[()], held: Decision

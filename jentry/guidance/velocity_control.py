@@ -1,4 +1,4 @@
-"""How the curve is adjusted in flight so that the target is reached at a wanted velocity."""
+"""How the curve is adjusted in flight, to reach the target at a wanted velocity."""
 
 from abc import abstractmethod
 
@@ -72,21 +72,35 @@ class PolynomialAdjustment(AbstractVelocityControl):
     """k2 by the polynomial k2(v) of the nominal flight: equations (37) and (38).
 
     The velocity is predicted as with the nominal k2. What a disturbance changes in it is
-    taken to be the same for all k2, so that the nominal k2 of twice the wanted velocity
-    less the predicted one is taken.
+    taken to be the same for all k2, so that the k2 is taken with which the nominal flight
+    would end as much above its velocity as this one is predicted to end below it.
 
     One polynomial belongs to one place on the nominal flight: there is a table of them,
-    interpolated. With the first one at every epoch, as printed, it gets worse.
+    interpolated (`design.k2_polynomials`). With the first one at every epoch, as printed,
+    it gets worse.
     """
 
-    wanted_velocity: Scalar = scalar(unit="m/s", positive=True)
-    nominal_k2: Scalar = scalar()
     to_go: Float[Array, "..."] = table(unit="rad")
     """(n,) angle to go at the places of the polynomials, increasing"""
+    nominal_k2: Scalar = scalar()
+    nominal_velocity: Float[Array, "..."] = table(unit="m/s")
+    """(n,) predicted there for the nominal flight"""
     polynomials: Float[Array, "..."] = table()
-    """(n, 3), k2 = p0 + p1 x + p2 x^2 with x = v/1000 m/s - 1"""
+    """(n, 3), k2 = p0 + p1 x + p2 x^2 with x = (v - nominal) / 100 m/s"""
     predictor: AbstractVelocityPredictor = FlownModel()
     epochs: Epochs = Epochs(every=None)
+
+    def __check_init__(self):
+        (count,) = self.to_go.shape
+        if self.nominal_velocity.shape != (count,) or self.polynomials.shape != (
+            count,
+            3,
+        ):
+            raise ValueError(
+                f"{count} places, nominal velocities of shape "
+                f"{self.nominal_velocity.shape} and polynomials of shape "
+                f"{self.polynomials.shape}: expected ({count},) and ({count}, 3)"
+            )
 
     def check(self, glide: Glide) -> None:
         if not isinstance(glide.anchoring, StoredParameters):
@@ -99,17 +113,18 @@ class PolynomialAdjustment(AbstractVelocityControl):
         self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
     ) -> Shape:
         def act(shape: Shape) -> Shape:
-            nominal = eqx.tree_at(lambda s: s.second, shape, self.nominal_k2)
-            as_nominal = eqx.tree_at(lambda s: s.shape, situation, nominal)
-            predicted = self.predictor.predict(glide, as_nominal)
-            to_go = situation.target.along - situation.point.along
-            p0, p1, p2 = (
-                jnp.interp(to_go, self.to_go, self.polynomials[:, i]) for i in range(3)
+            as_nominal = Shape(shape.first, self.nominal_k2)
+            predicted = self.predictor.predict(
+                glide, eqx.tree_at(lambda s: s.shape, situation, as_nominal)
             )
-            x = 1e-3 * (2.0 * self.wanted_velocity - predicted) - 1.0
+            to_go = situation.target.along - situation.point.along
+            nominal, p0, p1, p2 = (
+                jnp.interp(to_go, self.to_go, column)
+                for column in (self.nominal_velocity, *self.polynomials.T)
+            )
+            x = 1e-2 * (nominal - predicted)
             lower, upper = glide.anchoring.bounds(situation.point, situation.target)
-            k2 = jnp.clip(p0 + x * (p1 + x * p2), lower, upper)
-            return Shape(shape.first, k2)
+            return Shape(shape.first, jnp.clip(p0 + x * (p1 + x * p2), lower, upper))
 
         return where_due(self.epochs.due(cycle, seconds_to_go), act, situation.shape)
 

@@ -1,12 +1,16 @@
 """Floor 8: the missions, one file each."""
 
 from .._addresses import nearest
+from .cav_h import MISSION as CAV_H
 from .mars_drag_tracking import MISSION as MARS_DRAG_TRACKING
 from .mars_range_tracking import MISSION as MARS_RANGE_TRACKING
 from .mission import Mission as Mission, PublishedValue as PublishedValue
 
 
-ALL = {mission.name: mission for mission in (MARS_DRAG_TRACKING, MARS_RANGE_TRACKING)}
+ALL = {
+    mission.name: mission
+    for mission in (MARS_DRAG_TRACKING, MARS_RANGE_TRACKING, CAV_H)
+}
 """Every mission by its name."""
 
 

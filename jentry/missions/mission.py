@@ -36,6 +36,8 @@ class Mission:
     gains: tuple[str, ...] = ("guidance.gains", "guidance.observer")
     """What `jentry tune` tunes unless told otherwise: addresses, or the beginnings of
     some; those that a variant does not have are left out"""
+    train: Callable[..., dict[str, dict[str, Any]]] | None = None
+    """Trains the mission's networks: of a folder, a seed and options to model cards"""
     published: tuple[PublishedValue, ...] = ()
     published_note: str = ""
     published_variant: str = ""

@@ -61,8 +61,8 @@ class Accelerometers(AbstractAccelerometers):
         drag = air.drag * (1.0 + self.drag_scale_error) + self.drag_bias
         if sampled_at is None:
             return lift, drag
-        seed = (self.noise_seed * 2.0**31).astype(jnp.uint32)
-        millisecond = jnp.round(1e3 * sampled_at).astype(jnp.uint32)
+        seed = jnp.asarray(self.noise_seed * 2.0**31).astype(jnp.uint32)
+        millisecond = jnp.round(1e3 * jnp.asarray(sampled_at)).astype(jnp.uint32)
         key = jax.random.fold_in(
             jax.random.fold_in(jax.random.key(0), seed), millisecond
         )

@@ -91,9 +91,11 @@ class Track(eqx.Module):
         north, out, east = self._axes_at_start()
         length = self.length()
         sine, cosine = sincos(jnp.where(length > _LONG, 0.5 * length, 0.0))
-        forward = tuple(cosine * n - sine * o for n, o in zip(north, out, strict=True))
-        upward = tuple(cosine * o + sine * n for n, o in zip(north, out, strict=True))
-        return forward, upward, east
+        return (
+            _turned(north, out, cosine, -sine),
+            _turned(out, north, cosine, sine),
+            east,
+        )
 
 
 def _upwards(longitude: Scalar, latitude: Scalar) -> Direction:
@@ -110,6 +112,14 @@ def _horizontally(longitude: Scalar, latitude: Scalar, heading: Scalar) -> Direc
         -cos_heading * sin_latitude * cos_longitude - sin_heading * sin_longitude,
         -cos_heading * sin_latitude * sin_longitude + sin_heading * cos_longitude,
         cos_heading * cos_latitude,
+    )
+
+
+def _turned(a: Direction, b: Direction, cosine: Scalar, sine: Scalar) -> Direction:
+    return (
+        cosine * a[0] + sine * b[0],
+        cosine * a[1] + sine * b[1],
+        cosine * a[2] + sine * b[2],
     )
 
 

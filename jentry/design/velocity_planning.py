@@ -1,0 +1,181 @@
+"""k1 and k2 of a Bézier curve for a wanted velocity at the target, and how it varies."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..campaign.monte_carlo import monte_carlo
+from ..flight.fly import fly
+from ..flight.scenario import Scenario
+from ..flight.solver import AbstractSolver, FixedStep
+from ..flight.termination import Outcome
+from ..guidance.anchoring import Shape
+from ..guidance.bezier import BezierGuidance
+from ..guidance.velocity_prediction import AbstractVelocityPredictor
+from ..onboard.bezier import BezierParameters
+
+
+K1, K2 = "guidance.parameters.k1", "guidance.parameters.k2"
+
+
+def bezier_law(scenario: Scenario) -> BezierGuidance:
+    """The law of a scenario. Raises `ValueError` for another one."""
+    law = scenario.guidance
+    if not isinstance(law, BezierGuidance):
+        raise ValueError(
+            f"the scenario flies {type(law).__name__}: this needs BezierGuidance"
+        )
+    return law
+
+
+def plan_parameters(
+    scenario: Scenario,
+    velocity: float,
+    *,
+    vary_k1: bool = False,
+    tolerance: float = 1e-3,
+    solver: AbstractSolver = FixedStep(),
+) -> BezierParameters:
+    """k1 and k2 with which the scenario reaches its target at a velocity (m/s).
+
+    By Newton's method on the flight, which is differentiated: four or five flights in
+    place of the paper's search. With `vary_k1` of all pairs about the nearest one, by the
+    least-norm step; else k1 stays.
+
+    Raises `ValueError` where there is no such flight, and says what was reached.
+    """
+    parameters = bezier_law(scenario).parameters
+    free = jnp.array([1.0 if vary_k1 else 0.0, 1.0])
+
+    def final_velocity(k: Float[Array, " 2"]) -> tuple[Array, Array]:
+        given = eqx.tree_at(
+            lambda s: s.guidance.parameters, scenario, BezierParameters(k[0], k[1])
+        )
+        flight = fly(given, solver)
+        return jnp.asarray(flight.state.velocity), jnp.asarray(flight.outcome)
+
+    @eqx.filter_jit
+    def value_and_slope(k):
+        values, slopes, outcomes = jax.vmap(
+            lambda t: jax.jvp(final_velocity, (k,), (t,), has_aux=True)
+        )(jnp.eye(2))
+        return values[0], slopes * free, outcomes[0]
+
+    k = jnp.stack([jnp.asarray(parameters.k1), jnp.asarray(parameters.k2)])
+    reached = np.nan
+    for _ in range(20):
+        value, slope, outcome = value_and_slope(k)
+        reached = float(value)
+        if int(outcome) != Outcome.REACHED:
+            break
+        if abs(reached - velocity) < tolerance:
+            return BezierParameters(k[0], k[1])
+        step = -(value - velocity) * slope / jnp.sum(slope * slope)
+        k = k + jnp.clip(step, -0.1, 0.1)
+    raise ValueError(
+        f"no curve was found that ends at {velocity:g} m/s: the last one, with k1 = "
+        f"{float(k[0]):.4f} and k2 = {float(k[1]):.4f}, ends at {reached:.1f} m/s; start "
+        "from other parameters"
+    )
+
+
+class VelocityMap(NamedTuple):
+    """Velocity at the target over k1 and k2."""
+
+    k1: np.ndarray
+    """(n,)"""
+    k2: np.ndarray
+    """(m,)"""
+    velocity: np.ndarray
+    """(n, m), m/s; NaN where the flight does not reach the target"""
+
+
+def velocity_map(
+    scenario: Scenario,
+    k1: np.ndarray,
+    k2: np.ndarray,
+    solver: AbstractSolver = FixedStep(),
+) -> VelocityMap:
+    """Fly every pair of k1 and k2: the paper's figure 10."""
+    bezier_law(scenario)
+    first, second = (np.ravel(g) for g in np.meshgrid(k1, k2, indexing="ij"))
+    flown = monte_carlo(scenario, inputs={K1: first, K2: second}, solver=solver)
+    velocity = np.asarray(flown.flights.state.velocity)
+    reached = np.asarray(flown.flights.outcome) == Outcome.REACHED
+    velocity = np.where(reached, velocity, np.nan).reshape(len(k1), len(k2))
+    return VelocityMap(np.asarray(k1), np.asarray(k2), velocity)
+
+
+def k2_polynomial(velocity: np.ndarray, k2: np.ndarray) -> np.ndarray:
+    """a, b and c of k2 = a v^2 + b v + c by least squares: equation (37), v in m/s."""
+    good = np.isfinite(velocity)
+    if good.sum() < 3:
+        raise ValueError(
+            f"{good.sum()} flights reached the target: a quadratic takes three or more"
+        )
+    return np.polyfit(velocity[good], np.asarray(k2)[good], 2)
+
+
+class K2Polynomials(NamedTuple):
+    """k2 over the velocity at the target, from places along the nominal flight."""
+
+    to_go: Array
+    """(n,) rad, increasing"""
+    nominal_velocity: Array
+    """(n,) m/s"""
+    polynomials: Array
+    """(n, 3), k2 = p0 + p1 x + p2 x^2 with x = (v - nominal) / 100 m/s"""
+
+
+_ROOM = np.linspace(-0.3, 0.3, 9)
+"""About the nominal k2, over which the polynomials are fitted"""
+
+
+@eqx.filter_jit
+def k2_polynomials(
+    scenario: Scenario,
+    predictor: AbstractVelocityPredictor,
+    interval: float = 20.0,
+    until: float = 60.0,
+) -> K2Polynomials:
+    """For `PolynomialAdjustment`: fitted to what the predictor says of the nominal flight.
+
+    **Arguments:**
+
+    - `scenario`: with `StoredParameters` and no velocity control.
+    - `interval`: between the places, s.
+    - `until`: s to go at the last one; nearer k2 changes nothing any more.
+    """
+    law = bezier_law(scenario)
+    history = fly(scenario, history=interval).history
+    assert history is not None
+    # Before the first and after the last place the nearest one is as good: what was not
+    # flown, or is too near, becomes a copy of the last that counts.
+    situations = jax.vmap(law.situation)(history.states, history.decisions)
+    to_go = jnp.asarray(situations.target.along - situations.point.along)
+    seconds = to_go * law.model.planet.radius / situations.velocity
+    last = jnp.sum(jnp.isfinite(seconds) & (seconds > until)) - 1
+    index = jnp.minimum(jnp.arange(to_go.shape[0]), last)
+    situations = jax.tree.map(lambda x: x[index], situations)
+
+    def fit(situation):
+        shape = situation.shape
+
+        def at(k2):
+            moved = eqx.tree_at(lambda s: s.shape, situation, Shape(shape.first, k2))
+            return predictor.predict(law.glide, moved)
+
+        k2 = shape.second + _ROOM
+        nominal = at(shape.second)
+        x = 1e-2 * (jax.vmap(at)(k2) - nominal)
+        powers = jnp.stack([jnp.ones_like(x), x, x * x], axis=1)
+        return nominal, jnp.linalg.lstsq(powers, k2)[0]
+
+    nominal, polynomials = jax.vmap(fit)(situations)
+    # Increasing angles to go, the copies a little nearer each.
+    places = to_go[index] - 1e-9 * (jnp.arange(to_go.shape[0]) - index)
+    return K2Polynomials(places[::-1], nominal[::-1], polynomials[::-1])
