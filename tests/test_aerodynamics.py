@@ -17,6 +17,10 @@ ANGLES = jnp.asarray([0.0, 5.0, 12.0, 20.0, 30.0, 45.0]) * degree
 MACHS = jnp.asarray([0.4, 0.9, 1.1, 2.0, 5.0, 12.0, 25.0])
 
 
+AIRSPEED = jnp.asarray(2e3)
+"""m/s; where it has no effect"""
+
+
 def over(f):
     """Compiled, for an array of cases: without it each operation compiles by itself."""
     return jax.jit(jax.vmap(f))
@@ -82,7 +86,9 @@ def test_gradients_are_finite_everywhere(aerodynamics):
     angles, machs = _points(200)
     angles = jnp.concatenate([angles, ANGLES, ANGLES])
     machs = jnp.concatenate([machs, MACHS[:6], MACHS[1:]])
-    slopes = over(jax.jacrev(aerodynamics.coefficients, argnums=(0, 1)))(angles, machs, machs)
+    slopes = over(jax.jacrev(aerodynamics.coefficients, argnums=(0, 1)))(
+        angles, machs, machs
+    )
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(slopes))
 
 
@@ -115,7 +121,9 @@ def test_polynomial_is_differentiable_in_its_coefficients():
     angle, mach = jnp.asarray(0.4), jnp.asarray(6.0)
 
     def drag(coefficients):
-        return PolynomialAerodynamics([0.0], coefficients).coefficients(angle, mach, 2e3)[1]
+        return PolynomialAerodynamics([0.0], coefficients).coefficients(
+            angle, mach, AIRSPEED
+        )[1]
 
     slopes = jax.grad(drag)(jnp.asarray([0.05, -0.1, 0.9]))
     np.testing.assert_allclose(slopes, [1.0, 0.4, 0.16], rtol=1e-15)  # rounding
@@ -138,7 +146,9 @@ def test_polynomial_refuses(lift, drag, message):
 
 def test_table_passes_through_its_values():
     table = _table()
-    lift, drag = over(lambda a: over(lambda m: table.coefficients(a, m, 2e3))(MACHS))(ANGLES)
+    lift, drag = over(
+        lambda a: over(lambda m: table.coefficients(a, m, AIRSPEED))(MACHS)
+    )(ANGLES)
     # Rounding.
     np.testing.assert_allclose(lift, table.lift_coefficients, rtol=1e-14, atol=1e-15)
     np.testing.assert_allclose(drag, table.drag_coefficients, rtol=1e-14)
@@ -166,7 +176,7 @@ def test_table_comes_near_a_smooth_function():
 
 
 def test_table_has_no_kinks_across_its_lines():
-    slope = jax.jacfwd(lambda p: jnp.stack(_table().coefficients(p[0], p[1], 2e3)))
+    slope = jax.jacfwd(lambda p: jnp.stack(_table().coefficients(p[0], p[1], AIRSPEED)))
     inner = [(ANGLES[2], jnp.asarray(3.3)), (jnp.asarray(0.3), MACHS[3])]
     for axis, (angle, mach) in enumerate(inner):
         move = 1e-9 * jnp.eye(2)[axis]
@@ -179,7 +189,7 @@ def test_table_does_not_overshoot_a_step():
     step = jnp.broadcast_to(jnp.where(MACHS > 1.0, 1.0, 0.3), (6, 7))
     table = TabulatedAerodynamics(ANGLES, MACHS, step, step)
     machs = jnp.linspace(0.4, 25.0, 801)
-    _, drag = over(lambda m: table.coefficients(jnp.asarray(0.2), m, 2e3))(machs)
+    _, drag = over(lambda m: table.coefficients(jnp.asarray(0.2), m, AIRSPEED))(machs)
     assert np.all(np.diff(drag) >= -1e-15)  # rounding
     assert float(jnp.min(drag)) >= 0.3 - 1e-15
     assert float(jnp.max(drag)) <= 1.0 + 1e-15
@@ -195,8 +205,8 @@ def test_table_does_not_overshoot_a_step():
 )
 def test_table_is_held_at_its_edges(outside, edge):
     table = _table()
-    values = table.coefficients(*map(jnp.asarray, outside), 2e3)
-    assert values == table.coefficients(*map(jnp.asarray, edge), 2e3)
+    values = table.coefficients(*map(jnp.asarray, outside), AIRSPEED)
+    assert values == table.coefficients(*map(jnp.asarray, edge), AIRSPEED)
 
 
 def test_table_is_differentiable_in_its_values():
@@ -206,7 +216,7 @@ def test_table_is_differentiable_in_its_values():
     def lift(values):
         return TabulatedAerodynamics(
             ANGLES, MACHS, values, table.drag_coefficients
-        ).coefficients(angle, mach, 2e3)[0]
+        ).coefficients(angle, mach, AIRSPEED)[0]
 
     direction = jnp.cos(jnp.arange(42.0)).reshape(6, 7) * table.lift_coefficients
     _, slope = jax.jvp(lift, (table.lift_coefficients,), (direction,))
@@ -277,3 +287,26 @@ def test_csv_errors_name_file_line_and_expectation(tmp_path, text, message):
     path.write_text(text)
     with pytest.raises(ValueError, match=message):
         TabulatedAerodynamics.from_csv(path)
+
+
+# --- the fit over airspeed ----------------------------------------------------------
+
+
+def test_lift_of_the_glider_tells_its_angle_of_attack():
+    from jentry.missions.cav_h import glider
+
+    aerodynamics = glider().aerodynamics
+    for angle, speed in ((0.05, 2600.0), (0.2, 7500.0)):
+        angle, mach, speed = (jnp.asarray(x) for x in (angle, 10.0, speed))
+        lift, drag = aerodynamics.coefficients(angle, mach, speed)
+        again = aerodynamics.angle_of_attack(lift, mach, speed)
+        assert float(again) == pytest.approx(float(angle), rel=1e-14)
+        # The printed fit, with the drag held below 10 degrees.
+        decay = np.exp(-3.3943e-4 * float(speed))
+        expected = 2.9451 * float(angle) + 0.2949 * decay - 0.2355
+        assert float(lift) == pytest.approx(expected, rel=1e-13)
+        held = max(float(angle), np.radians(10.0))
+        expected = (
+            2.3795 * held**2 + 0.3983 * np.exp(-1.0794e-3 * float(speed)) + 0.0234
+        )
+        assert float(drag) == pytest.approx(expected, rel=1e-13)

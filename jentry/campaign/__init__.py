@@ -2,6 +2,7 @@
 
 from .dispersions import (
     AbstractDistribution as AbstractDistribution,
+    Constant as Constant,
     Dispersion as Dispersion,
     Normal as Normal,
     TruncatedNormal as TruncatedNormal,

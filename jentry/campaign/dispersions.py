@@ -72,6 +72,21 @@ class Uniform(AbstractDistribution):
         )
 
 
+class Constant(AbstractDistribution):
+    """Always the same: what belongs to a table of dispersions without being drawn."""
+
+    value: Scalar = scalar()
+
+    def sample(self, key: Key[Array, ""]) -> Scalar:
+        return self.value
+
+    def moments(self) -> tuple[Scalar, Scalar]:
+        return self.value, 0.0 * self.value
+
+    def scaled(self, factor: Scalar | float) -> "Constant":
+        return self
+
+
 class TruncatedNormal(AbstractDistribution):
     """Normal distribution of which only what lies between two bounds is drawn."""
 

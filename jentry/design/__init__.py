@@ -15,6 +15,10 @@ from .losses import (
     probability_outside as probability_outside,
     smooth_maximum as smooth_maximum,
 )
+from .network_training import (
+    fly_samples as fly_samples,
+    train_predictor as train_predictor,
+)
 from .planning import (
     ReferenceFlight as ReferenceFlight,
     open_loop as open_loop,
@@ -24,3 +28,9 @@ from .planning import (
 from .sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity
 from .surrogate import smooth_switching as smooth_switching
 from .tuning import Tuned as Tuned, tune as tune
+from .velocity_planning import (
+    k2_polynomial as k2_polynomial,
+    k2_polynomials as k2_polynomials,
+    plan_parameters as plan_parameters,
+    velocity_map as velocity_map,
+)

@@ -15,7 +15,7 @@ from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
 from ..guidance.anchoring import Shape
 from ..guidance.bezier import BezierGuidance
-from ..guidance.velocity_prediction import AbstractVelocityPredictor
+from ..guidance.velocity_prediction import AbstractVelocityPredictor, FlownModel
 from ..onboard.bezier import BezierParameters
 
 
@@ -142,11 +142,13 @@ def k2_polynomials(
     interval: float = 20.0,
     until: float = 60.0,
 ) -> K2Polynomials:
-    """For `PolynomialAdjustment`: fitted to what the predictor says of the nominal flight.
+    """For `PolynomialAdjustment`: fitted to what the model flies from the nominal flight.
 
     **Arguments:**
 
     - `scenario`: with `StoredParameters` and no velocity control.
+    - `predictor`: that is used in flight; what it says of the nominal flight is what its
+      predictions are compared with.
     - `interval`: between the places, s.
     - `until`: s to go at the last one; nearer k2 changes nothing any more.
     """
@@ -167,15 +169,16 @@ def k2_polynomials(
 
         def at(k2):
             moved = eqx.tree_at(lambda s: s.shape, situation, Shape(shape.first, k2))
-            return predictor.predict(law.glide, moved)
+            return FlownModel().predict(law.glide, moved)
 
         k2 = shape.second + _ROOM
-        nominal = at(shape.second)
-        x = 1e-2 * (jax.vmap(at)(k2) - nominal)
+        x = 1e-2 * (jax.vmap(at)(k2) - at(shape.second))
         powers = jnp.stack([jnp.ones_like(x), x, x * x], axis=1)
+        nominal = predictor.predict(law.glide, situation)
         return nominal, jnp.linalg.lstsq(powers, k2)[0]
 
     nominal, polynomials = jax.vmap(fit)(situations)
     # Increasing angles to go, the copies a little nearer each.
     places = to_go[index] - 1e-9 * (jnp.arange(to_go.shape[0]) - index)
-    return K2Polynomials(places[::-1], nominal[::-1], polynomials[::-1])
+    turned = (jnp.flip(x, 0) for x in (places, jnp.asarray(nominal), polynomials))
+    return K2Polynomials(*turned)

@@ -8,6 +8,7 @@ from .termination import (
     AltitudeAbove as AltitudeAbove,
     AltitudeBelow as AltitudeBelow,
     Outcome as Outcome,
+    TargetPassed as TargetPassed,
     Termination as Termination,
     VelocityBelow as VelocityBelow,
 )

@@ -1,5 +1,16 @@
 """Floor 4: guidance laws."""
 
+from .anchoring import (
+    AbstractAnchoring as AbstractAnchoring,
+    StoredParameters as StoredParameters,
+    Subdivision as Subdivision,
+)
+from .attitude import FlightLimits as FlightLimits
+from .bezier import (
+    Arrival as Arrival,
+    BezierGuidance as BezierGuidance,
+    CycleSchedule as CycleSchedule,
+)
 from .drag_tracking import (
     ErrorGains as ErrorGains,
     ObserverDragTracking as ObserverDragTracking,
@@ -23,4 +34,16 @@ from .switching import (
     AbstractSwitching as AbstractSwitching,
     Sharp as Sharp,
     Smooth as Smooth,
+)
+from .velocity_control import (
+    AbstractVelocityControl as AbstractVelocityControl,
+    Epochs as Epochs,
+    NewtonAdjustment as NewtonAdjustment,
+    NoVelocityControl as NoVelocityControl,
+    PolynomialAdjustment as PolynomialAdjustment,
+)
+from .velocity_prediction import (
+    AbstractVelocityPredictor as AbstractVelocityPredictor,
+    FlownModel as FlownModel,
+    NetworkPredictor as NetworkPredictor,
 )

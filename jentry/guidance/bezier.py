@@ -16,7 +16,7 @@ from ..motion.forces import air_data
 from ..motion.state import Controls, EntryState
 from ..onboard.bezier import BezierParameters, BezierPath, PathPoint
 from ..onboard.estimation import Estimate, FactorEstimator
-from ..onboard.model import OnboardModel
+from ..onboard.model import WorldModel
 from ..onboard.navigation import Measurement
 from ..onboard.track import Track
 from ..world.aerodynamics import AbstractInvertibleAerodynamics
@@ -108,7 +108,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
     parameters: BezierParameters
     track: Track
     arrival: Arrival
-    model: OnboardModel
+    model: WorldModel
     limits: FlightLimits
     estimator: FactorEstimator = eqx.field(default_factory=FactorEstimator)
     anchoring: AbstractAnchoring = StoredParameters()

@@ -53,8 +53,9 @@ class Epochs(eqx.Module):
 
     every: int | None = eqx.field(default=25, static=True)
     """Guidance cycles; none for the first cycle alone"""
-    last: float = eqx.field(default=2.0, static=True)
-    """No epoch in the last seconds before the target"""
+    last: float = eqx.field(default=60.0, static=True)
+    """No epoch in the last seconds before the target: there the third control point moves
+    far for little, at the cost of the flight-path angle"""
 
     def __check_init__(self):
         if self.every is not None and self.every < 1:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from .._types import Scalar
 from ..onboard.bezier import PathPoint
 from ..onboard.estimation import Factors
-from ..onboard.model import OnboardModel
+from ..onboard.model import WorldModel
 from ..onboard.network import Network
 from .anchoring import AbstractAnchoring, Shape
 from .attitude import FlightLimits, attitude
@@ -31,7 +31,7 @@ class Situation(eqx.Module):
 class Glide(eqx.Module):
     """What flies the curve: the model on board, the limits and the rule of anchoring."""
 
-    model: OnboardModel
+    model: WorldModel
     limits: FlightLimits
     anchoring: AbstractAnchoring
 

@@ -13,8 +13,8 @@ from typing import Any
 import equinox as eqx
 import numpy as np
 
-from ..campaign.dispersions import Dispersion, Normal, Uniform, add
-from ..design.velocity_planning import K2Polynomials, k2_polynomials
+from ..campaign.dispersions import Constant, Dispersion, Normal, Uniform, add
+from ..design.velocity_planning import k2_polynomials
 from ..flight.scenario import Scenario, Target
 from ..flight.termination import AltitudeBelow, Outcome, TargetPassed, Termination
 from ..guidance.anchoring import AbstractAnchoring, StoredParameters, Subdivision
@@ -30,7 +30,7 @@ from ..guidance.velocity_control import (
 from ..guidance.velocity_prediction import AbstractVelocityPredictor, FlownModel
 from ..motion.state import EntryState
 from ..onboard.bezier import BezierParameters
-from ..onboard.model import OnboardModel
+from ..onboard.model import WorldModel
 from ..onboard.navigation import Accelerometers
 from ..onboard.track import Track
 from ..units import degree, km, micro_g, standard_gravity
@@ -112,7 +112,7 @@ def glide(
         parameters=parameters,
         track=track,
         arrival=arrival,
-        model=OnboardModel(planet, vehicle),
+        model=WorldModel(planet, vehicle),
         limits=FlightLimits(
             least_angle_of_attack=0.0,
             largest_angle_of_attack=20.0 * degree,
@@ -160,17 +160,12 @@ def model_inversion() -> Scenario:
     return glide(BezierParameters(k1=0.848, k2=0.717), acceleration_loop=False)
 
 
-@functools.cache
-def _polynomials(predictor: AbstractVelocityPredictor) -> K2Polynomials:
-    return k2_polynomials(stored(), predictor)
-
-
 def adjusted(
     predictor: AbstractVelocityPredictor, epochs: Epochs = Epochs(every=None)
 ) -> Scenario:
     """The paper's law with equation (38)."""
     scenario = stored()
-    table = _polynomials(predictor)
+    table = k2_polynomials(scenario, predictor)
     control = PolynomialAdjustment(
         to_go=table.to_go,
         nominal_k2=0.717,
@@ -182,21 +177,25 @@ def adjusted(
     return eqx.tree_at(lambda s: s.guidance.velocity_control, scenario, control)
 
 
+@functools.cache
 def adjusted_once() -> Scenario:
     """At the start, with the velocity predicted by the flown model."""
     return adjusted(FlownModel())
 
 
+@functools.cache
 def adjusted_at_epochs() -> Scenario:
     """At every 25th guidance cycle, with the polynomial of the place."""
-    return adjusted(FlownModel(), Epochs(every=25, last=60.0))
+    return adjusted(FlownModel(), Epochs(every=25))
 
 
+@functools.cache
 def network_once() -> Scenario:
     """At the start, predicted by the network that reads the estimated factors."""
     return adjusted(network_predictor("stored"))
 
 
+@functools.cache
 def state_network_once() -> Scenario:
     """At the start, predicted by the paper's network, which reads the state alone.
 
@@ -229,10 +228,10 @@ def newton_network() -> Scenario:
 
 
 def us_1976() -> Scenario:
-    """`newton` through the US Standard Atmosphere, with the exponential one on board."""
-    return eqx.tree_at(
-        lambda s: s.planet.atmosphere, newton(), USStandardAtmosphere1976()
-    )
+    """`newton` through the US Standard Atmosphere, which is also on board."""
+    air = USStandardAtmosphere1976()
+    places = lambda s: (s.planet.atmosphere, s.guidance.model.planet.atmosphere)
+    return eqx.tree_at(places, newton(), (air, air))
 
 
 def density_wave() -> Scenario:
@@ -297,7 +296,7 @@ def _accelerometers() -> dict[str, Dispersion]:
     """
     bias = Normal(0.0, 100.0 * micro_g / 3.0)
     scale = Normal(0.0, 300e-6 / 3.0)
-    noise = Uniform(50.0 * micro_g, 50.0 * micro_g)
+    noise = Constant(50.0 * micro_g)
     return {
         "lift bias": Dispersion(lambda s: s.accelerometers.lift_bias, bias),
         "drag bias": Dispersion(lambda s: s.accelerometers.drag_bias, bias),
@@ -390,7 +389,7 @@ MISSION = Mission(
         "uniform": uniform,
         "waves-sensed": waves_sensed,
     },
-    gains=("guidance.parameters", "guidance.estimator"),
+    gains=("guidance.parameters",),
     train=_train,
     published=(
         *_errors("miss distance", "m", "miss_distance", 1.0, (159.0, 0.22, 4.54)),

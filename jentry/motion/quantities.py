@@ -26,7 +26,7 @@ def convective_heat_rate(
     velocity: Scalar,
     nose_radius: Scalar,
     coefficient: Scalar,
-    exponent: float = 3,
+    exponent: int | float = 3,
 ) -> Scalar:
     """Heat rate at the stagnation point, W/m2, by Sutton and Graves.
 

@@ -1,7 +1,32 @@
 """Floor 3: profiles, references, what the vehicle measures and believes."""
 
-from .model import OnboardModel as OnboardModel
-from .navigation import Measurement as Measurement, measure as measure
+from .bezier import (
+    BezierParameters as BezierParameters,
+    BezierPath as BezierPath,
+    InnerPoints as InnerPoints,
+    PathPoint as PathPoint,
+    bezier_parameters as bezier_parameters,
+    inner_points as inner_points,
+    tangents_meet as tangents_meet,
+)
+from .estimation import (
+    Estimate as Estimate,
+    FactorEstimator as FactorEstimator,
+    Factors as Factors,
+)
+from .model import OnboardModel as OnboardModel, WorldModel as WorldModel
+from .navigation import (
+    AbstractAccelerometers as AbstractAccelerometers,
+    Accelerometers as Accelerometers,
+    Measurement as Measurement,
+    PerfectAccelerometers as PerfectAccelerometers,
+    measure as measure,
+)
+from .network import (
+    Network as Network,
+    load_network as load_network,
+    save_network as save_network,
+)
 from .profiles import (
     AbstractProfile as AbstractProfile,
     PolynomialProfile as PolynomialProfile,
@@ -15,3 +40,4 @@ from .reference import (
     TimeIndex as TimeIndex,
     VelocityIndex as VelocityIndex,
 )
+from .track import Track as Track, TrackPosition as TrackPosition

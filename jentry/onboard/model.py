@@ -9,15 +9,19 @@ from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 
 
-class OnboardModel(eqx.Module):
-    """The nominal world on board. It is a copy of its own: dispersing the truth leaves it.
+class WorldModel(eqx.Module):
+    """The nominal world on board: a copy of its own, which dispersing the truth leaves."""
+
+    planet: Planet
+    vehicle: Vehicle
+
+
+class OnboardModel(WorldModel):
+    """The nominal world for laws that need the rates of density and gravity.
 
     Its atmosphere is exponential, since laws use its scale height, and its gravity that
     of a sphere, since they use its rate of change.
     """
-
-    planet: Planet
-    vehicle: Vehicle
 
     def __check_init__(self):
         atmosphere = self.planet.atmosphere

@@ -90,7 +90,7 @@ def save_network(path: Path | str, network: Network, card: dict[str, Any]) -> No
         for number, leaf in enumerate(jax.tree.leaves(network))
     }
     arrays["layers"] = np.array(len(network.weights))
-    arrays["card"] = np.array(json.dumps(card, sort_keys=True))
+    arrays["card"] = np.array(json.dumps(card))
     arrays["digest"] = np.array(_digest(arrays))
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.partial")

@@ -17,6 +17,10 @@ from .gravity import (
     ConstantGravity as ConstantGravity,
     InverseSquareGravity as InverseSquareGravity,
 )
+from .perturbed_atmosphere import (
+    DensityWave as DensityWave,
+    PerturbedAtmosphere as PerturbedAtmosphere,
+)
 from .planet import Planet as Planet
 from .tabulated_atmosphere import TabulatedAtmosphere as TabulatedAtmosphere
 from .us_standard_atmosphere import USStandardAtmosphere1976 as USStandardAtmosphere1976
