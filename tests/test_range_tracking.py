@@ -321,6 +321,7 @@ def end_of(values, scenario):
     return ground_track(varied.planet, varied.guidance.aim.origin, state)[0] / km
 
 
+@pytest.mark.slow
 def test_gradient_matches_differences():
     off = off_the_reference()
     at = {name: where(off) for name, (where, _) in LEAVES.items()}

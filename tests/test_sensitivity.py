@@ -182,6 +182,7 @@ def test_effects_of_each_dispersion_are_flown_as_predicted():
             assert effect.linear == pytest.approx(effect.flown, rel=2e-3, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_what_the_nominal_flight_never_meets_is_told():
     """Flights that skip out through the ceiling, of a nominal one that does not."""
     wide = {

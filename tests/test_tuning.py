@@ -296,6 +296,7 @@ def with_peaks(scenario, flight):
     return misses(scenario, flight), flight.peaks, control_effort(flight.history)
 
 
+@pytest.mark.slow
 def test_path_constraints_and_control_effort_enter_the_loss():
     def loss(outputs):
         miss, peaks, effort = outputs

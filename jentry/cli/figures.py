@@ -6,13 +6,15 @@ import numpy as np
 from .._addresses import leaves_by_address
 from ..campaign.monte_carlo import monte_carlo
 from ..campaign.results import dataset
+from ..flight.cycle import varies
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
+from ..guidance.law import AbstractSampledLaw
 from ..missions.mission import Mission
 
 
 _INTERVAL = 0.5
-"""s"""
+"""s; the longest guidance cycle of a law whose cycle varies"""
 
 _TRAJECTORIES = 256
 """Runs whose trajectories make the bands, if the campaign has not kept them."""
@@ -45,11 +47,15 @@ def _addresses(scenario: Scenario) -> dict[str, jax.Array]:
 
 
 def _fly(scenario: Scenario, inputs, solver: AbstractSolver):
+    law = scenario.guidance
+    interval = _INTERVAL
+    if isinstance(law, AbstractSampledLaw) and varies(law):
+        interval = law.period
     campaign = monte_carlo(
         scenario,
         runs=len(next(iter(inputs.values()))),
         inputs=inputs,
         solver=solver,
-        history=_INTERVAL,
+        history=interval,
     )
-    return dataset(scenario, campaign, _INTERVAL)
+    return dataset(scenario, campaign, interval)

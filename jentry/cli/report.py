@@ -103,8 +103,9 @@ def _print_statistics(console: Console, mission: Mission, results) -> None:
     percentiles = [f"{p} %" for p in _PERCENTILES]
     table = new_table("", "unit", "minimum", "maximum", "mean", "std", *percentiles)
     for name in map(str, results.data_vars):
-        error = name.endswith("_error")
-        if not (error or name.startswith(("end_time", "peak_"))):
+        error = name.endswith("_error") and "." not in name
+        shown = ("end_time", "peak_", "miss_distance")
+        if not (error or name.startswith(shown)):
             continue
         values, unit = at_edge(results[name], results[name].attrs["units"])
         words = name.replace("_", " ")
@@ -119,7 +120,13 @@ def _add_statistics(table: Table, words: str, unit: str, values: np.ndarray) -> 
     spread = np.std(values, ddof=1) if values.size > 1 else np.nan
     numbers = [values.min(), values.max(), values.mean(), spread]
     numbers += list(np.percentile(values, _PERCENTILES))
-    table.add_row(words, unit, *(f"{number:z.4f}" for number in numbers))
+    table.add_row(words, unit, *(_shown(number) for number in numbers))
+
+
+def _shown(number: float, sign: str = "") -> str:
+    """To four decimals, or in powers of ten where these are all zero."""
+    small = 0.0 < abs(number) < 5e-5
+    return f"{number:{sign}.1e}" if small else f"{number:{sign}z.4f}"
 
 
 def _print_published(console: Console, mission: Mission, results) -> None:
@@ -129,9 +136,9 @@ def _print_published(console: Console, mission: Mission, results) -> None:
         table.add_row(
             published.name,
             published.unit,
-            f"{published.value:.4f}",
-            f"{ours:z.4f}",
-            f"{ours - published.value:+z.4f}",
+            _shown(published.value),
+            _shown(ours),
+            _shown(ours - published.value, "+"),
         )
     print_under(console, mission.published_note, table)
 

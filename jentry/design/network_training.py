@@ -17,7 +17,6 @@ import optax
 from jax import lax
 from jaxtyping import Array, Float, Key
 
-from .._addresses import leaves_by_address
 from .._types import Scalar
 from ..campaign.dispersions import Dispersion
 from ..campaign.monte_carlo import Campaign, monte_carlo
@@ -140,7 +139,7 @@ def _moved_inputs(
         lambda x: np.asarray(x)[flight[chosen], place[chosen]], history.states
     )
     inputs = {a: np.asarray(v)[flight[chosen]] for a, v in campaign.inputs.items()}
-    inputs |= {f"initial_state.{a}": v for a, v in leaves_by_address(states).items()}
+    inputs |= {f"initial_state.{name}": v for name, v in vars(states).items()}
     inputs |= {K1: np.asarray(parameters.k1), K2: np.asarray(parameters.k2)}
     return {address: np.asarray(values) for address, values in inputs.items()}
 

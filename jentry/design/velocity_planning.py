@@ -50,25 +50,11 @@ def plan_parameters(
     """
     parameters = bezier_law(scenario).parameters
     free = jnp.array([1.0 if vary_k1 else 0.0, 1.0])
-
-    def final_velocity(k: Float[Array, " 2"]) -> tuple[Array, Array]:
-        given = eqx.tree_at(
-            lambda s: s.guidance.parameters, scenario, BezierParameters(k[0], k[1])
-        )
-        flight = fly(given, solver)
-        return jnp.asarray(flight.state.velocity), jnp.asarray(flight.outcome)
-
-    @eqx.filter_jit
-    def value_and_slope(k):
-        values, slopes, outcomes = jax.vmap(
-            lambda t: jax.jvp(final_velocity, (k,), (t,), has_aux=True)
-        )(jnp.eye(2))
-        return values[0], slopes * free, outcomes[0]
-
     k = jnp.stack([jnp.asarray(parameters.k1), jnp.asarray(parameters.k2)])
     reached = np.nan
     for _ in range(20):
-        value, slope, outcome = value_and_slope(k)
+        value, slope, outcome = _velocity_and_slopes(scenario, solver, k)
+        slope = slope * free
         reached = float(value)
         if int(outcome) != Outcome.REACHED:
             break
@@ -81,6 +67,25 @@ def plan_parameters(
         f"{float(k[0]):.4f} and k2 = {float(k[1]):.4f}, ends at {reached:.1f} m/s; start "
         "from other parameters"
     )
+
+
+@eqx.filter_jit
+def _velocity_and_slopes(
+    scenario: Scenario, solver: AbstractSolver, k: Float[Array, " 2"]
+) -> tuple[Array, Array, Array]:
+    """Velocity at the target, its derivatives with k1 and k2, and the outcome."""
+
+    def final_velocity(k: Float[Array, " 2"]) -> tuple[Array, Array]:
+        given = eqx.tree_at(
+            lambda s: s.guidance.parameters, scenario, BezierParameters(k[0], k[1])
+        )
+        flight = fly(given, solver)
+        return jnp.asarray(flight.state.velocity), jnp.asarray(flight.outcome)
+
+    values, slopes, outcomes = jax.vmap(
+        lambda t: jax.jvp(final_velocity, (k,), (t,), has_aux=True)
+    )(jnp.eye(2))
+    return values[0], slopes, outcomes[0]
 
 
 class VelocityMap(NamedTuple):
@@ -173,9 +178,10 @@ def k2_polynomials(
 
         k2 = shape.second + _ROOM
         x = 1e-2 * (jax.vmap(at)(k2) - at(shape.second))
-        powers = jnp.stack([jnp.ones_like(x), x, x * x], axis=1)
+        # Through the nominal k2, which the nominal flight then keeps.
+        rest = jnp.linalg.lstsq(jnp.stack([x, x * x], axis=1), jnp.asarray(_ROOM))[0]
         nominal = predictor.predict(law.glide, situation)
-        return nominal, jnp.linalg.lstsq(powers, k2)[0]
+        return nominal, jnp.concatenate([jnp.reshape(shape.second, 1), rest])
 
     nominal, polynomials = jax.vmap(fit)(situations)
     # Increasing angles to go, the copies a little nearer each.

@@ -1,8 +1,9 @@
 """By how much a flight missed its target."""
 
 import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
 
-from .._math import safe_sqrt
 from .._types import Scalar
 from ..motion.quantities import ground_track
 from .fly import Flight
@@ -26,10 +27,13 @@ class Misses(eqx.Module):
     """rad; none if the target has none"""
 
     @property
-    def distance(self) -> Scalar:
-        """From the target, m."""
-        square = self.downrange * self.downrange + self.crossrange * self.crossrange
-        return safe_sqrt(square + self.altitude * self.altitude)
+    def distance(self) -> Array:
+        """From the target, m; of one flight or of many."""
+        square = sum(
+            jnp.square(x) for x in (self.downrange, self.crossrange, self.altitude)
+        )
+        missed = square > 0.0
+        return jnp.where(missed, jnp.sqrt(jnp.where(missed, square, 1.0)), 0.0)
 
 
 def misses(scenario: Scenario, flight: Flight) -> Misses:

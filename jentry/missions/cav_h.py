@@ -35,7 +35,7 @@ from ..onboard.navigation import Accelerometers
 from ..onboard.track import Track
 from ..units import degree, km, micro_g, standard_gravity
 from ..world.aerodynamics import ExponentialAerodynamics
-from ..world.atmosphere import ExponentialAtmosphere
+from ..world.atmosphere import AbstractAtmosphere, ExponentialAtmosphere
 from ..world.gravity import InverseSquareGravity
 from ..world.perturbed_atmosphere import DensityWave, PerturbedAtmosphere
 from ..world.planet import Planet
@@ -63,6 +63,13 @@ def earth() -> Planet:
         atmosphere=ExponentialAtmosphere(surface_density=1.225, scale_height=7200.0),
         heating_coefficient=1.0e-6,
         heating_exponent=3.5,
+    )
+
+
+def disturbed(air: AbstractAtmosphere) -> PerturbedAtmosphere:
+    """The actual air: as it is known on board until it is dispersed."""
+    return PerturbedAtmosphere(
+        air, (DensityWave(0.0, 25.0 * km), DensityWave(0.0, 8.0 * km))
     )
 
 
@@ -97,7 +104,8 @@ def glide(
     acceleration_loop: bool = True,
 ) -> Scenario:
     """Table 1. Angle of attack from 0 to 20 degrees and bank to 85 are assumed."""
-    planet, vehicle = earth(), glider()
+    known, vehicle = earth(), glider()
+    planet = eqx.tree_at(lambda p: p.atmosphere, known, disturbed(known.atmosphere))
     start = EntryState(
         altitude=50.0 * km,
         longitude=0.0,
@@ -112,7 +120,7 @@ def glide(
         parameters=parameters,
         track=track,
         arrival=arrival,
-        model=WorldModel(planet, vehicle),
+        model=WorldModel(known, vehicle),
         limits=FlightLimits(
             least_angle_of_attack=0.0,
             largest_angle_of_attack=20.0 * degree,
@@ -230,24 +238,11 @@ def newton_network() -> Scenario:
 def us_1976() -> Scenario:
     """`newton` through the US Standard Atmosphere, which is also on board."""
     air = USStandardAtmosphere1976()
-    places = lambda s: (s.planet.atmosphere, s.guidance.model.planet.atmosphere)
-    return eqx.tree_at(places, newton(), (air, air))
-
-
-def density_wave() -> Scenario:
-    """`newton` through air whose density departs by a trend and two waves over altitude.
-
-    Sizes as of the dispersed atmosphere of `rlv`'s source: a trend of 10 % at 30 km to
-    25 % at 80 km at three sigma, and waves of 5 % (25 km) and 2 % (8 km).
-    """
-    scenario = newton()
-    air = PerturbedAtmosphere(
-        scenario.planet.atmosphere,
-        (DensityWave(0.05, 25.0 * km), DensityWave(0.02, 8.0 * km)),
-        share_low=0.1 / 3.0,
-        share_high=0.25 / 3.0,
+    places = lambda s: (
+        s.planet.atmosphere.undisturbed,
+        s.guidance.model.planet.atmosphere,
     )
-    return eqx.tree_at(lambda s: s.planet.atmosphere, scenario, air)
+    return eqx.tree_at(places, newton(), (air, air))
 
 
 @functools.cache
@@ -319,16 +314,24 @@ def uniform_sensed() -> dict[str, Dispersion]:
 
 @functools.cache
 def _waves() -> dict[str, Dispersion]:
+    """As in the dispersed atmosphere of studies of the RLV: a trend of 10 % at 30 km to
+    25 % at 80 km at three sigma, and waves of 5 % (25 km) and 2 % (8 km).
+    """
+    air = lambda s: s.planet.atmosphere
     phase = Uniform(0.0, 2.0 * math.pi)
     return {
-        "trend": Dispersion(lambda s: s.planet.atmosphere.trend, Normal(0.0, 1.0)),
-        "long wave": Dispersion(lambda s: s.planet.atmosphere.waves[0].phase, phase),
-        "short wave": Dispersion(lambda s: s.planet.atmosphere.waves[1].phase, phase),
+        "trend": Dispersion(lambda s: air(s).trend, Normal(0.0, 1.0)),
+        "trend at 30 km": Dispersion(lambda s: air(s).share_low, Constant(0.1 / 3.0)),
+        "trend at 80 km": Dispersion(lambda s: air(s).share_high, Constant(0.25 / 3.0)),
+        "long wave": Dispersion(lambda s: air(s).waves[0].amplitude, Constant(0.05)),
+        "its phase": Dispersion(lambda s: air(s).waves[0].phase, phase),
+        "short wave": Dispersion(lambda s: air(s).waves[1].amplitude, Constant(0.02)),
+        "phase of that": Dispersion(lambda s: air(s).waves[1].phase, phase),
     }
 
 
 def waves_sensed() -> dict[str, Dispersion]:
-    """`normal-sensed` for the variant `density-wave`: its air in place of the factor."""
+    """`normal-sensed` with a density factor that varies with altitude."""
     others = {name: d for name, d in normal().items() if name != "density"}
     return others | _waves() | _accelerometers()
 
@@ -380,7 +383,6 @@ MISSION = Mission(
         "network-once": network_once,
         "state-network-once": state_network_once,
         "us-1976": us_1976,
-        "density-wave": density_wave,
     },
     dispersions={
         "normal-sensed": normal_sensed,

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..flight.termination import Outcome
 from .errors import draw_downrange, draw_footprint, footprint
+from .glide import CONSTRAINTS, CONTROLS, STATES, end_errors, over_time
 from .style import in_style, legend, note, panelled
 from .trajectories import HISTORIES, draw_bank, draw_drag
 
@@ -15,6 +16,9 @@ from .trajectories import HISTORIES, draw_bank, draw_drag
 if TYPE_CHECKING:
     import matplotlib.figure
     import xarray
+
+
+_OVER_TIME = {"states": STATES, "controls": CONTROLS, "constraints": CONSTRAINTS}
 
 
 def campaign_figures(
@@ -32,8 +36,11 @@ def campaign_figures(
     - `footprint`: altitude error, and crossrange error if there is any, over downrange
       error.
 
-    The first three need `trajectories`. Runs that did not stay finite are left out, and
-    each figure says how many.
+    - `end_errors`, `states`, `controls`, `constraints`: where the target has a direction,
+      miss distance and errors, and every run over time.
+
+    All over velocity or time need `trajectories`. Runs that did not stay finite are left
+    out, and each figure says how many.
 
     **Arguments:**
 
@@ -60,6 +67,11 @@ def campaign_figures(
         note(figures["downrange"], left_out, results)
         figures["footprint"] = footprint(flown, nominal, title)
         note(figures["footprint"], left_out, results)
+    if "heading_error" in results:
+        figures["end_errors"] = end_errors(flown, title)
+        if trajectories is not None:
+            for name, quantities in _OVER_TIME.items():
+                figures[name] = over_time(kept, quantities, title=title)
     return figures
 
 

@@ -1,0 +1,140 @@
+"""Figures of a glide to a target: states, controls, constraints, errors at the end."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..units import degree, km
+from .style import ENDS, MUTED, NOMINAL, RUNS, in_style, legend, panelled
+
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+    import xarray
+
+
+_QUANTITIES = {
+    "altitude": ("Altitude, km", km),
+    "velocity": ("Velocity, km/s", km),
+    "flight_path_angle": ("Flight-path angle, deg", degree),
+    "heading": ("Azimuth, deg", degree),
+    "angle_of_attack": ("Angle of attack, deg", degree),
+    "bank_angle": ("Bank angle, deg", degree),
+    "heat_rate": ("Heat rate, MW/m²", 1e6),
+    "dynamic_pressure": ("Dynamic pressure, kPa", 1e3),
+    "load_factor": ("Load factor, g", 1.0),
+}
+
+STATES = ("altitude", "velocity", "flight_path_angle", "heading")
+CONTROLS = ("angle_of_attack", "bank_angle")
+CONSTRAINTS = ("heat_rate", "dynamic_pressure", "load_factor")
+
+
+def over_time(
+    trajectories: "xarray.Dataset",
+    names: tuple[str, ...],
+    limits: Mapping[str, float] | None = None,
+    title: str = "",
+) -> "matplotlib.figure.Figure":
+    """Every run over time, a panel for each quantity.
+
+    **Arguments:**
+
+    - `trajectories`: runs with histories, on (run, time), NaN after the end.
+    - `names`: such as `STATES`, `CONTROLS` or `CONSTRAINTS`.
+    - `limits`: of some of them in SI units, drawn as lines.
+    """
+    with in_style():
+        figure, panels = panelled(3.1 * len(names), 2.9, len(names), title)
+        time = trajectories["time"].values
+        for axes, name in zip(panels, names, strict=True):
+            label, size = _QUANTITIES[name]
+            values = trajectories[name].values / size
+            axes.plot(time, values.T, color=RUNS, lw=0.4, alpha=0.25)
+            if limits and name in limits:
+                axes.axhline(limits[name] / size, color=ENDS[-1], lw=1.4, label="limit")
+                legend(axes)
+            axes.set(xlabel="Time, s", ylabel=label)
+    return figure
+
+
+def velocity_errors(
+    campaigns: "Mapping[str, xarray.Dataset]", title: str = ""
+) -> "matplotlib.figure.Figure":
+    """Velocity error at the end of every run, campaigns over one another: figure 15."""
+    with in_style():
+        figure, (axes,) = panelled(7.2, 3.6, 1, title)
+        for colour, (name, results) in zip(ENDS, campaigns.items(), strict=False):
+            error = results["velocity_error"].values
+            mean = np.mean(np.abs(error))
+            axes.plot(
+                results["run"].values,
+                error,
+                ".",
+                ms=3.5,
+                color=colour,
+                label=f"{name}: mean {mean:.3g} m/s",
+            )
+        axes.axhline(0.0, color=MUTED, lw=0.8)
+        axes.set(xlabel="Run", ylabel="Velocity error, m/s")
+        axes.legend(loc="upper left", markerscale=2.0)
+    return figure
+
+
+def end_errors(
+    results: "xarray.Dataset", title: str = ""
+) -> "matplotlib.figure.Figure":
+    """Miss distance and errors of the angles and the velocity: the paper's figure 12."""
+    shown = (
+        ("miss_distance", "Miss distance, m", 1.0),
+        ("flight_path_angle_error", "Flight-path angle error, deg", degree),
+        ("heading_error", "Azimuth error, deg", degree),
+        ("velocity_error", "Velocity error, m/s", 1.0),
+    )
+    with in_style():
+        figure, panels = panelled(12.0, 2.8, len(shown), title)
+        for axes, (name, label, size) in zip(panels, shown, strict=True):
+            axes.hist(results[name].values / size, bins=40, color=RUNS)
+            axes.ticklabel_format(axis="x", scilimits=(-3, 3))
+            axes.set(xlabel=label, ylabel="Runs" if axes is panels[0] else "")
+    return figure
+
+
+def draw_velocity_map(
+    k1: np.ndarray, k2: np.ndarray, velocity: np.ndarray, wanted: float | None = None
+) -> "matplotlib.figure.Figure":
+    """Velocity at the target over k1 and k2, (n, m) in m/s: figure 10.
+
+    `wanted` (m/s) is drawn as a line.
+    """
+    with in_style():
+        figure, (axes,) = panelled(5.4, 3.9, 1, "")
+        filled = axes.contourf(k1, k2, velocity.T, levels=24, cmap="cividis")
+        figure.colorbar(filled, label="Velocity at the target, m/s")
+        if wanted is not None:
+            line = axes.contour(k1, k2, velocity.T, levels=[wanted], colors="white")
+            axes.clabel(line, fmt=f"{wanted:.0f} m/s")
+        axes.set(xlabel="$k_1$", ylabel="$k_2$")
+    return figure
+
+
+def prediction_errors(
+    to_go: np.ndarray, errors: Mapping[str, np.ndarray]
+) -> "matplotlib.figure.Figure":
+    """Magnitude of the error (m/s) of velocity predictions over the way to go (m)."""
+    with in_style():
+        figure, (axes,) = panelled(6.4, 3.6, 1, "")
+        edges = np.linspace(0.0, np.max(to_go), 25)
+        middle = 0.5 * (edges[1:] + edges[:-1])
+        place = np.digitize(to_go, edges[1:-1])
+        for colour, (name, error) in zip(
+            (NOMINAL, *ENDS), errors.items(), strict=False
+        ):
+            binned = [np.abs(error[place == i]) for i in range(len(middle))]
+            mean = [np.mean(b) if b.size else np.nan for b in binned]
+            axes.semilogy(middle / km, mean, color=colour, label=name)
+        axes.set(xlabel="Distance to go, km", ylabel="Mean error of prediction, m/s")
+        axes.legend()
+    return figure
