@@ -36,8 +36,9 @@ def campaign_figures(
     - `footprint`: altitude error, and crossrange error if there is any, over downrange
       error.
 
-    - `end_errors`, `states`, `controls`, `constraints`: where the target has a direction,
-      miss distance and errors, and every run over time.
+    - where the target has a direction, in place of these two: `end_errors`, miss
+      distance and errors, and every run over time in `states`, `controls` and
+      `constraints`.
 
     All over velocity or time need `trajectories`. Runs that did not stay finite are left
     out, and each figure says how many.
@@ -62,13 +63,15 @@ def campaign_figures(
                 draw(axes, kept, nominal)
                 legend(axes)
                 note(figures[name], lost, trajectories)
-        figures["downrange"], (axes,) = panelled(6.4, 4.2, 1, title)
-        draw_downrange(axes, flown)
-        note(figures["downrange"], left_out, results)
-        figures["footprint"] = footprint(flown, nominal, title)
-        note(figures["footprint"], left_out, results)
-    if "heading_error" in results:
+        if "heading_error" not in results:
+            figures["downrange"], (axes,) = panelled(6.4, 4.2, 1, title)
+            draw_downrange(axes, flown)
+            note(figures["downrange"], left_out, results)
+            figures["footprint"] = footprint(flown, nominal, title)
+            note(figures["footprint"], left_out, results)
+            return figures
         figures["end_errors"] = end_errors(flown, title)
+        note(figures["end_errors"], left_out, results)
         if trajectories is not None:
             for name, quantities in _OVER_TIME.items():
                 figures[name] = over_time(kept, quantities, title=title)
@@ -83,10 +86,14 @@ def overview(
 ) -> "matplotlib.figure.Figure":
     """One wide figure of a campaign: drag, bank and downrange error.
 
+    Where the target has a direction, miss distance and errors in its place.
+
     Arguments as of `campaign_figures`. Without `trajectories` there are the downrange
     error and the footprint.
     """
     flown, left_out = _finite_runs(results)
+    if "heading_error" in results:
+        return end_errors(flown, title)
     with in_style():
         if trajectories is None:
             figure, (histogram, ends) = panelled(11.0, 3.6, 2, title)

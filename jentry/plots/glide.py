@@ -96,10 +96,21 @@ def end_errors(
     with in_style():
         figure, panels = panelled(12.0, 2.8, len(shown), title)
         for axes, (name, label, size) in zip(panels, shown, strict=True):
-            axes.hist(results[name].values / size, bins=40, color=RUNS)
-            axes.ticklabel_format(axis="x", scilimits=(-3, 3))
-            axes.set(xlabel=label, ylabel="Runs" if axes is panels[0] else "")
+            draw_errors(axes, results[name].values / size, label)
+            if axes is not panels[0]:
+                axes.set_ylabel("")
     return figure
+
+
+def draw_errors(axes: "matplotlib.axes.Axes", values: np.ndarray, label: str) -> None:
+    """A histogram, in powers of ten of the unit where the values are small."""
+    what, unit = label.rsplit(", ", 1)
+    largest = np.max(np.abs(values), initial=0.0)
+    if 0.0 < largest < 1e-2:
+        power = int(np.floor(np.log10(largest)))
+        values, unit = values * 10.0**-power, f"1e{power} {unit}"
+    axes.hist(values, bins=40, color=RUNS)
+    axes.set(xlabel=f"{what}, {unit}", ylabel="Runs")
 
 
 def draw_velocity_map(

@@ -24,7 +24,9 @@ class DensityWave(eqx.Module):
 
 
 class PerturbedAtmosphere(AbstractAtmosphere):
-    """Another atmosphere, times 1 + trend + waves; temperature and pressure are its own.
+    """Another atmosphere, its density and pressure times 1 + trend + waves.
+
+    The temperature is its own.
 
     The trend is `trend` times a share of the density that grows linearly between two
     altitudes, and keeps its value beyond them: the usual form of a dispersed density,
@@ -40,19 +42,23 @@ class PerturbedAtmosphere(AbstractAtmosphere):
     share_low: Scalar = scalar(0.0)
     share_high: Scalar = scalar(0.0)
 
-    def density(self, altitude: Scalar) -> Scalar:
+    def factor(self, altitude: Scalar) -> Scalar:
+        """Density in units of the undisturbed one."""
         way = jnp.clip((altitude - self.low) / (self.high - self.low), 0.0, 1.0)
         share = self.share_low + way * (self.share_high - self.share_low)
         factor = 1.0 + self.trend * share
         for wave in self.waves:
             factor = factor + wave.departure(altitude)
-        return factor * self.undisturbed.density(altitude)
+        return factor
+
+    def density(self, altitude: Scalar) -> Scalar:
+        return self.factor(altitude) * self.undisturbed.density(altitude)
 
     def temperature(self, altitude: Scalar) -> Scalar:
         return self.undisturbed.temperature(altitude)
 
     def pressure(self, altitude: Scalar) -> Scalar:
-        return self.undisturbed.pressure(altitude)
+        return self.factor(altitude) * self.undisturbed.pressure(altitude)
 
     def speed_of_sound(self, altitude: Scalar) -> Scalar:
         return self.undisturbed.speed_of_sound(altitude)
