@@ -51,20 +51,14 @@ def differences(problem, free, address, inputs, scale):
     return np.mean(np.median(threes, axis=0)[steadiest, np.arange(rates.shape[1])])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mission", "variant", "scale", "slower"),
     [
         ("mars-drag-tracking", "table-3", 1e3, 1.0),
-        pytest.param(
-            *("mars-drag-tracking", "energy-index", 1e3, 1.0), marks=pytest.mark.slow
-        ),
-        pytest.param(
-            *("mars-range-tracking", "in-plane", 20.0, 1.4), marks=pytest.mark.slow
-        ),
-        pytest.param(
-            *("mars-range-tracking", "three-dimensional", 20.0, 1.4),
-            marks=pytest.mark.slow,
-        ),
+        ("mars-drag-tracking", "energy-index", 1e3, 1.0),
+        ("mars-range-tracking", "in-plane", 20.0, 1.4),
+        ("mars-range-tracking", "three-dimensional", 20.0, 1.4),
     ],
 )
 def test_gradient_of_a_batch_matches_differences(mission, variant, scale, slower):

@@ -203,6 +203,7 @@ def test_gradient_through_the_flight_matches_differences():
         assert float(forward[index]) == pytest.approx(float(difference), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_planned_parameters_fly_the_wanted_velocity():
     planned = plan_parameters(stored(), 2700.0)
     assert float(planned.k1) == 0.848
@@ -211,10 +212,14 @@ def test_planned_parameters_fly_the_wanted_velocity():
         2700.0, abs=2e-3
     )
 
+
+@pytest.mark.slow
+def test_no_parameters_for_a_velocity_out_of_reach():
     with pytest.raises(ValueError, match="no curve was found that ends at 6000 m/s"):
         plan_parameters(stored(), 6000.0)
 
 
+@pytest.mark.slow
 def test_map_and_polynomial_are_those_of_the_paper():
     """Figure 10 and (37): a = 2.32e-7, b = -0.0024, c = 5.46."""
     k2 = np.linspace(0.55, 0.9, 8)

@@ -68,6 +68,7 @@ def test_noise_is_refused_where_it_would_not_be_sampled():
         fly(scenario, FixedStep(0.1))
 
 
+@pytest.mark.slow
 def test_an_error_of_the_accelerometers_reaches_the_law():
     """A law that tracks the drag brings the sensed drag, not the actual one, on track."""
     from helpers import fly_compiled

@@ -147,7 +147,7 @@ def given(planned):
     "law",
     [
         "bank profile",
-        "sampled observer",
+        pytest.param("sampled observer", marks=pytest.mark.slow),
         pytest.param("observer", marks=pytest.mark.slow),
     ],
 )
@@ -189,6 +189,7 @@ def batch_of(scenario, law):
     return lanes | {"density_scale": scale}, leaves
 
 
+@pytest.mark.slow
 def test_gradient_of_a_batch_and_batch_of_gradients(given):
     law = "bank profile"
     scenario = given(law)
@@ -215,6 +216,7 @@ def test_gradient_of_a_batch_and_batch_of_gradients(given):
 # Of the history.
 
 
+@pytest.mark.slow
 def test_derivatives_of_the_history(given):
     """A cotangent on every entry, and on the end: entries after the end have none."""
     law = "bank profile"

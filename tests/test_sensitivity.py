@@ -140,6 +140,7 @@ def at_corner():
     )
 
 
+@pytest.mark.slow
 def test_one_end_condition_is_plain_linear_covariance():
     """The root of the sum of squares of derivative times standard deviation."""
     analysis = analysed(False)
@@ -165,6 +166,7 @@ def test_one_end_condition_is_plain_linear_covariance():
     assert analysis.runs == 256 and analysis.failed == 0 and not analysis.without_model
 
 
+@pytest.mark.slow
 def test_on_the_bend_of_two_end_conditions_both_are_needed():
     """There the plain one is wrong by tens of per cent, however small the dispersions."""
     analysis = analysed(True)

@@ -168,7 +168,7 @@ def limit():
     return float(np.median(campaign.flights.peaks.drag))
 
 
-@pytest.mark.parametrize("forward", [True, False])
+@pytest.mark.parametrize("forward", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_flights_that_fail_do_not_poison_the_gradient(forward):
     """It is the gradient of the others alone."""
     start = fragile(limit())
@@ -195,7 +195,13 @@ def test_flights_that_fail_do_not_poison_the_gradient(forward):
 ADDRESS = "guidance.bank_angle"
 
 
-@pytest.mark.parametrize("name", OPTIMIZERS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("L-BFGS", marks=pytest.mark.slow),
+        *(name for name in OPTIMIZERS if name != "L-BFGS"),
+    ],
+)
 def test_flights_that_fail_are_counted_and_left_out(name):
     start = fragile(limit())
     result = tuned(name, start=start, table=density(), steps=5)
@@ -227,6 +233,7 @@ def test_it_stops_without_progress(tolerance):
     assert result.stopped == "no progress in 2 steps" and len(result.history) == 3
 
 
+@pytest.mark.slow
 def test_it_stops_where_no_gradient_reaches():
     """The time limit is never met: the bank of a number that nothing depends on."""
     result = tuned(where=lambda s: s.target.velocity)
@@ -253,6 +260,7 @@ def three(s):
     return s.guidance.bank_angle, s.initial_state.heading, s.vehicle.nose_radius
 
 
+@pytest.mark.slow
 def test_several_leaves_and_one_without_effect():
     result = tuned(where=three, steps=3)
     address = "vehicle.nose_radius"

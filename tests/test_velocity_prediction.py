@@ -85,7 +85,7 @@ def test_derivative_in_the_shape_is_that_of_differences(name):
     def predicted(second):
         return FlownModel().predict(law.glide, situation(law, second=second))
 
-    slope = float(jax.grad(predicted)(second))
+    slope = float(jax.jvp(predicted, (second,), (jnp.ones_like(second),))[1])
     step = 1e-5
     difference = (predicted(second + step) - predicted(second - step)) / (2 * step)
     assert slope == pytest.approx(float(difference), rel=1e-6)
