@@ -113,3 +113,9 @@ def test_derivatives_are_those_of_differences():
     )
     # On a meridian each coordinate is one of the two.
     np.testing.assert_allclose(np.stack(slopes), [[0.0, 1.0], [1.0, 0.0]], atol=1e-14)
+
+
+@pytest.mark.parametrize("latitude", [0.0, 170.0])
+def test_a_track_needs_a_length(latitude):
+    with pytest.raises(ValueError, match="deg long: start and target must be apart"):
+        Track(0.0, 0.0, 0.0, latitude * degree)

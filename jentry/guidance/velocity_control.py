@@ -134,6 +134,7 @@ class NewtonAdjustment(AbstractVelocityControl):
     """Beyond the paper: Newton's method on the predicted velocity at the target.
 
     With any predictor, since all are differentiable: the flown model, or the network.
+    Where a prediction is not finite the curve is left as it is until the next epoch.
     """
 
     wanted_velocity: Scalar = scalar(unit="m/s", positive=True)

@@ -1,7 +1,11 @@
 """The great circle from start to target, and where a vehicle is relative to it."""
 
+import math
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 
 from .._math import sincos
 from .._types import Scalar, scalar
@@ -12,6 +16,10 @@ Direction = tuple[Scalar, Scalar, Scalar]
 
 _LONG = 1.4
 """rad; a track that is longer has its middle on the equator of its coordinates."""
+
+
+_LONGEST = 2.8
+"""rad"""
 
 
 class TrackPosition(eqx.Module):
@@ -40,6 +48,18 @@ class Track(eqx.Module):
     start_latitude: Scalar = scalar(unit="rad")
     target_longitude: Scalar = scalar(unit="rad")
     target_latitude: Scalar = scalar(unit="rad")
+
+    def __check_init__(self):
+        angles = jax.tree.leaves(self)
+        if len(angles) < 4 or any(isinstance(x, Tracer | str) for x in angles):
+            return
+        with jax.ensure_compile_time_eval():
+            length = float(self.length())
+        if not 1e-9 < length < _LONGEST:
+            raise ValueError(
+                f"the track is {math.degrees(length):g} deg long: start and target must "
+                f"be apart, by {math.degrees(_LONGEST):g} deg at most"
+            )
 
     def length(self) -> Scalar:
         """Angle from start to target, rad."""
