@@ -301,3 +301,14 @@ def test_flights_that_do_not_matter_have_no_gradient():
     np.testing.assert_allclose(gradient[worst], 20 / flights, rtol=CLOSE)
     below = jax.jit(jax.grad(lambda x: excess(x, 1.0)))(values)
     assert np.array_equal(below != 0.0, values > 1.0)
+
+
+def test_a_miss_that_the_target_does_not_have_is_an_error():
+    from jentry.design.losses import ScaledMisses
+    from jentry.flight.misses import Misses
+
+    missed = Misses(*(jnp.full(2, x) for x in (1.0, 2.0, 3.0, 4.0)))
+    (altitude,) = ScaledMisses((("altitude", 2.0),))(missed)
+    np.testing.assert_array_equal(altitude, [1.5, 1.5])
+    with pytest.raises(ValueError, match="the target has no heading"):
+        ScaledMisses((("heading", 1.0),))(missed)

@@ -27,6 +27,9 @@ _MISSES = tuple(Misses.__dataclass_fields__)
 _SAME = 1e-4
 """Of a statistic: a change that is real, and of no interest"""
 
+_SIDE_BY_SIDE = 3
+"""Misses whose effects fit beside one another"""
+
 _HOLDS_WITHIN = 0.1
 """Of the flown standard deviation"""
 
@@ -242,18 +245,21 @@ def print_covariance(
     if analysis.runs:
         title += f", beside {analysis.runs} runs"
     print_under(console, title, table)
-    table = new_table(
-        "one std of", *(x for name in outputs for x in (name, "flown", "bend"))
-    )
-    for dispersion in next(iter(analysis.effects.values())):
-        cells: list[Any] = []
-        for name in outputs:
-            effect = analysis.effects[name][dispersion]
-            numbers = np.array([effect.linear, effect.flown, effect.bend])
-            edge, _ = at_edge(numbers, unit_of_output(None, name))
-            cells += [f"{x:z.4f}" for x in edge]
-        table.add_row(dispersion, *cells)
-    print_under(console, "effect of one standard deviation, same units", table)
+    for few in (
+        outputs[i : i + _SIDE_BY_SIDE] for i in range(0, len(outputs), _SIDE_BY_SIDE)
+    ):
+        table = new_table(
+            "one std of", *(x for name in few for x in (name, "flown", "bend"))
+        )
+        for dispersion in next(iter(analysis.effects.values())):
+            cells: list[Any] = []
+            for name in few:
+                effect = analysis.effects[name][dispersion]
+                numbers = np.array([effect.linear, effect.flown, effect.bend])
+                edge, _ = at_edge(numbers, unit_of_output(None, name))
+                cells += [f"{x:z.4f}" for x in edge]
+            table.add_row(dispersion, *cells)
+        print_under(console, "effect of one standard deviation, same units", table)
 
 
 def print_cards(mission: Mission, cards: Mapping[str, Mapping[str, Any]]) -> None:

@@ -147,6 +147,11 @@ class ScaledMisses:
     scales: tuple[tuple[str, float], ...]
 
     def __call__(self, misses: Any) -> tuple[Values, ...]:
+        for name, _ in self.scales:
+            if getattr(misses, name) is None:
+                raise ValueError(
+                    f"the target has no {name}: give it one, or leave the miss out"
+                )
         return tuple(getattr(misses, name) / scale for name, scale in self.scales)
 
 
