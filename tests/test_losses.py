@@ -307,8 +307,6 @@ def test_a_miss_that_the_target_does_not_have_is_an_error():
     from jentry.design.losses import ScaledMisses
     from jentry.flight.misses import Misses
 
-    missed = Misses(*(jnp.full(2, x) for x in (1.0, 2.0, 3.0, 4.0)))
-    (altitude,) = ScaledMisses((("altitude", 2.0),))(missed)
-    np.testing.assert_array_equal(altitude, [1.5, 1.5])
+    missed = Misses(*(jnp.asarray(x) for x in (1.0, 2.0, 3.0, 4.0)))
     with pytest.raises(ValueError, match="the target has no heading"):
         ScaledMisses((("heading", 1.0),))(missed)
