@@ -11,6 +11,7 @@ from pathlib import Path
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from jentry._types import Scalar, scalar
 from jentry.flight import (
@@ -161,3 +162,23 @@ all_laws = {
     "sampled observer": lambda reference: Sampled(observer_law(reference), 1.0),
 }
 """Makers of every law, each from a drag reference over energy."""
+
+
+def ahead(start, heading, distance):
+    """Where a great circle leads, and the heading there: the textbook formulas, deg."""
+    longitude, latitude = np.radians(start)
+    heading, distance = np.radians(heading), np.radians(distance)
+    sine = np.sin(latitude) * np.cos(distance) + np.cos(latitude) * np.sin(
+        distance
+    ) * np.cos(heading)
+    there = np.arcsin(sine)
+    turn = np.arctan2(
+        np.sin(heading) * np.sin(distance) * np.cos(latitude),
+        np.cos(distance) - np.sin(latitude) * sine,
+    )
+    after = np.arctan2(
+        np.sin(heading) * np.cos(latitude),
+        np.cos(heading) * np.cos(latitude) * np.cos(distance)
+        - np.sin(latitude) * np.sin(distance),
+    )
+    return np.degrees((longitude + turn, there, after))

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import fly_compiled
+from helpers import ahead, fly_compiled
 
 from jentry._addresses import leaves_by_address
 from jentry.campaign.monte_carlo import drawn_inputs, monte_carlo
@@ -126,19 +126,8 @@ def test_any_heading_and_place_flies_the_same():
     scenario = stored()
     start = scenario.initial_state
     # Over the pole: from 70 degrees north at a heading of 20 degrees.
-    latitude, heading, length = 70 * degree, 20 * degree, 55.9067 * degree
-    sine = np.sin(latitude) * np.cos(length)
-    sine += np.cos(latitude) * np.sin(length) * np.cos(heading)
-    target = np.arcsin(sine)
-    longitude = np.arctan2(
-        np.sin(heading) * np.sin(length) * np.cos(latitude),
-        np.cos(length) - np.sin(latitude) * sine,
-    )
-    arrival = np.arctan2(
-        np.sin(heading) * np.cos(latitude),
-        np.cos(heading) * np.cos(latitude) * np.cos(length)
-        - np.sin(latitude) * np.sin(length),
-    )
+    latitude, heading = 70 * degree, 20 * degree
+    longitude, target, arrival = np.radians(ahead((0.0, 70.0), 20.0, 55.9067))
     numbers = [jnp.asarray(x) for x in (latitude, heading, arrival, longitude, target)]
     latitude, heading, arrival, longitude, target = numbers
     track = dataclasses.replace(

@@ -8,7 +8,8 @@ from jentry.design import fly_samples, train_predictor
 from jentry.guidance.velocity_prediction import Inputs
 from jentry.missions import find_mission
 from jentry.missions.cav_h import subdivided
-from jentry.missions.cav_h_networks import BETWEEN, training_dispersions
+from jentry.missions.cav_h_dispersions import training_dispersions
+from jentry.missions.cav_h_networks import BETWEEN
 
 
 @pytest.fixture(scope="module")

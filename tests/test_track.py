@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import ahead
 
 from jentry.motion import EntryState
 from jentry.onboard import Track
@@ -18,26 +19,6 @@ def at(longitude, latitude, heading):
     angles = (jnp.asarray(a * degree) for a in (longitude, latitude, heading))
     longitude, latitude, heading = angles
     return EntryState(50 * km, longitude, latitude, 7500.0, 0.0, heading)
-
-
-def ahead(start, heading, distance):
-    """Where a great circle leads, and the heading there: the textbook formulas, deg."""
-    longitude, latitude = np.radians(start)
-    heading, distance = np.radians(heading), np.radians(distance)
-    sine = np.sin(latitude) * np.cos(distance) + np.cos(latitude) * np.sin(
-        distance
-    ) * np.cos(heading)
-    there = np.arcsin(sine)
-    turn = np.arctan2(
-        np.sin(heading) * np.sin(distance) * np.cos(latitude),
-        np.cos(distance) - np.sin(latitude) * sine,
-    )
-    after = np.arctan2(
-        np.sin(heading) * np.cos(latitude),
-        np.cos(heading) * np.cos(latitude) * np.cos(distance)
-        - np.sin(latitude) * np.sin(distance),
-    )
-    return np.degrees((longitude + turn, there, after))
 
 
 def test_on_a_meridian_they_are_latitude_and_longitude():

@@ -6,14 +6,12 @@ is chosen.
 """
 
 import functools
-import math
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
 import numpy as np
 
-from ..campaign.dispersions import Constant, Dispersion, Normal, Uniform, add
 from ..design.velocity_planning import k2_polynomials
 from ..flight.scenario import Scenario, Target
 from ..flight.termination import AltitudeBelow, Outcome, TargetPassed, Termination
@@ -33,7 +31,7 @@ from ..onboard.bezier import BezierParameters
 from ..onboard.model import WorldModel
 from ..onboard.navigation import Accelerometers
 from ..onboard.track import Track
-from ..units import degree, km, micro_g, standard_gravity
+from ..units import degree, km, standard_gravity
 from ..world.aerodynamics import ExponentialAerodynamics
 from ..world.atmosphere import AbstractAtmosphere, ExponentialAtmosphere
 from ..world.gravity import InverseSquareGravity
@@ -41,11 +39,18 @@ from ..world.perturbed_atmosphere import DensityWave, PerturbedAtmosphere
 from ..world.planet import Planet
 from ..world.us_standard_atmosphere import USStandardAtmosphere1976
 from ..world.vehicle import Vehicle
+from .cav_h_dispersions import (
+    RADIUS,
+    normal,
+    normal_sensed,
+    uniform,
+    uniform_sensed,
+    waves_sensed,
+)
 from .cav_h_networks import network_predictor, train
 from .mission import Mission, PublishedValue, standard_deviation
 
 
-RADIUS = 6371.0 * km
 TARGET_LATITUDE = 55.9067 * degree
 """6216.538 km due north: with the paper's k1 and k2 the velocity there is its 2630 m/s"""
 
@@ -243,97 +248,6 @@ def us_1976() -> Scenario:
         s.guidance.model.planet.atmosphere,
     )
     return eqx.tree_at(places, newton(), (air, air))
-
-
-@functools.cache
-def _initial_state() -> dict[str, Dispersion]:
-    """Table 2, three sigma as printed."""
-
-    def moved(where, three_sigma):
-        return Dispersion(where, Normal(0.0, three_sigma / 3.0), apply=add)
-
-    return {
-        "range": moved(lambda s: s.initial_state.latitude, 1.5 * km / RADIUS),
-        "cross range": moved(lambda s: s.initial_state.longitude, 1.5 * km / RADIUS),
-        "altitude": moved(lambda s: s.initial_state.altitude, 1.5 * km),
-        "velocity": moved(lambda s: s.initial_state.velocity, 75.0),
-        "flight-path angle": moved(
-            lambda s: s.initial_state.flight_path_angle, 0.06 * degree
-        ),
-        "azimuth": moved(lambda s: s.initial_state.heading, 0.06 * degree),
-    }
-
-
-def _factors(distribution) -> dict[str, Dispersion]:
-    return {
-        "density": Dispersion(lambda s: s.planet.density_scale, distribution),
-        "lift": Dispersion(lambda s: s.vehicle.lift_scale, distribution),
-        "drag": Dispersion(lambda s: s.vehicle.drag_scale, distribution),
-    }
-
-
-@functools.cache
-def normal() -> dict[str, Dispersion]:
-    """Table 2 with the factors normal, 10 % at three sigma."""
-    return _initial_state() | _factors(Normal(1.0, 0.1 / 3.0))
-
-
-@functools.cache
-def uniform() -> dict[str, Dispersion]:
-    """Table 2 with the factors uniform within 10 %."""
-    return _initial_state() | _factors(Uniform(0.9, 1.1))
-
-
-@functools.cache
-def _accelerometers() -> dict[str, Dispersion]:
-    """Bias of 100 micro-g and scale factor of 300 ppm at three sigma, noise of 50
-    micro-g in each sample.
-    """
-    bias = Normal(0.0, 100.0 * micro_g / 3.0)
-    scale = Normal(0.0, 300e-6 / 3.0)
-    noise = Constant(50.0 * micro_g)
-    return {
-        "lift bias": Dispersion(lambda s: s.accelerometers.lift_bias, bias),
-        "drag bias": Dispersion(lambda s: s.accelerometers.drag_bias, bias),
-        "lift scale": Dispersion(lambda s: s.accelerometers.lift_scale_error, scale),
-        "drag scale": Dispersion(lambda s: s.accelerometers.drag_scale_error, scale),
-        "noise": Dispersion(lambda s: s.accelerometers.noise, noise),
-        "noise seed": Dispersion(lambda s: s.accelerometers.noise_seed, Uniform(0, 1)),
-    }
-
-
-def normal_sensed() -> dict[str, Dispersion]:
-    """`normal` with errors of the accelerometers."""
-    return normal() | _accelerometers()
-
-
-def uniform_sensed() -> dict[str, Dispersion]:
-    """`uniform` with errors of the accelerometers."""
-    return uniform() | _accelerometers()
-
-
-@functools.cache
-def _waves() -> dict[str, Dispersion]:
-    """As in the dispersed atmosphere of studies of the RLV: a trend of 10 % at 30 km to
-    25 % at 80 km at three sigma, and waves of 5 % (25 km) and 2 % (8 km).
-    """
-    air = lambda s: s.planet.atmosphere
-    phase = Uniform(0.0, 2.0 * math.pi)
-    return {
-        "trend": Dispersion(lambda s: air(s).trend, Normal(0.0, 1.0)),
-        "trend at 30 km": Dispersion(lambda s: air(s).share_low, Constant(0.1 / 3.0)),
-        "trend at 80 km": Dispersion(lambda s: air(s).share_high, Constant(0.25 / 3.0)),
-        "long wave": Dispersion(lambda s: air(s).waves[0].amplitude, Constant(0.05)),
-        "its phase": Dispersion(lambda s: air(s).waves[0].phase, phase),
-        "short wave": Dispersion(lambda s: air(s).waves[1].amplitude, Constant(0.02)),
-        "phase of that": Dispersion(lambda s: air(s).waves[1].phase, phase),
-    }
-
-
-def waves_sensed() -> dict[str, Dispersion]:
-    """`normal-sensed` with a density factor that varies with altitude."""
-    others = {name: d for name, d in normal().items() if name != "density"}
-    return others | _waves() | _accelerometers()
 
 
 def _train(folder: Path, seed: int, **options: Any) -> dict[str, dict[str, Any]]:

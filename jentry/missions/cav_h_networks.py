@@ -7,12 +7,11 @@ from typing import Any, NamedTuple
 
 import jax
 
-from ..campaign.dispersions import Dispersion, Uniform, add, multiply
 from ..design.network_training import fly_samples, train_predictor
 from ..flight.scenario import Scenario
 from ..guidance.velocity_prediction import Inputs, NetworkPredictor
 from ..onboard.network import load_network, save_network
-from ..units import degree, km
+from .cav_h_dispersions import training_dispersions
 
 
 FOLDER = Path(__file__).parent / "networks"
@@ -52,34 +51,6 @@ def network_predictor(name: str, folder: Path = FOLDER) -> NetworkPredictor:
     """
     network, _ = load_network(folder / f"{name}.npz", PURPOSES[name].sentence)
     return NetworkPredictor(network, PURPOSES[name].inputs)
-
-
-@functools.cache
-def training_dispersions() -> dict[str, Dispersion]:
-    """Uniform, a fifth wider than three sigma of Table 2; lift and drag within 20 %.
-
-    That is the product of two factors at their limit of 10 %. k2 moves with them.
-    """
-
-    def moved(where, three_sigma):
-        limit = 1.2 * three_sigma
-        return Dispersion(where, Uniform(-limit, limit), apply=add)
-
-    radius = 6371.0 * km
-    factor = Uniform(0.8, 1.22)
-    return {
-        "range": moved(lambda s: s.initial_state.latitude, 1.5 * km / radius),
-        "cross range": moved(lambda s: s.initial_state.longitude, 1.5 * km / radius),
-        "altitude": moved(lambda s: s.initial_state.altitude, 1.5 * km),
-        "velocity": moved(lambda s: s.initial_state.velocity, 75.0),
-        "flight-path angle": moved(
-            lambda s: s.initial_state.flight_path_angle, 0.06 * degree
-        ),
-        "azimuth": moved(lambda s: s.initial_state.heading, 0.06 * degree),
-        "lift": Dispersion(lambda s: s.vehicle.lift_scale, factor, apply=multiply),
-        "drag": Dispersion(lambda s: s.vehicle.drag_scale, factor, apply=multiply),
-        "k2": Dispersion(lambda s: s.guidance.parameters.k2, Uniform(0.3, 1.05)),
-    }
 
 
 def train(
