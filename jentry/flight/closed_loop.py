@@ -43,6 +43,8 @@ class Bracket(eqx.Module):
     """A step of this length is known to cross the end, s; infinite while none is"""
     far_margin: Scalar
     """Smallest margin there"""
+    allowed: Scalar
+    """`far` is at most this after the next step, s"""
 
 
 class Lane(eqx.Module):
@@ -116,7 +118,7 @@ def start(scenario: Scenario, step: float) -> Lane:
         memory=memory,
         held=held,
         peaks=path_constraints(scenario, state, controls),
-        bracket=Bracket(flown + step, margin, flown + jnp.inf, flown),
+        bracket=Bracket(flown + step, margin, flown + jnp.inf, flown, flown + jnp.inf),
         running=margin > 0.0,
     )
 

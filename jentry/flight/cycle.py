@@ -35,8 +35,8 @@ _END_TOLERANCE = 1e-9
 """s; what the last correction and its derivative neglect is of this size."""
 
 
-_STEPS_TO_THE_END = 12
-"""It takes four or five, twice as many where two conditions are met at once."""
+_FREE_STEPS = 3
+"""Steps to the end that need not halve the way to it; it takes four or five steps."""
 
 
 _STEP = 0.1
@@ -99,7 +99,7 @@ class Plan(eqx.Module):
                 )
             scheduled = law.most_cycles(limit)
         steps = solver.steps_in(duration) if isinstance(solver, FixedStep) else 1
-        cycles = scheduled + math.ceil(_STEPS_TO_THE_END / steps)
+        cycles = scheduled + math.ceil(steps_to_the_end(duration / steps) / steps)
         decide_every = 1 if period is None else round(period / duration)
         keep_every = 1 if history is None else round(history / duration)
         return cls(duration, scheduled, cycles, decide_every, keep_every, solver)
@@ -149,6 +149,11 @@ def varies(law: AbstractLaw) -> bool:
     )
 
 
+def steps_to_the_end(step: float) -> int:
+    """That are taken at most in a step (s) that holds the end; see `_next_trial`."""
+    return math.ceil(math.log2(max(step / _END_TOLERANCE, 1.0))) + _FREE_STEPS + 2
+
+
 def _fixed_cycle(
     scenario: Scenario,
     solver: FixedStep,
@@ -160,7 +165,7 @@ def _fixed_cycle(
 
     A step that would cross the end is not taken. From there the steps go to where the
     straight line through the margins before and behind the end meets zero: two or three
-    of them come within the tolerance, always on the near side. They are steps of the same
+    of them come within the tolerance, on the near side. They are steps of the same
     solver, so that the order is kept up to the end.
     """
     field = vector_field(scenario, lane.held)
@@ -188,7 +193,7 @@ def _fixed_cycle(
         running = lane.running & finite
         after = _next_trial(bracket, margin, taken, full_step)
         bracket = select(running, after, bracket)
-        running = running & (bracket.trial >= _END_TOLERANCE)
+        running = running & (bracket.trial > 0.0)
         return Lane(flown, state, memory, lane.held, peaks, bracket, running), None
 
     return lax.scan(step, lane, None, length=steps)[0]
@@ -199,22 +204,35 @@ def _next_trial(
 ) -> Bracket:
     """After a step to a margin, which was taken or was found to cross the end.
 
-    The next step is differentiated as one of Newton's method: it moves with the margin.
+    The next step is zero when the end is within the tolerance. Wherever the end lies, the
+    bracket about it is no longer than `allowed` after the next step, which is halved each
+    time: so the number of steps is bounded, whatever the margin looks like, in the manner
+    of I. F. D. Oliveira and R. H. C. Takahashi, "An Enhancement of the Bisection Method
+    Average Performance Preserving Minmax Optimality", ACM TOMS 47(1), 2020.
+
+    These steps are not differentiated: what they leave undone at the end is.
     """
     moved = (bracket.margin - margin) / bracket.trial
+    allowed = 0.5 * bracket.allowed
     margin, far, far_margin = select(
         taken,
         (margin, bracket.far - bracket.trial, bracket.far_margin),
         (bracket.margin, bracket.trial, margin),
     )
     in_sight = jnp.isfinite(far)
-    closing = jnp.where(in_sight, (margin - far_margin) / far, 1.0)
+    allowed = jnp.where(jnp.isfinite(allowed), allowed, 2.0**_FREE_STEPS * far)
+    closing = (margin - far_margin) / far
     # Where two conditions compete, the margin behind the end may be another's and a
     # steeper one: then the step just taken tells better how fast this one closes.
     closing = jnp.where(taken & (moved > 0.0), jnp.minimum(closing, moved), closing)
-    closing, far, far_margin = lax.stop_gradient((closing, far, far_margin))
-    aim = jnp.where(in_sight, _AIM_SHORT * margin / closing, full_step)
-    return Bracket(aim, margin, far, far_margin)
+    way = margin / closing
+    arrived = (taken & (way < _END_TOLERANCE)) | (far < _END_TOLERANCE)
+    aim = jnp.minimum(_AIM_SHORT * way, allowed)
+    aim = jnp.clip(aim, far - allowed, _AIM_SHORT * far)
+    aim = jnp.where(arrived, 0.0, aim)
+    aim, far, far_margin, allowed = lax.stop_gradient((aim, far, far_margin, allowed))
+    trial = jnp.where(in_sight, aim, full_step)
+    return Bracket(trial, margin, far, far_margin, allowed)
 
 
 def is_finite(y: Any) -> Flag:

@@ -2,7 +2,8 @@
 
 `lax.while_loop` stops as soon as every flight of a batch has ended, but has no reverse
 mode; `lax.scan` has both, but always runs to the horizon. This loop stops early *and*
-has both: its derivative is stated once, as a linear map with its transpose.
+has both: its derivative is stated once, as the solution of a linear system with its
+transpose. Since the system is stated too, derivatives of any order follow from it.
 """
 
 from collections.abc import Callable
@@ -15,7 +16,7 @@ from jax import lax
 from jaxtyping import PyTree
 
 from .._batching import any_lane
-from .._types import Count
+from .._types import Count, Scalar
 
 
 Carry = TypeVar("Carry", bound=PyTree)
@@ -90,24 +91,39 @@ def _run(parameters, carry, cycle, running, max_cycles, keep):
 _loop = eqx.filter_custom_jvp(_run)
 
 
+class _Path(eqx.Module):
+    """The linearized flight as a whole: what the sweeps give, and what they are given."""
+
+    varied: PyTree
+    """What is varied of the parameters"""
+    first: PyTree
+    """The carry before the first cycle"""
+    stack: PyTree
+    """The carries at the starts of all cycles, and behind the last one"""
+    final: PyTree
+    """The carry when the loop stopped"""
+
+
 @_loop.def_jvp
 def _loop_jvp(primals, tangents):
     parameters, carry, cycle, running, max_cycles, keep = primals
     parameter_tangents, carry_tangents, *_ = tangents
-    final, history, count = _run(parameters, carry, cycle, running, max_cycles, True)
+    # The function with this rule, and not its body: the places about which the cycles are
+    # linearized depend on the parameters too, which is what higher derivatives need.
+    final, history, count = _loop(parameters, carry, cycle, running, max_cycles, True)
 
     differentiated = jax.tree.map(
         lambda t: t is not None, parameter_tangents, is_leaf=lambda t: t is None
     )
     varied, fixed = eqx.partition(parameters, differentiated)
-    _, discrete_stack = eqx.partition(history, eqx.is_inexact_array)
-    moving = eqx.filter(carry, eqx.is_inexact_array)
+    moving, _ = eqx.partition(carry, eqx.is_inexact_array)
+    moving_stack, discrete_stack = eqx.partition(history, eqx.is_inexact_array)
     carry_tangents = eqx.combine(
         eqx.filter(carry_tangents, eqx.is_inexact_array),
         jax.tree.map(jnp.zeros_like, moving),
     )
 
-    def linearized(index):
+    def linearized(varied, index):
         """The cycle at its place in the flight, over what is differentiated only."""
         discrete = _take(discrete_stack, index)
 
@@ -115,57 +131,101 @@ def _loop_jvp(primals, tangents):
             after = cycle(eqx.combine(varied, fixed), eqx.combine(moving, discrete))
             return eqx.filter(after, eqx.is_inexact_array)
 
-        at = varied, _take(eqx.filter(history, eqx.is_inexact_array), index)
-        return advance, at
+        return advance, (varied, _take(moving_stack, index))
 
-    def push(inputs):
-        varied_tangent, moving_tangent, stack = inputs
-
+    def push(path):
         def body(loop):
             index, tangent, stack = loop
-            if keep:
-                stack = _put(stack, index, tangent)
-            advance, at = linearized(index)
-            _, tangent = jax.jvp(advance, at, (varied_tangent, tangent))
-            return index + 1, tangent, stack
+            advance, at = linearized(varied, index)
+            _, tangent = jax.jvp(advance, at, (path.varied, tangent))
+            tangent = _add(tangent, _take(path.stack, index + 1))
+            return index + 1, tangent, _put(stack, index + 1, tangent)
 
+        tangent = _add(path.first, _take(path.stack, 0))
+        stack = _put(path.stack, 0, tangent)
         _, tangent, stack = lax.while_loop(
-            lambda loop: loop[0] < count, body, (0, moving_tangent, stack)
+            lambda loop: loop[0] < count, body, (0, tangent, stack)
         )
-        return jax.tree.map(jnp.zeros_like, varied_tangent), tangent, stack
+        return _Path(path.varied, path.first, stack, _add(path.final, tangent))
 
-    def pull(cotangents):
-        _, moving_cotangent, stack = cotangents
-
+    def pull(path):
         def body(loop):
-            index, parameter_cotangent, cotangent = loop
+            index, parameter_cotangent, cotangent, stack = loop
             index = index - 1
-            advance, at = linearized(index)
+            advance, at = linearized(varied, index)
             _, transpose = jax.vjp(advance, *at)
             more, cotangent = transpose(cotangent)
-            if keep:
-                cotangent = _add(cotangent, _take(stack, index))
-            return index, _add(parameter_cotangent, more), cotangent
+            cotangent = _add(cotangent, _take(path.stack, index))
+            stack = _put(stack, index, cotangent)
+            return index, _add(parameter_cotangent, more), cotangent, stack
 
-        start = count, jax.tree.map(jnp.zeros_like, varied), moving_cotangent
-        _, parameter_cotangent, cotangent = lax.while_loop(
-            lambda loop: loop[0] > 0, body, start
+        cotangent = _add(path.final, _take(path.stack, count))
+        stack = _put(path.stack, count, cotangent)
+        _, parameter_cotangent, cotangent, stack = lax.while_loop(
+            lambda loop: loop[0] > 0, body, (count, path.varied, cotangent, stack)
         )
-        return parameter_cotangent, cotangent, jax.tree.map(jnp.zeros_like, stack)
+        return _Path(
+            parameter_cotangent, _add(path.first, cotangent), stack, path.final
+        )
 
-    # `custom_linear_solve` is the one public primitive that lets a linear map carry its
-    # own transpose through jvp, transposition and vmap. It is used for that alone: the
-    # map takes (parameters, carry, 0) to (0, final carry, history). It insists that all
-    # its inputs are linear in the tangents, hence the zero that ties them together.
-    stack = _stack_of(moving, max_cycles) if keep else None
-    inputs = parameter_tangents, carry_tangents, stack
-    tie = 0.0 * sum(jnp.sum(t) for t in jax.tree.leaves(inputs[:2]))
-    inputs = jax.tree.map(lambda t: t + tie, inputs)
-    _, tangent, stack = lax.custom_linear_solve(
-        lambda x: x,
-        inputs,
-        solve=lambda _, inputs: push(inputs),
-        transpose_solve=lambda _, cotangents: pull(cotangents),
+    def equations(path):
+        """Left-hand sides of the equations that the sweeps solve.
+
+        x[0] - first, x[k+1] - J[k] x[k] and final - x[count], where J[k] is the derivative
+        of a cycle at its place in the flight. Evaluated for derivatives of higher order
+        only, which differentiate J.
+        """
+        places = varied, moving_stack
+        one = 1.0 + _nothing_of(places)
+
+        def of_cycle(index):
+            # Behind the end of the loop there is no place to linearize about.
+            flown = index < count
+            at = jnp.where(flown, index, 0)
+            advance, at = linearized(varied, at)
+            before = path.varied, _take(path.stack, index)
+            _, after = jax.jvp(advance, at, before)
+            after = jax.tree.map(lambda a: jnp.where(flown, a, 0.0), after)
+            return jax.tree.map(jnp.subtract, _take(path.stack, index + 1), after)
+
+        rows = lax.map(jax.checkpoint(of_cycle), jnp.arange(max_cycles))
+        start = jax.tree.map(
+            lambda x, first: x[:1] - first[None], path.stack, path.first
+        )
+        sides = _Path(
+            path.varied,
+            path.first,
+            jax.tree.map(lambda a, b: jnp.concatenate([a, b]), start, rows),
+            jax.tree.map(jnp.subtract, path.final, _take(path.stack, count)),
+        )
+        return jax.tree.map(lambda side: one * side, sides)
+
+    # `custom_linear_solve` lets a linear map carry its own transpose through jvp,
+    # transposition and vmap, and its equations tell what derivatives of it are. It
+    # insists that all that it is given is linear in the tangents.
+    nothing = _nothing_of((parameter_tangents, carry_tangents))
+    given = _Path(
+        parameter_tangents,
+        carry_tangents,
+        _stack_of(moving, max_cycles + 1),
+        jax.tree.map(jnp.zeros_like, moving),
     )
+    given = jax.tree.map(lambda t: t + nothing, given)
+    path = lax.custom_linear_solve(
+        equations,
+        given,
+        solve=lambda _, given: push(given),
+        transpose_solve=lambda _, given: pull(given),
+    )
+    stack = jax.tree.map(lambda x: x[:-1], path.stack) if keep else None
     out = final, history if keep else None, count
-    return out, (tangent, stack, None)
+    return out, (path.final, stack, None)
+
+
+def _nothing_of(tree: PyTree) -> Scalar:
+    """Zero that depends on all numbers of a tree, as far as JAX can tell.
+
+    A product with zero would be NaN where a number is, and would be computed.
+    """
+    total = sum(jnp.sum(x) for x in jax.tree.leaves(tree))
+    return jnp.where(False, total, 0.0)
