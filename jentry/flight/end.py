@@ -1,5 +1,7 @@
 """The end of a flight: the last correction to it, its derivative, and its outcome."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,7 +10,6 @@ from jax import lax
 from .._types import Count
 from .closed_loop import Lane, command, path_constraints, vector_field
 from .scenario import Scenario
-from .solver import FixedStep
 from .termination import Outcome
 
 
@@ -23,6 +24,10 @@ class End(eqx.Module):
     outcome: Count
     ended_by: Count
 
+
+_PLACES = (0.0, 0.5, 0.5, 1.0)
+_WEIGHTS = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
+"""Of the stages of the classical Runge-Kutta method"""
 
 _LANDINGS = 3
 """Each doubles the order up to which derivatives are exact, from none to one to three; the
@@ -40,22 +45,41 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     field = vector_field(scenario, lane.held)
 
     def land(landing, _):
-        flown, y, ended_by, met = landing
-        rates, _ = field(flown, y)
-        margins, margin_rates = jax.jvp(
-            conditions.margins, (flown, y[0]), (jnp.ones_like(flown), rates)
-        )
-        seconds_left = jnp.where(margins <= 0.0, 0.0, jnp.abs(margins / margin_rates))
-        seconds_left = lax.stop_gradient(seconds_left)
-        first = ended_by < 0
-        ended_by = jnp.where(first, jnp.argmin(seconds_left), ended_by)
-        near = seconds_left[ended_by] < _TIME_TOLERANCE
-        met = jnp.where(first, near, met)
+        """One step, whose length is known after its first stage."""
+        flown, start, ended_by, met = landing
 
-        moves = met & (flown > 0.0)
-        closing = jnp.where(moves, margin_rates[ended_by], 1.0)
-        correction = jnp.where(moves, -margins[ended_by] / closing, 0.0)
-        y = FixedStep().advance(field, flown, correction, y)
+        @functools.partial(jax.checkpoint, prevent_cse=False)
+        def stage(known, stage):
+            slope, total, correction, ended_by, met = known
+            first, place, weight = stage
+            length = place * correction
+            y = jax.tree.map(lambda y, k: y + length * k, start, slope)
+            slope, _ = rates = field(flown + length, y)
+
+            margins, closing = jax.jvp(
+                conditions.margins,
+                (flown, start[0]),
+                (jnp.ones_like(flown), slope),
+            )
+            seconds_left = jnp.where(margins <= 0.0, 0.0, jnp.abs(margins / closing))
+            seconds_left = lax.stop_gradient(seconds_left)
+            unknown = ended_by < 0
+            ended_by = jnp.where(unknown, jnp.argmin(seconds_left), ended_by)
+            near = seconds_left[ended_by] < _TIME_TOLERANCE
+            met = jnp.where(unknown, near, met)
+
+            moves = met & (flown > 0.0)
+            closing = jnp.where(moves, closing[ended_by], 1.0)
+            newton = jnp.where(moves, -margins[ended_by] / closing, 0.0)
+            correction = jnp.where(first, newton, correction)
+            length = weight * correction
+            total = jax.tree.map(lambda y, k: y + length * k, total, rates)
+            return (rates, total, correction, ended_by, met), None
+
+        nothing = jax.tree.map(jnp.zeros_like, start)
+        known = nothing, start, jnp.zeros_like(flown), ended_by, met
+        stages = jnp.arange(4) == 0, jnp.array(_PLACES), jnp.array(_WEIGHTS)
+        (_, y, correction, ended_by, met), _ = lax.scan(stage, known, stages)
         return (flown + correction, y, ended_by, met), None
 
     unknown = jnp.full_like(lane.running, -1, int), jnp.zeros_like(lane.running)

@@ -72,6 +72,13 @@ def while_running_with_history(
     return _loop(parameters, carry, cycle, running, max_cycles, True)[:2]
 
 
+@eqx.filter_jit
+def _advance(cycle, parameters, carry):
+    """One cycle. Compiled with what is around it; as a function of its own it is traced
+    once, and differentiated once, for all the places where it is called."""
+    return cycle(parameters, carry)
+
+
 def _run(parameters, carry, cycle, running, max_cycles, keep):
     def going(loop):
         index, carry, _ = loop
@@ -81,7 +88,7 @@ def _run(parameters, carry, cycle, running, max_cycles, keep):
         index, carry, history = loop
         if keep:
             history = _put(history, index, carry)
-        return index + 1, cycle(parameters, carry), history
+        return index + 1, _advance(cycle, parameters, carry), history
 
     history = _stack_of(carry, max_cycles) if keep else None
     count, carry, history = lax.while_loop(going, body, (0, carry, history))
@@ -128,7 +135,8 @@ def _loop_jvp(primals, tangents):
         discrete = _take(discrete_stack, index)
 
         def advance(varied, moving):
-            after = cycle(eqx.combine(varied, fixed), eqx.combine(moving, discrete))
+            given = eqx.combine(varied, fixed), eqx.combine(moving, discrete)
+            after = _advance(cycle, *given)
             return eqx.filter(after, eqx.is_inexact_array)
 
         return advance, (varied, _take(moving_stack, index))
