@@ -30,11 +30,11 @@ def _stack_of(tree: PyTree, length: int) -> PyTree:
     return jax.tree.map(zeros, tree)
 
 
-def _put(stack: PyTree, index: Count, tree: PyTree) -> PyTree:
+def _put(stack: PyTree, index: Count | int, tree: PyTree) -> PyTree:
     return jax.tree.map(lambda s, x: s.at[index].set(x), stack, tree)
 
 
-def _take(stack: PyTree, index: Count) -> PyTree:
+def _take(stack: PyTree, index: Count | int) -> PyTree:
     return jax.tree.map(lambda s: s[index], stack)
 
 

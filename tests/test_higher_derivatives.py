@@ -1,0 +1,193 @@
+"""Derivatives of any order and mode: of the loop as such, and of whole flights."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import mars_scenario
+from jax import lax
+
+from jentry.flight import FixedStep, fly
+from jentry.flight.loop import while_running, while_running_with_history
+
+
+CYCLES = 12
+"""At most; the loops below stop after seven to nine of them"""
+
+
+class Toy(eqx.Module):
+    """A carry with a number, a vector, a count and a flag."""
+
+    x: jax.Array
+    vector: jax.Array
+    count: jax.Array
+    running: jax.Array
+
+
+def toy_cycle(parameters, carry):
+    rate, matrix = parameters
+    x = carry.x * (1.0 + rate * jnp.cos(carry.vector[0]))
+    vector = jnp.tanh(matrix @ carry.vector) + 0.1 * rate**2 * carry.x
+    after = Toy(x, vector, carry.count + 1, x < 5.0)
+    return jax.tree.map(lambda a, b: jnp.where(carry.running, a, b), after, carry)
+
+
+def toy_start(z):
+    """Parameters and first carry from five numbers."""
+    matrix = jnp.stack([z[:2], z[1:3]])
+    carry = Toy(z[3], z[2:4] * z[4], jnp.asarray(0), jnp.asarray(True))
+    return (z[4], matrix), carry
+
+
+def toy(z):
+    carry = while_running(toy_cycle, lambda c: c.running, *toy_start(z), CYCLES)
+    return jnp.stack([carry.x, *carry.vector])
+
+
+def toy_with_history(z):
+    last, path = while_running_with_history(
+        toy_cycle, lambda c: c.running, *toy_start(z), CYCLES
+    )
+    x = jnp.where(path.running, path.x, 0.0)
+    return jnp.stack([last.x, jnp.sum(x**2), jnp.sum(x * path.vector[:, 1])])
+
+
+def scanned(z):
+    """The same by `lax.scan`, which JAX differentiates itself."""
+    parameters, carry = toy_start(z)
+    cycle = lambda carry, _: (toy_cycle(parameters, carry), None)
+    carry, _ = lax.scan(cycle, carry, length=CYCLES)
+    return jnp.stack([carry.x, *carry.vector])
+
+
+def scanned_with_history(z):
+    parameters, carry = toy_start(z)
+    cycle = lambda carry, _: (toy_cycle(parameters, carry), carry)
+    last, path = lax.scan(cycle, carry, length=CYCLES)
+    x = jnp.where(path.running, path.x, 0.0)
+    return jnp.stack([last.x, jnp.sum(x**2), jnp.sum(x * path.vector[:, 1])])
+
+
+Z = jnp.array([0.8, 0.3, -0.5, 0.6, 0.35])
+MODES = {"forward": jax.jacfwd, "reverse": jax.jacrev}
+LOOPS = {
+    "end": (toy, scanned),
+    "history": (toy_with_history, scanned_with_history),
+}
+
+
+def test_the_toy_stops_within_its_cycles():
+    _, path = while_running_with_history(
+        toy_cycle, lambda c: c.running, *toy_start(Z), CYCLES
+    )
+    assert 7 <= int(path.running.sum()) <= 9
+
+
+@pytest.mark.parametrize("outer", MODES)
+@pytest.mark.parametrize("inner", MODES)
+@pytest.mark.parametrize("loop", LOOPS)
+def test_second_derivatives_of_the_loop(loop, inner, outer):
+    ours, truth = LOOPS[loop]
+    second = lambda f: jax.jit(MODES[outer](MODES[inner](f)))
+    # Rounding of a dozen cycles, relative to the largest.
+    expected = second(truth)(Z)
+    assert np.abs(expected).max() > 1.0
+    np.testing.assert_allclose(
+        second(ours)(Z), expected, rtol=0, atol=1e-13 * np.abs(expected).max()
+    )
+
+
+@pytest.mark.slow
+def test_third_derivatives_of_the_loop():
+    third = lambda f: jax.jit(jax.jacfwd(jax.jacrev(jax.jacfwd(f))))
+    expected = third(scanned)(Z)
+    np.testing.assert_allclose(
+        third(toy)(Z), expected, rtol=0, atol=1e-13 * np.abs(expected).max()
+    )
+
+
+def test_second_derivatives_of_a_batch_of_loops():
+    """Loops that stop after different numbers of cycles, side by side."""
+    batch = Z[None] + jnp.outer(
+        jnp.linspace(-0.05, 0.05, 5), jnp.array([1, -1, 1, 1, 2.0])
+    )
+    second = lambda f: jax.jit(jax.vmap(jax.jacfwd(jax.jacrev(f))))
+    expected = second(scanned)(batch)
+    np.testing.assert_allclose(
+        second(toy)(batch), expected, rtol=0, atol=1e-13 * np.abs(expected).max()
+    )
+
+
+def test_an_iterated_directional_derivative_is_not_zero():
+    """`jvp` of `jvp`, which used to be zero without a word."""
+    tangent = jnp.arange(1.0, 6.0) / 5.0
+
+    def twice(f):
+        once = lambda z: jax.jvp(f, (z,), (tangent,))[1]
+        return jax.jit(lambda z: jax.jvp(once, (z,), (tangent,))[1])(Z)
+
+    ours, truth = twice(toy), twice(scanned)
+    np.testing.assert_allclose(ours, truth, rtol=1e-12)
+    assert np.abs(truth).min() > 1e-3
+
+
+# Flights ------------------------------------------------------------------------------
+
+SOLVER = FixedStep(0.1)
+X = jnp.array([1.0, -0.1, 0.62, 0.05])
+"""Density scale, flight-path angle, two coefficients of the bank profile"""
+SCALE = jnp.array([1e2, 0.1, 0.1])
+"""Of time (s), longitude and flight-path angle at the end"""
+
+
+def flown(x):
+    """From low in the atmosphere to 10 km: an end that moves with everything varied."""
+    scenario = eqx.tree_at(
+        lambda s: (
+            s.initial_state.altitude,
+            s.initial_state.velocity,
+            s.initial_state.flight_path_angle,
+            s.planet.density_scale,
+            s.guidance.cos_bank.coefficients,
+        ),
+        mars_scenario(time_limit=60.0),
+        (jnp.asarray(16e3), jnp.asarray(1500.0), x[1] - 0.3, x[0], x[2:4]),
+    )
+    flight = fly(scenario, SOLVER)
+    state = flight.state
+    return jnp.stack([flight.time, state.longitude, state.flight_path_angle]) / SCALE
+
+
+gradient = jax.jit(jax.jacfwd(flown))
+
+
+def differences(f, x, step):
+    """Of fourth order, one column for each number."""
+    columns = [
+        (8 * (f(x + h) - f(x - h)) - (f(x + 2 * h) - f(x - 2 * h))) / (12 * step)
+        for h in step * np.eye(x.size)
+    ]
+    return np.stack(columns, axis=-1)
+
+
+@pytest.mark.parametrize(
+    "order",
+    [
+        "forward over forward",
+        pytest.param("forward over reverse", marks=pytest.mark.slow),
+        pytest.param("reverse over forward", marks=pytest.mark.slow),
+        pytest.param("reverse over reverse", marks=pytest.mark.slow),
+    ],
+)
+def test_second_derivatives_of_a_flight(order):
+    """Of the end, whose time moves, against differences of the first derivatives.
+
+    These are exact to the rounding of the gradient (1e-12) over the step, and to the
+    fourth power of the step.
+    """
+    outer, inner = (MODES[mode] for mode in order.split(" over "))
+    expected = differences(gradient, X, 1e-3)
+    found = jax.jit(outer(inner(flown)))(X)
+    assert np.all(np.abs(expected).max(axis=(1, 2)) > 1e-2)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
