@@ -23,9 +23,9 @@ HUGE = 1e3
 MAPS = {
     "positive": Positive(0.3),
     "positive table": Positive([2e-7, 4.0, 3e8]),
-    "unbounded": Unbounded(-14.4),
-    "unbounded, zero": Unbounded(0.0),
-    "unbounded table": Unbounded([3.0, 0.0, -4.0]),
+    "unbounded": Unbounded(-14.4, 14.4),
+    "unbounded, zero": Unbounded(0.0, 2.5),
+    "unbounded table": Unbounded([3.0, 0.0, -4.0], [5.0 / np.sqrt(3.0)] * 3),
     "between": Between(0.9, 0.7, 1.3),
     "between, negative": Between(-0.25, -0.3, -0.1),
     "between, rounded up": Between(0.0, -0.2, 0.1),  # -0.2 + (0.1 - -0.2) > 0.1
@@ -37,7 +37,7 @@ SLOPES = {
     "positive": 0.3,
     "positive table": [2e-7, 4.0, 3e8],
     "unbounded": 14.4,
-    "unbounded, zero": 1.0,
+    "unbounded, zero": 2.5,
     "unbounded table": np.full(3, 5.0 / np.sqrt(3.0)),
     # Of a logistic curve: the distances to both bounds, their product over their sum.
     "between": 0.2 * 0.4 / 0.6,
