@@ -10,7 +10,7 @@ import pytest
 from helpers import fly_compiled, mars_scenario, with_leaf
 
 from jentry.campaign import Dispersion, Normal, Uniform, add, monte_carlo
-from jentry.campaign.dispersions import scaled_dispersions
+from jentry.campaign.dispersions import draw, scaled_dispersions
 from jentry.design import linear_covariance, sensitivity
 from jentry.flight import misses
 from jentry.missions import find_mission
@@ -184,6 +184,80 @@ def test_effects_of_each_dispersion_are_flown_as_predicted():
             assert effect.linear == pytest.approx(effect.flown, rel=2e-3, abs=1e-6)
 
 
+PERIOD, STEEP = 0.02, 30.0
+"""Of a sawtooth (s), far shorter than the end time varies; and its slope"""
+
+
+def with_teeth(scenario, flight):
+    return {"end": flight.time, "teeth": flight.time + STEEP * (flight.time % PERIOD)}
+
+
+@functools.cache
+def of_teeth(mode):
+    return linear_covariance(
+        cheap.scenario(),
+        table(),
+        with_teeth,
+        key=jax.random.key(2),
+        runs=256,
+        solver=cheap.SOLVER,
+        mode=mode,
+    )
+
+
+def test_mean_differences_go_across_the_teeth_that_derivatives_see_alone():
+    """As the phase of the last guidance cycle makes them."""
+    exact, mean = of_teeth(None), of_teeth("difference")
+    assert exact.spreads["teeth"].ratio > 10.0
+    flown = mean.spreads["teeth"]
+    end = mean.spreads["end"]
+    # The mean slope is that of what the teeth stand on; they are spread evenly.
+    teeth = STEEP * PERIOD / np.sqrt(12.0)
+    by_hand = np.hypot(end.flown_standard_deviation, teeth)
+    # Of 256 flights, 4.4 % in the mean.
+    assert flown.flown_standard_deviation == pytest.approx(by_hand, rel=0.2)
+    (model,) = mean.models.values()
+    for name, slope in model.slopes["end"].items():
+        lacking = model.slopes["teeth"][name] - slope
+        # A mean of 64 differences of two teeth, over two; four standard errors.
+        assert abs(lacking) < 4.0 * teeth / np.sqrt(2.0 * 64)
+        assert abs(lacking) < 4.0 * np.hypot(
+            model.errors["teeth"][name], model.errors["end"][name]
+        )
+
+
+def test_mean_differences_are_derivatives_where_nothing_jumps():
+    """And those of flights that are flown one by one."""
+    (exact,) = of_teeth(None).models.values()
+    (mean,) = of_teeth("difference").models.values()
+    assert exact.errors["end"] == {"mass": 0.0, "path": 0.0}
+    for name, slope in exact.slopes["end"].items():
+        # What is not linear over two standard deviations.
+        assert mean.slopes["end"][name] == pytest.approx(slope, rel=0.05)
+        assert 0.0 < mean.errors["end"][name] < 0.1 * abs(slope)
+    assert mean.time_slope == mean.slopes["end"]
+    draws = {n: np.asarray(x) for n, x in _others().items()}
+    times = []
+    for sign in (1.0, -1.0):
+        path = draws["path"] + _leaf("initial_state.flight_path_angle")
+        inputs = {
+            "vehicle.mass": np.full(64, _leaf("vehicle.mass") + 4.0 * sign),
+            "initial_state.flight_path_angle": path,
+        }
+        campaign = monte_carlo(cheap.scenario(), inputs=inputs, solver=cheap.SOLVER)
+        times.append(campaign.flights.time)
+    each = 0.5 * (times[0] - times[1])
+    assert mean.slopes["end"]["mass"] == pytest.approx(np.mean(each), rel=1e-9)
+    error = np.std(each, ddof=1) / 8.0
+    assert mean.errors["end"]["mass"] == pytest.approx(error, rel=1e-6)
+
+
+def _others():
+    """Draws of what is not moved itself."""
+    key = jax.random.fold_in(jax.random.key(2), 2)
+    return jax.vmap(lambda run: draw(table(), key, run))(jnp.arange(64))
+
+
 @pytest.mark.slow
 def test_what_the_nominal_flight_never_meets_is_told():
     """Flights that skip out through the ceiling, of a nominal one that does not."""
@@ -211,6 +285,7 @@ def test_what_the_nominal_flight_never_meets_is_told():
         ({"dispersions": {}}, "nothing is dispersed"),
         ({"runs": 1, "key": jax.random.key}, "runs is 1"),
         ({"runs": 100}, "runs is 100: give 2 or more with a key"),
+        ({"mode": "forward"}, "mode is 'forward': it must be \"exact\""),
     ],
 )
 def test_what_cannot_be_analysed_is_an_error(options, message):

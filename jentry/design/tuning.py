@@ -101,7 +101,7 @@ def tune(
     with jumps the mean of the derivatives is not the derivative of the mean. Before the
     first step the gradient is compared with a central difference of the loss along it, of
     1 % of the numbers; where they contradict each other, `tune` warns. Then take a
-    `surrogate` without the jumps, such as `smooth_switching` for bank reversals, or
+    `surrogate` without the jumps, such as `smooth_reversals` of the bank, or
     `mode="difference"`, which sees whatever happens within its step.
 
     **Arguments:**
@@ -243,7 +243,7 @@ def _contradiction(entry: Entry) -> str:
         f"difference of the loss along it, of {100.0 * COARSE_STEP:g} % to both sides, "
         f"says {entry.difference:.3g}: flights jump there (a bank reversal or an end one "
         "guidance cycle later), which their derivatives do not know; follow a surrogate, "
-        'such as smooth_switching for reversals, or take mode="difference"'
+        'such as smooth_reversals, or take mode="difference"'
     )
 
 
