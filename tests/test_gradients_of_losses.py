@@ -34,8 +34,8 @@ FLIGHTS = 2 * LANES
 DIVERGES = "vehicle.nose_radius"
 """A leaf of which nothing depends here but, above 5 m, the derivatives of `outputs`"""
 
-SCALED = ScaledMisses((("downrange", 1e4), ("altitude", 1e3)))
-"""Of misses up to 300 km and 9 km: a distance of thirty, of which a tail is 0.1 wide"""
+SCALED = ScaledMisses((("downrange", 3e3), ("altitude", 300.0)))
+"""So small that a tail, a tenth wide, holds few of the flights"""
 
 
 def outputs(scenario, flight):
@@ -95,7 +95,7 @@ def test_gradient_of_a_named_loss_is_its_difference(name, forward):
         # What a loss with a tail is: flights a million times as heavy as the usual one.
         assert sizes.max() > 1e6 * np.median(sizes[sizes > 0.0])
     for address, expected in differences(loss).items():
-        # The third derivative of a tail of 0.1 in 30, and rounding over the step.
+        # The third derivative of a tail, and rounding over the step.
         assert float(found.total[address]) == pytest.approx(expected, rel=1e-5)
 
 
@@ -151,7 +151,8 @@ def test_gradient_by_differences_is_that_of_the_loss():
     free = problem().parameters.start()
     found = gradient_by_differences(fly, FLIGHTS, loss, free, 2e-6)
     for address, expected in differences(loss).items():
-        assert float(found.gradient[address]) == pytest.approx(expected, rel=1e-12)
+        # Rounding of sums of 128 over the step.
+        assert float(found.gradient[address]) == pytest.approx(expected, rel=1e-9)
     # Of the seven flights that the worst twentieth of 128 are.
     assert found.failed == 0 and set(found.reached.values()) == {7 / FLIGHTS}
 

@@ -313,7 +313,7 @@ def test_scales_that_tell_nothing_are_refused(where, bounds, scales, message):
     ("bounds", "said"),
     [
         ((900.0, 1100.0), 0),
-        ((992.0 - 0.2, 1192.0), 0),  # 0.1 % of 200.2
+        ((992.0 - 0.21, 1192.0), 0),  # 0.105 %
         ((992.0 - 0.19, 1192.0), 1),
         ((792.0, 992.0 + 1e-9), 1),
     ],

@@ -100,6 +100,12 @@ def tune(
             "the exact one all the same."
         ),
     ] = False,
+    smooth_reversals: Annotated[
+        bool,
+        typer.Option(
+            help="The same with sharp switches and smooth bank reversals alone."
+        ),
+    ] = False,
     fresh_draws: Annotated[
         bool, typer.Option(help="New draws for each gradient (adam).")
     ] = False,
@@ -122,8 +128,8 @@ def tune(
     import optax
     import optimistix
 
+    from ..design import surrogate
     from ..design.losses import BY_NAME
-    from ..design.surrogate import smooth_switching
     from ..design.tuning import tune as tune_scenario
     from ..flight.solver import FixedStep
     from ..overrides import AtAddresses, write_overrides
@@ -141,6 +147,10 @@ def tune(
     reading, table = dispersion_table(chosen, scenario, overrides, dispersions)
     if loss not in BY_NAME:
         raise ValueError(f"loss is {loss!r}: choose from {', '.join(BY_NAME)}")
+    if smooth and smooth_reversals:
+        raise ValueError("give --smooth or --smooth-reversals, not both")
+    followed = surrogate.smooth_switching if smooth else None
+    followed = surrogate.smooth_reversals if smooth_reversals else followed
     wanted = optimizer or ("adam" if fresh_draws else "lbfgs")
     methods = {
         "lbfgs": optimistix.LBFGS(rtol=1e-6, atol=1e-6),
@@ -168,7 +178,7 @@ def tune(
             **_by(differences),
             solver=FixedStep(step),
             fresh_draws=fresh_draws,
-            surrogate=smooth_switching if smooth else None,
+            surrogate=followed,
             patience=patience,
             held_out=held_out,
             record=record,

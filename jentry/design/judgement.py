@@ -127,7 +127,7 @@ def judge(
         both = finite[:few] & np.asarray(finite_again)
         first = jax.tree.map(lambda x: x[:few], values)
         pair = where_finite(first, both), where_finite(again, both)
-        for name, size in _rounding(pair, loss, both.any()).items():
+        for name, size in _rounding(pair, loss, bool(both.any())).items():
             rounding[name] = max(size, rounding.get(name, 0.0))
     (values_before, finite_before), (values_after, finite_after) = flown
     both = finite_before & finite_after

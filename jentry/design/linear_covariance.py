@@ -220,7 +220,9 @@ def _standard(pairs: Pairs, draws: Draws) -> dict[str, np.ndarray]:
     standard = {}
     for name, dispersion in pairs:
         mean, deviation = (float(x) for x in dispersion.distribution.moments())
-        standard[name] = (np.asarray(draws[name]) - mean) / deviation
+        # Of a constant all draws are its mean.
+        away = np.asarray(draws[name]) - mean
+        standard[name] = away / deviation if deviation > 0.0 else 0.0 * away
     return standard
 
 

@@ -100,16 +100,19 @@ def mean_model(
     """By differences over two standard deviations, in the mean of other draws; none if
     fewer than two pairs of flights are ended by the condition."""
     drawn = draw_many(pairs, key, jnp.arange(LANES))
-    points = []
+    points, moving = [], []
     for name, dispersion in pairs:
         mean, deviation = dispersion.distribution.moments()
+        if not deviation > 0.0:  # a constant
+            continue
+        moving.append(name)
         for value in (mean + deviation, mean - deviation):
             points.append(drawn | {name: jnp.full(LANES, value)})
     draws = jax.tree.map(lambda *x: np.concatenate(x), *points)
     filled = filled_up(np.arange(len(points) * LANES), devices)
     given = {name: jnp.asarray(x[filled]) for name, x in draws.items()}
     flown = fly_draws(alone, pairs, given, outputs, solver, devices)
-    shape = len(pairs), 2, LANES
+    shape = len(moving), 2, LANES
     values, time, code, finite = jax.tree.map(
         lambda x: np.asarray(x)[: np.prod(shape)].reshape(*shape, *x.shape[1:]), flown
     )
@@ -117,9 +120,9 @@ def mean_model(
     if np.any(np.sum(both, axis=1) < 2):
         return None
     columns = {named(n): x for n, x in leaves_by_address(values).items()} | {"": time}
-    slopes: dict[str, dict[str, float]] = {n: {} for n in columns}
-    errors: dict[str, dict[str, float]] = {n: {} for n in columns}
-    for place, (name, _) in enumerate(pairs):
+    slopes = {n: dict.fromkeys(dict(pairs), 0.0) for n in columns}
+    errors = {n: dict.fromkeys(dict(pairs), 0.0) for n in columns}
+    for place, name in enumerate(moving):
         kept = both[place]
         for column, x in columns.items():
             each = 0.5 * (x[place, 0, kept] - x[place, 1, kept])
