@@ -17,7 +17,7 @@ from jentry.design import MeanSquare, control_effort, excess, mean_square, tune
 from jentry.design.batch_gradient import Problem, batch_gradient, batch_outputs
 from jentry.design.judgement import held_out, judge
 from jentry.design.parameters import Parameters
-from jentry.flight import misses
+from jentry.flight import FixedStep, misses
 from jentry.guidance import AbstractContinuousLaw
 from jentry.missions import find_mission
 from jentry.motion import Controls
@@ -310,15 +310,15 @@ def test_a_gradient_that_a_difference_contradicts_is_warned_of(tmp_path):
     with pytest.warns(UserWarning, match="a difference of the loss along it"):
         result = tuned(start=stepped(), steps=1, record=record)
     (entry,) = result.history
-    # By the width of its differences: 17 steps, give or take one at each end.
-    assert entry.difference == pytest.approx(2.0 * entry.gradient_norm, rel=0.1)
+    # By the width of its differences: 35 steps, give or take one at each end.
+    assert entry.difference == pytest.approx(2.0 * entry.gradient_norm, rel=0.05)
     assert len(result.remarks) == 1 and "difference" in result.remarks[0]
     # A run that is resumed knows it still, and does not warn again.
     again = tuned(start=stepped(), steps=1, record=record)
     assert again.remarks == result.remarks
     smooth = tuned(steps=1)
     first = smooth.history[0]
-    # Of a third derivative, times the square of a step of 1 %.
+    # Of a third derivative, times the square of a step of 2 %.
     assert first.difference == pytest.approx(first.gradient_norm, rel=1e-3)
     assert smooth.remarks == ()
 
@@ -462,6 +462,31 @@ def test_training_and_judgement_measure_the_same():
     given = KEY, RUNS, LOSS, misses, cheap.SOLVER, None
     judged = judge(scenario(), result.scenario, table, *given)
     assert judged["loss", ""].after.value == pytest.approx(best, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_reversals_contradict_their_gradient_and_differences_do_not_need_it():
+    """Of the crossrange, which is what they are for: over 1536 flights the mean of the
+    derivatives is 14.5 +- 1.7, and a difference of 10 % is 0.3 +- 0.7; to the floor of
+    the corridor it is 0 and 15.1 +- 1.1, and by the smooth reversals 14.0 +- 0.9."""
+    mission = find_mission("mars-range-tracking")
+    given = (
+        mission.scenario("three-dimensional"),
+        lambda s: (s.guidance.gains.epsilon0, s.guidance.corridor.floor),
+        MeanSquare(lambda misses: misses.crossrange / 100.0),
+        optimistix.LBFGS(rtol=1e-6, atol=1e-6),
+        mission.dispersion_table(),
+        jax.random.key(1),
+    )
+    how = {"runs": 256, "steps": 1, "held_out": 64, "solver": FixedStep(0.25)}
+    with pytest.warns(UserWarning, match="a difference of the loss along it"):
+        result = tune(*given, **how)
+    assert result.reached["guidance.corridor.floor"] == 0.0
+    result = tune(*given, **how, mode="difference", difference_step=0.1)
+    (entry,) = result.history
+    assert result.remarks == () and result.reached["guidance.corridor.floor"] > 0.5
+    # That of the floor, which is most of it, within four standard errors.
+    assert abs(entry.gradient_norm - 15.1) < 4.0 * np.hypot(1.1, entry.gradient_error)
 
 
 def test_it_is_judged_on_draws_that_it_was_not_tuned_on():

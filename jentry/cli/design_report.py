@@ -207,6 +207,7 @@ def write_history(path: Path, tuned: Tuned) -> None:
         "seconds",
         "rounding",
         "difference",
+        "difference_error",
         "gradient_error",
     )
     names = []

@@ -14,8 +14,8 @@ from .steppers import AbstractStepper
 from .tuning_record import Entry, Record, restored
 
 
-COARSE_STEP = 0.01
-"""In free numbers: 1 % of a positive number. Steps of tuning are rather longer"""
+COARSE_STEP = 0.02
+"""In free numbers: 2 % of a positive number. Steps of tuning are rather longer"""
 
 _MEASURED_AGAIN = 1e-3
 """Of the loss at which its rounding was measured before"""
@@ -81,11 +81,11 @@ class Course:
     ) -> Entry:
         step = len(self.entries)
         norm = _norm(evaluation.gradient)
-        difference = np.nan
+        slope = None
         by_differences = np.isfinite(evaluation.gradient_error)
         if step == 0 and np.isfinite(norm) and norm > 0.0 and not by_differences:
             along = {a: g / norm for a, g in evaluation.gradient.items()}
-            difference = evaluate.change_along(here, along, step, COARSE_STEP)
+            slope = evaluate.slope_along(here, along, step, COARSE_STEP)
         return Entry(
             loss=evaluation.loss,
             gradient_norm=norm,
@@ -97,7 +97,8 @@ class Course:
             free=here,
             reached=evaluation.reached,
             rounding=self._rounding(here, evaluation, evaluate),
-            difference=difference,
+            difference=np.nan if slope is None else slope.value,
+            difference_error=np.nan if slope is None else slope.error,
             gradient_error=evaluation.gradient_error,
         )
 

@@ -41,43 +41,65 @@ class Differences:
     """Share of the flights that change with the parameter"""
 
 
-def gradient_by_differences(
-    fly: Callable[[Free], tuple[Any, np.ndarray]],
-    runs: int,
-    loss: Loss,
-    free: Free,
-    step: float,
-) -> Differences:
+Fly = Callable[[Free], tuple[Any, np.ndarray]]
+"""Outputs of all flights at a point, and which of them are finite and count"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Slope:
+    """Central difference of a loss along a direction, over the step."""
+
+    value: float
+    error: float
+    """Standard error; zero of a single flight"""
+    flights: int
+    """Finite on both sides: the difference is of them alone"""
+    changed: float
+    """Share of them that add something"""
+
+
+def slope_along(
+    fly: Fly, loss: Loss, free: Free, direction: Free, step: float
+) -> Slope:
     """Of the loss of the flights that are finite on both sides.
 
     **Arguments:**
 
-    - `fly`: outputs of all flights at a point, and which of them are finite and count;
-        there are `runs` that count.
-    - `step`: half of the width of each difference, in free numbers.
+    - `step`: half of the width of the difference, in units of the direction.
     """
-    gradient, squares, failed, reached = {}, 0.0, 0, {}
+    sides, finite = [], []
+    for signed in (step, -step):
+        moved = {a: x + signed * direction[a] for a, x in free.items()}
+        outputs, counts = fly(moved)
+        sides.append(outputs)
+        finite.append(counts)
+    both = finite[0] & finite[1]
+    count = int(both.sum())
+    if not count:
+        return Slope(0.0, 0.0, 0, 0.0)
+    change, each = _difference(loss, *(where_finite(x, both) for x in sides))
+    error = np.sqrt(count * np.var(each, ddof=1)) if count > 1 else 0.0
+    changed = float(np.mean(each != 0.0))
+    return Slope(change / (2.0 * step), float(error) / (2.0 * step), count, changed)
+
+
+def gradient_by_differences(
+    fly: Fly, runs: int, loss: Loss, free: Free, step: float
+) -> Differences:
+    """Number by number, each over the step; of so many runs that count."""
+    gradient, errors, failed, reached = {}, [], 0, {}
+    nothing = jax.tree.map(jnp.zeros_like, free)
     for address, here in free.items():
-        slopes = np.zeros(here.shape)
-        share = 0.0
+        slopes, shares = np.zeros(here.shape), [0.0]
         for place in np.ndindex(here.shape):
-            sides, finite = [], []
-            for moved in (here.at[place].add(step), here.at[place].add(-step)):
-                outputs, counts = fly(free | {address: moved})
-                sides.append(outputs)
-                finite.append(counts)
-            both = finite[0] & finite[1]
-            failed = max(failed, runs - int(both.sum()))
-            if not both.any():
-                continue
-            slope, each = _difference(loss, *(where_finite(x, both) for x in sides))
-            slopes[place] = slope / (2.0 * step)
-            count = len(each)
-            if count > 1:
-                squares += count * np.var(each, ddof=1) / (2.0 * step) ** 2
-            share = max(share, float(np.mean(each != 0.0)))
-        gradient[address], reached[address] = jnp.asarray(slopes), share
-    return Differences(gradient, float(np.sqrt(squares)), failed, reached)
+            along = nothing | {address: nothing[address].at[place].set(1.0)}
+            slope = slope_along(fly, loss, free, along, step)
+            slopes[place] = slope.value
+            errors.append(slope.error)
+            shares.append(slope.changed)
+            failed = max(failed, runs - slope.flights)
+        gradient[address], reached[address] = jnp.asarray(slopes), max(shares)
+    return Differences(gradient, float(np.linalg.norm(errors)), failed, reached)
 
 
 def _difference(loss: Loss, ahead: Any, behind: Any) -> tuple[float, np.ndarray]:

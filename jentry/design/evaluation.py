@@ -23,7 +23,7 @@ from .batch_gradient import (
     where_finite,
     within_measure,
 )
-from .differences import gradient_by_differences
+from .differences import Fly, Slope, gradient_by_differences, slope_along
 from .parameters import Free
 
 
@@ -112,17 +112,20 @@ class Evaluator:
         """Of the exact law, at a point."""
         return self._loss(self._exact, free, self._inputs)[0]
 
-    def change_along(
-        self, free: Free, direction: Free, step: int, size: float
-    ) -> float:
-        """Central difference of the loss that is followed: over a direction, with steps
-        of this size, with the draws of the gradient of a step."""
-        inputs = self._drawn(step)
-        ahead, behind = (
-            self._loss(self._followed, _moved(free, direction, sign * size), inputs)
-            for sign in (1.0, -1.0)
-        )
-        return (ahead[0] - behind[0]) / (2.0 * size)
+    def slope_along(self, free: Free, direction: Free, step: int, size: float) -> Slope:
+        """Central difference of the loss that is followed, of a step of this size to both
+        sides, with the draws of the gradient of a step of tuning."""
+        fly = self._flown(self._drawn(step))
+        return slope_along(fly, self._loss_of, free, direction, size)
+
+    def _flown(self, inputs) -> Fly:
+        given, counted = inputs
+
+        def fly(free: Free) -> tuple[Any, np.ndarray]:
+            outputs, finite = batch_outputs(self._followed, free, given, self._devices)
+            return outputs, np.asarray(finite) & counted
+
+        return fly
 
     def rounding(self, free: Free, step: int, loss: float) -> float:
         """Of the loss that is followed: how much it changes by itself when all free
@@ -171,14 +174,8 @@ class Evaluator:
         """See `differences`. The loss is that of the point itself."""
         assert self._difference is not None
         loss, _, failed = self._loss(self._followed, free, inputs)
-        given, counted = inputs
-
-        def fly(free: Free) -> tuple[Any, np.ndarray]:
-            outputs, finite = batch_outputs(self._followed, free, given, self._devices)
-            return outputs, np.asarray(finite) & counted
-
         found = gradient_by_differences(
-            fly, self._runs, self._loss_of, free, self._difference
+            self._flown(inputs), self._runs, self._loss_of, free, self._difference
         )
         left_out = max(found.failed - failed, 0)
         return Evaluation(

@@ -100,7 +100,7 @@ def tune(
     cycle more to the end. The derivative of a flight is that between its jumps, so that
     with jumps the mean of the derivatives is not the derivative of the mean. Before the
     first step the gradient is compared with a central difference of the loss along it, of
-    1 % of the numbers; where they contradict each other, `tune` warns. Then take a
+    2 % of the numbers; where they contradict each other, `tune` warns. Then take a
     `surrogate` without the jumps, such as `smooth_reversals` of the bank, or
     `mode="difference"`, which sees whatever happens within its step.
 
@@ -241,9 +241,10 @@ def _contradiction(entry: Entry) -> str:
     return (
         f"the gradient of the loss at the start is {entry.gradient_norm:.3g}, and a "
         f"difference of the loss along it, of {100.0 * COARSE_STEP:g} % to both sides, "
-        f"says {entry.difference:.3g}: flights jump there (a bank reversal or an end one "
-        "guidance cycle later), which their derivatives do not know; follow a surrogate, "
-        'such as smooth_reversals, or take mode="difference"'
+        f"says {entry.difference:.3g} +- {entry.difference_error:.2g}: flights jump there "
+        "(a bank reversal or an end one guidance cycle later), which their derivatives do "
+        "not know; follow a surrogate, such as smooth_reversals, or take "
+        'mode="difference"'
     )
 
 

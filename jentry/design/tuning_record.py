@@ -28,7 +28,10 @@ _ROUNDINGS = 10.0
 
 _AGREES = 0.2
 """Of a gradient. Optimizers take a step that brings some tenths of what was promised.
-Without jumps a difference of a step of 1 % agrees within 1e-4 of the third derivative"""
+Without jumps a difference of a step of 2 % agrees within 1e-4 of the third derivative"""
+
+_STANDARD_ERRORS = 2.0
+"""With jumps a difference is a matter of luck: of few flights that happen to jump"""
 
 _MATTERS = 1e-3
 """Of the loss, for a step that changes a number by its own size. At a point that is
@@ -62,6 +65,8 @@ class Entry:
     """Of the loss that is followed, over its own gradient: a coarse central difference
     beside `gradient_norm`. Measured at the start only, and not of a gradient that is one
     of differences itself"""
+    difference_error: float = np.nan
+    """Standard error of it"""
     gradient_error: float = np.nan
     """Standard error of a gradient by differences"""
 
@@ -73,13 +78,15 @@ class Entry:
 
     @property
     def contradicted(self) -> bool:
-        """Whether the difference says another thing than the gradient does, and one that
-        matters to the loss."""
+        """Whether the difference says another thing than the gradient does, beyond its
+        standard error, and one that matters to the loss."""
         lacking = abs(self.difference - self.gradient_norm)
-        matters = lacking > _MATTERS * abs(self.loss)
-        return matters and lacking > _AGREES * max(
-            abs(self.difference), self.gradient_norm
+        least = max(
+            _AGREES * max(abs(self.difference), self.gradient_norm),
+            _STANDARD_ERRORS * self.difference_error,
+            _MATTERS * abs(self.loss),
         )
+        return lacking > least
 
     def better_than(self, other: "Entry") -> bool:
         """Fewer flights that are not finite, or as many and less loss."""
@@ -97,6 +104,7 @@ _NUMBERS = (
     "seconds",
     "rounding",
     "difference",
+    "difference_error",
     "gradient_error",
 )
 _BY_ADDRESS = "values", "free", "reached"
