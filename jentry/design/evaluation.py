@@ -194,7 +194,6 @@ class Evaluator:
             self._followed, free, given, self._devices
         )
         finite = np.asarray(finite) & counted
-        smooth = np.asarray(within_measure(sizes[finite]))
         flights = int(finite.sum())
         failed = self._runs - flights
         nothing = jax.tree.map(jnp.zeros_like, free)
@@ -205,6 +204,7 @@ class Evaluator:
                 {a: jnp.zeros((_rows(free), *x.shape)) for a, x in free.items()},
             )
             return Evaluation(np.inf, np.inf, nothing, failed, 0, unreached, linear)
+        smooth = np.asarray(within_measure(sizes[finite]))
         residuals, slopes = residuals_and_slopes(
             self._loss_of.residuals,
             where_finite(outputs, finite),

@@ -108,6 +108,8 @@ def mean_model(
         moving.append(name)
         for value in (mean + deviation, mean - deviation):
             points.append(drawn | {name: jnp.full(LANES, value)})
+    if not moving:
+        raise ValueError("all dispersions are constant: nothing moves the flight")
     draws = jax.tree.map(lambda *x: np.concatenate(x), *points)
     filled = filled_up(np.arange(len(points) * LANES), devices)
     given = {name: jnp.asarray(x[filled]) for name, x in draws.items()}
