@@ -84,8 +84,12 @@ def differences(loss, step=2e-6):
     return found
 
 
+MODES = [True, pytest.param(False, marks=pytest.mark.slow)]
+"""Forward, and reverse, which `test_tuning` has everyday with another loss"""
+
+
 @pytest.mark.parametrize("name", BY_NAME)
-@pytest.mark.parametrize("forward", [True, False])
+@pytest.mark.parametrize("forward", MODES)
 def test_gradient_of_a_named_loss_is_its_difference(name, forward):
     loss = BY_NAME[name](SCALED)
     found, weights = gradient(loss, forward)
@@ -99,6 +103,7 @@ def test_gradient_of_a_named_loss_is_its_difference(name, forward):
         assert float(found.total[address]) == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_gradient_by_residuals_is_the_difference_too():
     evaluate = Evaluator(
         problem(),
@@ -118,7 +123,7 @@ def test_gradient_by_residuals_is_the_difference_too():
         assert found == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("forward", [True, False])
+@pytest.mark.parametrize("forward", MODES)
 def test_a_flight_that_diverges_is_left_out_and_counted(forward):
     """Whatever its weight: also where that makes its gradient as small as the others'."""
     loss = BY_NAME["mean-square"](SCALED)
