@@ -55,6 +55,7 @@ def missed(density, cos_bank):
     return misses(scenario, fly_compiled(scenario, cheap.SOLVER))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("run", range(RUNS))
 def test_the_best_bank_of_a_draw_is_where_the_miss_changes_its_sign(run):
     best, coefficients = floor()
@@ -71,6 +72,7 @@ def test_the_best_bank_of_a_draw_is_where_the_miss_changes_its_sign(run):
     assert abs(drawn()[1][run]) > 1e3
 
 
+@pytest.mark.slow
 def test_the_floor_has_the_shape_of_its_runs():
     best, coefficients = floor()
     assert coefficients.shape == (RUNS, 1)
