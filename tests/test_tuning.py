@@ -267,7 +267,7 @@ def test_it_stops_where_the_loss_is_rounding(name):
 
 def test_a_difference_of_rounding_is_not_judged_to_be_one():
     """Between any two bank angles: their bootstrap alone may say that one is better."""
-    banks = [with_leaf(scenario(), bank, a * degree) for a in (50.0, 42.0, 46.0, 54.0)]
+    banks = [with_leaf(scenario(), bank, a * degree) for a in (50.0, 42.0, 46.0, 48.0)]
     for other in banks[1:]:
         for pair in ((banks[0], other), (other, banks[0])):
             given = cheap.mass_only(), KEY, 48, AT_ROUNDING, misses, cheap.SOLVER, None
@@ -319,7 +319,7 @@ def test_a_gradient_that_a_difference_contradicts_is_warned_of(tmp_path):
     smooth = tuned(steps=1)
     first = smooth.history[0]
     # Of a third derivative, times the square of a step of 2 %.
-    assert first.difference == pytest.approx(first.gradient_norm, rel=1e-3)
+    assert first.difference == pytest.approx(first.gradient_norm, rel=1e-2)
     assert smooth.remarks == ()
 
 
@@ -336,10 +336,10 @@ def test_differences_see_the_jumps():
 
 
 def test_differences_agree_with_derivatives_where_nothing_jumps():
-    given = {"mode": "difference", "difference_step": 1e-4, "steps": 1}
+    given = {"mode": "difference", "difference_step": 1e-5, "steps": 1}
     first, exact = tuned(**given).history[0], tuned(steps=1).history[0]
-    # A third derivative, times the square of the step.
-    assert first.gradient_norm == pytest.approx(exact.gradient_norm, rel=1e-6)
+    # A third derivative, times the square of the step, and rounding over the step.
+    assert first.gradient_norm == pytest.approx(exact.gradient_norm, rel=1e-5)
     assert first.reached == exact.reached == {ADDRESS: 1.0}
 
 
