@@ -384,11 +384,44 @@ def test_tune_resumes_and_refuses_another_run(command):
         (("--bounds", "guidance.bank_angle=1"), "write ADDRESS=LOW:HIGH"),
         (("--bounds", "guidance.bank_angle=2:3"), "on both sides of its value"),
         (("--smooth",), "has no field of the type AbstractSwitching"),
+        (("--smooth-reversals",), "has no field of the type AbstractSwitching"),
+        (("--smooth", "--smooth-reversals"), "not both"),
+        (("--scale", "guidance.bank_angle"), "write ADDRESS=VALUE"),
+        (("--scale", "vehicle.mass=3"), "vehicle.mass has a scale and is not tuned"),
+        (("--gains", "initial_state.latitude"), "latitude is 0, which does not tell"),
+        (("--differences", 0), "difference_step is 0.0"),
         (("--runs", 1), "runs is 1"),
     ],
 )
 def test_tune_refuses(command, words, message):
     assert_refused(tune(command, *words), message)
+
+
+def test_tune_by_differences_prints_their_error(command, tmp_path):
+    """Of two numbers, of which one is zero and has a scale."""
+    latitude = "initial_state.latitude"
+    given = ("--gains", latitude, "--scale", f"{latitude}=0.01")
+    code, _, said = tune(command, "--steps", 1, "--differences", 0.02, *given)
+    assert code == 0 and " +- " in said
+    with open(tmp_path / "results" / "cheap-tuned" / "history.csv") as file:
+        (row,) = csv.DictReader(file)
+    error = float(row["gradient_error"])
+    assert 0.0 < error < float(row["gradient_norm"])
+    assert f"+- {error:.2g}" in said
+
+
+def test_tune_prints_what_it_warns_of(command):
+    bounds = ("--bounds", "guidance.bank_angle=0.8726:1.2")
+    with pytest.warns(UserWarning, match="one of its bounds"):
+        code, printed, _ = tune(command, "--steps", 1, *bounds)
+    assert code == 0 and "NOTE: guidance.bank_angle starts within" in printed
+
+
+def test_sensitivity_by_differences_prints_their_errors(command):
+    given = ("--differences", "--step", 1, "--scale", 1, "--runs", 0)
+    code, printed, said = command("sensitivity", "cheap", *given)
+    assert (code, said) == (0, "")
+    assert "predicted from mean differences" in printed and "+-" in printed
 
 
 def test_sensitivity_prints_derivatives_and_spreads(command):

@@ -23,9 +23,9 @@ HUGE = 1e3
 MAPS = {
     "positive": Positive(0.3),
     "positive table": Positive([2e-7, 4.0, 3e8]),
-    "unbounded": Unbounded(-14.4),
-    "unbounded, zero": Unbounded(0.0),
-    "unbounded table": Unbounded([3.0, 0.0, -4.0]),
+    "unbounded": Unbounded(-14.4, 14.4),
+    "unbounded, zero": Unbounded(0.0, 2.5),
+    "unbounded table": Unbounded([3.0, 0.0, -4.0], [5.0 / np.sqrt(3.0)] * 3),
     "between": Between(0.9, 0.7, 1.3),
     "between, negative": Between(-0.25, -0.3, -0.1),
     "between, rounded up": Between(0.0, -0.2, 0.1),  # -0.2 + (0.1 - -0.2) > 0.1
@@ -37,7 +37,7 @@ SLOPES = {
     "positive": 0.3,
     "positive table": [2e-7, 4.0, 3e8],
     "unbounded": 14.4,
-    "unbounded, zero": 1.0,
+    "unbounded, zero": 2.5,
     "unbounded table": np.full(3, 5.0 / np.sqrt(3.0)),
     # Of a logistic curve: the distances to both bounds, their product over their sum.
     "between": 0.2 * 0.4 / 0.6,
@@ -140,7 +140,9 @@ def test_the_way_back_from_far_off_has_a_finite_derivative(name):
 )
 def test_a_lens_reaches_numbers_and_modules(where, maps):
     scenario = cheap.scenario()
-    parameters = Parameters.of(scenario, where, None)
+    zero = ("initial_state.longitude", "initial_state.latitude")
+    scales = {address: 0.1 for address in zero if address in maps}
+    parameters = Parameters.of(scenario, where, None, scales)
     assert {a: type(m) for a, m in parameters.maps.items()} == maps
     assert parameters.addresses == list(maps)
     assert parameters.count == len(maps)
@@ -186,7 +188,10 @@ def test_bounds_are_by_address_and_for_a_table_one_for_all_or_each():
 def test_a_leaf_that_is_reached_twice_keeps_its_bounds():
     where = lambda s: (s.vehicle.mass, s.vehicle)
     parameters = Parameters.of(
-        cheap.scenario(), where, {"vehicle.mass": (900.0, 1100.0)}
+        cheap.scenario(),
+        where,
+        {"vehicle.mass": (900.0, 1100.0)},
+        {"vehicle.trim_angle_of_attack": 0.1},
     )
     assert isinstance(parameters.maps["vehicle.mass"], Between)
 
@@ -256,7 +261,68 @@ def test_a_number_without_effect_is_not_tuned(name):
     where = lambda s: getattr(s.initial_state, name)
     with pytest.raises(ValueError, match=f"initial_state.{name} has no effect"):
         Parameters.of(mars_scenario(in_plane=True), where, None)
-    assert Parameters.of(mars_scenario(in_plane=False), where, None).count == 1
+    scales = {"initial_state.latitude": 0.1} if name == "latitude" else None
+    flown = mars_scenario(in_plane=False)
+    assert Parameters.of(flown, where, None, scales).count == 1
+
+
+LATITUDE = "initial_state.latitude"
+
+
+def latitude(s):
+    return s.initial_state.latitude
+
+
+def test_a_number_that_is_zero_moves_by_the_scale_that_is_given():
+    parameters = Parameters.of(cheap.scenario(), latitude, None, {LATITUDE: 0.02})
+    moved = parameters.values({LATITUDE: jnp.asarray(3.0)})[LATITUDE]
+    np.testing.assert_allclose(moved, 0.06, rtol=1e-15)
+
+
+def test_a_scale_takes_the_place_of_the_size():
+    """And in a table each number may have its own."""
+    given = {COEFFICIENTS: [0.1, 2.0]}
+    parameters = Parameters.of(mars_scenario(), coefficients, None, given)
+    moved = parameters.values({COEFFICIENTS: jnp.ones(2)})[COEFFICIENTS]
+    np.testing.assert_allclose(moved, [0.72, 2.05], rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("where", "bounds", "scales", "message"),
+    [
+        (latitude, None, None, r'is 0, .*scales=\{"initial_state.latitude": ...\}'),
+        (latitude, None, {LATITUDE: 0.0}, "the scale of .* is 0.0: it must be finite"),
+        (latitude, None, {LATITUDE: np.nan}, "the scale of .* is nan"),
+        (latitude, None, {LATITUDE: [1.0, 2.0]}, "give a number, or an array"),
+        (mass, None, {"vehicle.mass": 10.0}, "mass must be positive, from which"),
+        (mass, None, {LATITUDE: 10.0}, "latitude has a scale and is not tuned"),
+        (
+            latitude,
+            {LATITUDE: (-1.0, 1.0)},
+            {LATITUDE: 0.1},
+            "latitude has bounds, from which its scale follows",
+        ),
+    ],
+)
+def test_scales_that_tell_nothing_are_refused(where, bounds, scales, message):
+    with pytest.raises(ValueError, match=message):
+        Parameters.of(cheap.scenario(), where, bounds, scales)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "said"),
+    [
+        ((900.0, 1100.0), 0),
+        ((992.0 - 0.21, 1192.0), 0),  # 0.105 %
+        ((992.0 - 0.19, 1192.0), 1),
+        ((792.0, 992.0 + 1e-9), 1),
+    ],
+)
+def test_a_start_next_to_a_bound_is_said(bounds, said):
+    parameters = Parameters.of(cheap.scenario(), mass, {"vehicle.mass": bounds})
+    remarks = parameters.near_bounds()
+    assert len(remarks) == said
+    assert all("vehicle.mass starts within" in remark for remark in remarks)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,13 @@ from scipy import integrate, special
 
 from jentry._addresses import field_metadata, leaves_by_address
 from jentry.design.surrogate import smooth_switching
-from jentry.guidance import AbstractSwitching, Sampled, Sharp, Smooth
+from jentry.guidance import (
+    AbstractSwitching,
+    Sampled,
+    Sharp,
+    Smooth,
+    SmoothReversals,
+)
 from jentry.guidance.drag_tracking import track
 from jentry.motion import EntryState
 from jentry.onboard import DragReference, EnergyIndex, PolynomialProfile, measure
@@ -164,11 +170,74 @@ def test_slope_at_the_gate_is_that_of_the_two_choices():
         np.testing.assert_allclose(slope, expected, rtol=1e-15)
 
 
-@pytest.mark.parametrize("field", ["command", "gate"])
+@pytest.mark.parametrize("field", ["command", "gate", "reversal"])
 def test_widths_are_numbers_that_must_be_positive(field):
     assert field_metadata(Smooth(), field)["positive"]
-    assert set(leaves_by_address(Smooth())) == {"command", "gate"}
+    assert set(leaves_by_address(Smooth())) == {"command", "gate", "reversal"}
+    assert set(leaves_by_address(SmoothReversals())) == {"reversal"}
     assert leaves_by_address(Sharp()) == {}
+
+
+# Reversals.
+
+
+def reversed_by(switching, signs, wanted, excess):
+    given = (jnp.asarray(x, dtype=float) for x in (signs, wanted, excess))
+    return jax.vmap(switching.reversed)(*given)
+
+
+def test_a_sharp_reversal_is_at_once_and_has_no_derivative():
+    excess = [-1e300, -1e-300, 0.0, 1e-300, 500.0, np.inf]
+    found = reversed_by(Sharp(), [1.0] * 6, [-1.0] * 6, excess)
+    np.testing.assert_array_equal(found, [1.0, 1.0, 1.0, -1.0, -1.0, -1.0])
+    slope = jax.grad(Sharp().reversed, argnums=(0, 1, 2))
+    assert slope(number(1.0), number(-1.0), number(5.0)) == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("switching", [SmoothReversals(500.0), Smooth(reversal=500.0)])
+def test_a_smooth_reversal_is_shared_out(switching):
+    excess = np.array([-np.inf, -1.0, 0.0, 100.0, 250.0, 500.0, 1e300])
+    share = np.array([0.0, 0.0, 0.0, 0.2, 0.5, 1.0, 1.0])
+    for sign, wanted in ((1.0, -1.0), (-1.0, 1.0), (0.3, -1.0), (-1.0, -1.0)):
+        found = reversed_by(switching, [sign] * 7, [wanted] * 7, excess)
+        expected = (1.0 - share) * sign + share * wanted
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-15)
+        assert np.all(np.abs(found) <= 1.0)
+
+
+def test_the_impulse_of_a_shared_reversal_moves_with_the_crossing():
+    """That of a reversal one period after it, for a crossing at any time of a cycle; by
+    the sharp law it stays, and jumps by a period."""
+    moments = np.linspace(0.06, 4.96, 99)  # never a corner
+    rate, cycles = 400.0, np.arange(10.0)
+
+    def impulse(switching, crossing):
+        sign, total = number(1.0), 0.0
+        for time in cycles:
+            excess = rate * (time - crossing)
+            sign = switching.reversed(sign, number(-1.0), excess)
+            total += sign
+        return total
+
+    smooth = jax.vmap(lambda t: impulse(SmoothReversals(rate), t))(jnp.asarray(moments))
+    # One until a period after the crossing, and then minus one: of sums of ten.
+    np.testing.assert_allclose(smooth, 2.0 * (moments + 1.0) - 10.0, atol=1e-13)
+    slope = jax.vmap(jax.grad(lambda t: impulse(SmoothReversals(rate), t)))
+    np.testing.assert_allclose(slope(jnp.asarray(moments)), 2.0, rtol=1e-13)
+    sharp = jax.vmap(lambda t: impulse(Sharp(), t))(jnp.asarray(moments))
+    # Half a period after it in the mean.
+    np.testing.assert_allclose(sharp, 2.0 * np.floor(moments + 1.0) - 10.0, atol=1e-13)
+    # At ninety-nine places of a staircase of five.
+    assert np.mean(smooth - sharp) == pytest.approx(1.0, abs=0.05)
+
+
+def test_limits_and_gate_beside_smooth_reversals_are_sharp():
+    commands = jnp.asarray(COMMANDS)
+    found = limited(SmoothReversals(), commands)
+    np.testing.assert_array_equal(found, limited(Sharp(), commands))
+    excess = jnp.asarray([-1.0, 0.0, 1.0])
+    found = beyond(SmoothReversals(), excess, number(0.3), number(-0.8))
+    np.testing.assert_array_equal(found, [-0.8, 0.3, 0.3])
 
 
 # Laws.
@@ -204,7 +273,7 @@ def test_switching_of_a_law_is_replaced_and_nothing_else(name):
     assert eqx.tree_equal(after, Smooth())
     place = "guidance.law.switching" if "sampled" in name else "guidance.switching"
     leaves, others = leaves_by_address(smooth), leaves_by_address(scenario)
-    new = {f"{place}.command": 0.05, f"{place}.gate": 0.2}
+    new = {f"{place}.command": 0.05, f"{place}.gate": 0.2, f"{place}.reversal": 2e3}
     assert {a: leaves[a] for a in leaves if a not in others} == new
     assert all(leaves[a] is others[a] for a in others)
     assert switchings(scenario) == [before]  # as it was
@@ -252,6 +321,9 @@ class Unlimited(AbstractSwitching):
 
     def beyond(self, excess, chosen, otherwise):
         return chosen
+
+    def reversed(self, sign, wanted, excess):
+        return sign
 
 
 def test_gains_of_a_law_that_is_clipped_have_a_gradient_with_smooth_switches():

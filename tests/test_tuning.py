@@ -15,9 +15,9 @@ from helpers import with_leaf
 from jentry.campaign import Dispersion, Uniform, monte_carlo
 from jentry.design import MeanSquare, control_effort, excess, mean_square, tune
 from jentry.design.batch_gradient import Problem, batch_gradient, batch_outputs
-from jentry.design.judgement import judge
+from jentry.design.judgement import held_out, judge
 from jentry.design.parameters import Parameters
-from jentry.flight import misses
+from jentry.flight import FixedStep, misses
 from jentry.guidance import AbstractContinuousLaw
 from jentry.missions import find_mission
 from jentry.motion import Controls
@@ -247,6 +247,109 @@ def test_a_trial_without_gradient_does_not_end_it():
     assert len(result.history) > 2 and result.best >= 0
 
 
+def velocity(misses):
+    return misses.velocity
+
+
+AT_ROUNDING = MeanSquare(velocity)
+"""All flights end by the velocity: what is left of the miss is rounding"""
+
+
+@pytest.mark.parametrize("name", OPTIMIZERS)
+def test_it_stops_where_the_loss_is_rounding(name):
+    """And says so, in place of walking after it."""
+    result = tuned(name, loss=AT_ROUNDING)
+    assert 0.0 < result.history[0].loss < 1e-16
+    assert "is below the rounding of the loss" in result.stopped
+    assert len(result.history) == 1
+    assert float(result.values[ADDRESS]) == float(scenario().guidance.bank_angle)
+
+
+def test_a_difference_of_rounding_is_not_judged_to_be_one():
+    """Between any two bank angles: their bootstrap alone may say that one is better."""
+    banks = [with_leaf(scenario(), bank, a * degree) for a in (50.0, 42.0, 46.0, 48.0)]
+    for other in banks[1:]:
+        for pair in ((banks[0], other), (other, banks[0])):
+            given = cheap.mass_only(), KEY, 48, AT_ROUNDING, misses, cheap.SOLVER, None
+            found = judge(*pair, *given)
+            assert not found["loss", ""].lower
+            for statistic in ("std", "mean", "95 % of |.|"):
+                change = found["velocity", statistic].change
+                assert change.low < 0.0 < change.high
+            # And what is more than rounding still is.
+            change = found["downrange", "mean"].change
+            assert change.low > 0.0 or change.high < 0.0
+
+
+# What a gradient means.
+
+
+class Stepped(AbstractContinuousLaw[None]):
+    """A bank angle (rad) of which half is rounded to milliradians, as jumps do it: its
+    derivative is half of what it does."""
+
+    bank_angle: jax.Array
+
+    def init(self, measurement):
+        return None
+
+    def __call__(self, time, measurement, memory):
+        rounded = jax.lax.stop_gradient(jnp.round(self.bank_angle * 1e3) / 1e3)
+        bank_angle = 0.5 * (self.bank_angle + rounded)
+        controls = 0.0 * bank_angle, jnp.cos(bank_angle), jnp.sin(bank_angle)
+        return Controls(*controls), None
+
+
+def stepped():
+    law = Stepped(jnp.asarray(50 * degree))
+    return eqx.tree_at(lambda s: s.guidance, scenario(), law)
+
+
+def test_a_gradient_that_a_difference_contradicts_is_warned_of(tmp_path):
+    record = tmp_path / "record.npz"
+    with pytest.warns(UserWarning, match="a difference of the loss along it"):
+        result = tuned(start=stepped(), steps=1, record=record)
+    (entry,) = result.history
+    # By the width of its differences: 35 steps, give or take one at each end.
+    assert entry.difference == pytest.approx(2.0 * entry.gradient_norm, rel=0.05)
+    assert len(result.remarks) == 1 and "difference" in result.remarks[0]
+    # A run that is resumed knows it still, and does not warn again.
+    again = tuned(start=stepped(), steps=1, record=record)
+    assert again.remarks == result.remarks
+    smooth = tuned(steps=1)
+    first = smooth.history[0]
+    # Of a third derivative, times the square of a step of 2 %.
+    assert first.difference == pytest.approx(first.gradient_norm, rel=1e-2)
+    assert smooth.remarks == ()
+
+
+def test_differences_see_the_jumps():
+    """Twice the gradient that the derivatives have; and no one warns."""
+    result = tuned(start=stepped(), mode="difference", steps=25)
+    exact = tuned(steps=1).history[0]
+    first = result.history[0]
+    # The law without steps, of which one more or less is in 35.
+    assert first.gradient_norm == pytest.approx(exact.gradient_norm, rel=0.05)
+    assert 0.0 < first.gradient_error < first.gradient_norm
+    assert result.remarks == ()
+    assert float(result.values[ADDRESS]) == pytest.approx(BEST, abs=0.01)
+
+
+def test_differences_agree_with_derivatives_where_nothing_jumps():
+    given = {"mode": "difference", "difference_step": 1e-5, "steps": 1}
+    first, exact = tuned(**given).history[0], tuned(steps=1).history[0]
+    # A third derivative, times the square of the step, and rounding over the step.
+    assert first.gradient_norm == pytest.approx(exact.gradient_norm, rel=1e-5)
+    assert first.reached == exact.reached == {ADDRESS: 1.0}
+
+
+def test_a_start_next_to_a_bound_is_warned_of():
+    bounds = {ADDRESS: (50 * degree - 1e-5, 60 * degree)}
+    with pytest.warns(UserWarning, match="starts within 0.0057 % of one of its bounds"):
+        result = tuned(bounds=bounds, steps=1)
+    assert len(result.remarks) == 1
+
+
 # How it is asked.
 
 
@@ -326,6 +429,12 @@ def test_path_constraints_and_control_effort_enter_the_loss():
         ({"runs": 1}, "runs is 1"),
         ({"held_out": 0}, "held_out is 0"),
         ({"mode": "sideways"}, "mode is 'sideways'"),
+        ({"mode": "difference", "difference_step": 0.0}, "difference_step is 0.0"),
+        ({"mode": "difference", "optimizer": "Levenberg-Marquardt"}, "goes forward"),
+        (
+            {"where": lambda s: s.initial_state.latitude},
+            "latitude is 0, which does not",
+        ),
         (
             {"optimizer": "Levenberg-Marquardt", "mode": "reverse"},
             "least-squares solver goes forward",
@@ -353,6 +462,44 @@ def test_training_and_judgement_measure_the_same():
     given = KEY, RUNS, LOSS, misses, cheap.SOLVER, None
     judged = judge(scenario(), result.scenario, table, *given)
     assert judged["loss", ""].after.value == pytest.approx(best, rel=1e-9)
+
+
+@pytest.mark.slow
+def test_reversals_contradict_their_gradient_and_differences_do_not_need_it():
+    """Of the crossrange, which is what they are for: over 1536 flights the mean of the
+    derivatives is 14.5 +- 1.7, and a difference of 10 % is 0.3 +- 0.7; to the floor of
+    the corridor it is 0 and 15.1 +- 1.1, and by the smooth reversals 14.0 +- 0.9."""
+    mission = find_mission("mars-range-tracking")
+    given = (
+        mission.scenario("three-dimensional"),
+        lambda s: (s.guidance.gains.epsilon0, s.guidance.corridor.floor),
+        MeanSquare(lambda misses: misses.crossrange / 100.0),
+        optimistix.LBFGS(rtol=1e-6, atol=1e-6),
+        mission.dispersion_table(),
+        jax.random.key(1),
+    )
+    how = {"runs": 256, "steps": 1, "held_out": 64, "solver": FixedStep(0.25)}
+    with pytest.warns(UserWarning, match="a difference of the loss along it"):
+        result = tune(*given, **how)
+    assert result.reached["guidance.corridor.floor"] == 0.0
+    result = tune(*given, **how, mode="difference", difference_step=0.1)
+    (entry,) = result.history
+    assert result.remarks == () and result.reached["guidance.corridor.floor"] > 0.5
+    # That of the floor, which is most of it, within four standard errors.
+    assert abs(entry.gradient_norm - 15.1) < 4.0 * np.hypot(1.1, entry.gradient_error)
+
+
+def test_it_is_judged_on_draws_that_it_was_not_tuned_on():
+    """Those of the key of the judgement, flown here once more."""
+    result = tuned(steps=1)
+    losses = {}
+    for name, key in (("tuned on", KEY), ("judged on", held_out(KEY))):
+        given = scenario(), cheap.mass_only(), key, 48
+        flown = monte_carlo(*given, solver=cheap.SOLVER)
+        losses[name] = np.mean((flown.misses.downrange / 10e3) ** 2)
+    assert losses["tuned on"] != pytest.approx(losses["judged on"], rel=1e-6)
+    judged = result.judgement["loss", ""].before.value
+    assert judged == pytest.approx(losses["judged on"], rel=1e-9)
 
 
 @pytest.mark.slow

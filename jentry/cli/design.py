@@ -1,7 +1,7 @@
 """The commands that design: tune a law, and ask what a flight is sensitive to."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -77,11 +77,33 @@ def tune(
             metavar="ADDRESS=LOW:HIGH", help="Keep a leaf between two values."
         ),
     ] = None,
+    scale: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ADDRESS=VALUE",
+            help="How much of a leaf is a lot, where its own size does not tell: of one "
+            "that is 0.",
+        ),
+    ] = None,
+    differences: Annotated[
+        float | None,
+        typer.Option(
+            help="Take the gradient by central differences of the loss with the same "
+            "draws, of this step (0.02 is 2 % of a gain), in place of exact derivatives: "
+            "where flights jump, as by a bank reversal."
+        ),
+    ] = None,
     smooth: Annotated[
         bool,
         typer.Option(
             help="Follow the gradient of a law with smooth switches; it is judged by "
             "the exact one all the same."
+        ),
+    ] = False,
+    smooth_reversals: Annotated[
+        bool,
+        typer.Option(
+            help="The same with sharp switches and smooth bank reversals alone."
         ),
     ] = False,
     fresh_draws: Annotated[
@@ -106,13 +128,14 @@ def tune(
     import optax
     import optimistix
 
+    from ..design import surrogate
     from ..design.losses import BY_NAME
-    from ..design.surrogate import smooth_switching
     from ..design.tuning import tune as tune_scenario
     from ..flight.solver import FixedStep
     from ..overrides import AtAddresses, write_overrides
     from .design_report import (
         parse_bounds,
+        parse_leaf_scales,
         parse_scales,
         print_tuned,
         report_step,
@@ -124,6 +147,10 @@ def tune(
     reading, table = dispersion_table(chosen, scenario, overrides, dispersions)
     if loss not in BY_NAME:
         raise ValueError(f"loss is {loss!r}: choose from {', '.join(BY_NAME)}")
+    if smooth and smooth_reversals:
+        raise ValueError("give --smooth or --smooth-reversals, not both")
+    followed = surrogate.smooth_switching if smooth else None
+    followed = surrogate.smooth_reversals if smooth_reversals else followed
     wanted = optimizer or ("adam" if fresh_draws else "lbfgs")
     methods = {
         "lbfgs": optimistix.LBFGS(rtol=1e-6, atol=1e-6),
@@ -147,9 +174,11 @@ def tune(
             runs=runs,
             steps=steps,
             bounds=parse_bounds(bounds or ()),
+            scales=parse_leaf_scales(scale or ()),
+            **_by(differences),
             solver=FixedStep(step),
             fresh_draws=fresh_draws,
-            surrogate=smooth_switching if smooth else None,
+            surrogate=followed,
             patience=patience,
             held_out=held_out,
             record=record,
@@ -171,6 +200,12 @@ def tune(
         overrides.written or reading,
     )
     typer.echo(f"tuned scenario: {folder / 'tuned.toml'}")
+
+
+def _by(differences: float | None) -> dict[str, Any]:
+    if differences is None:
+        return {}
+    return {"mode": "difference", "difference_step": differences}
 
 
 @app.command()
@@ -229,6 +264,13 @@ def sensitivity(
     runs: Annotated[
         int, typer.Option(help="Monte Carlo beside the prediction; 0 for none.")
     ] = 1000,
+    differences: Annotated[
+        bool,
+        typer.Option(
+            help="Predict from mean differences over two standard deviations in place of "
+            "exact derivatives: where flights jump, as from one guidance cycle to the next."
+        ),
+    ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
     workers: Workers = None,
     variant: Variant = None,
@@ -266,6 +308,7 @@ def sensitivity(
             key=jax.random.key(seed),
             runs=runs,
             solver=solver,
+            mode="difference" if differences else None,
         )
         print_covariance(scenario, analysis, factor)
 

@@ -63,15 +63,31 @@ def parse_bounds(options: Iterable[str]) -> dict[str, tuple[float, float]]:
     return bounds
 
 
+def parse_leaf_scales(options: Iterable[str]) -> dict[str, float]:
+    """`ADDRESS=VALUE` of the command line."""
+    scales = {}
+    for option in options:
+        address, equals, value = option.partition("=")
+        if not equals:
+            raise ValueError(f"--scale {option}: write ADDRESS=VALUE")
+        scales[address] = parse_quantity(value)
+    return scales
+
+
 def report_step(history: list[Entry], best: int) -> None:
     """A line for each step, on standard error."""
     entry = history[-1]
     line = (
         f"step {len(history):4}  loss {entry.loss:.6g}  best {history[best].loss:.6g}"
     )
-    line += f"  gradient {entry.gradient_norm:.3g}  {entry.seconds:.0f} s"
+    line += f"  gradient {entry.gradient_norm:.3g}"
+    if np.isfinite(entry.gradient_error):
+        line += f" +- {entry.gradient_error:.2g}"
+    line += f"  {entry.seconds:.0f} s"
     if entry.failed:
         line += f"  {entry.failed} not finite"
+    if entry.gradients_failed:
+        line += f"  {entry.gradients_failed} without gradient"
     Console(stderr=True, highlight=False).print(line)
 
 
@@ -83,6 +99,15 @@ def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
         f"stopped: {tuned.stopped}; best of {len(tuned.history)} steps is number "
         f"{tuned.best + 1}, loss {first.loss:.6g} -> {best.loss:.6g}"
     )
+    for remark in tuned.remarks:
+        console.print(f"NOTE: {remark}")
+    most = max(tuned.history, key=lambda entry: entry.gradients_failed)
+    if most.gradients_failed:
+        console.print(
+            f"left out of a gradient, which was not finite or beyond all measure: "
+            f"{best.gradients_failed} flights at the best step, and "
+            f"{most.gradients_failed} in the step with most of them"
+        )
     table = new_table("address", "unit", "before", "tuned", "reached by")
     for address, value in tuned.values.items():
         unit, share = (
@@ -180,6 +205,10 @@ def write_history(path: Path, tuned: Tuned) -> None:
         "gradients_failed",
         "flights",
         "seconds",
+        "rounding",
+        "difference",
+        "difference_error",
+        "gradient_error",
     )
     names = []
     for address, value in tuned.values.items():
@@ -241,21 +270,25 @@ def print_covariance(
             verdict = "holds" if abs(spread.ratio - 1.0) < _HOLDS_WITHIN else "DEPARTS"
         table.add_row(name, unit, *cells, ratio, verdict)
     ends = ", ".join(analysis.models)
-    title = f"dispersions x {factor:g}: predicted from one flight for each end ({ends})"
+    models = list(analysis.models.values())
+    means = any(e for m in models for row in m.errors.values() for e in row.values())
+    source = "mean differences" if means else "one flight"
+    title = f"dispersions x {factor:g}: predicted from {source} for each end ({ends})"
     if analysis.runs:
         title += f", beside {analysis.runs} runs"
     print_under(console, title, table)
     for few in (
         outputs[i : i + _SIDE_BY_SIDE] for i in range(0, len(outputs), _SIDE_BY_SIDE)
     ):
-        table = new_table(
-            "one std of", *(x for name in few for x in (name, "flown", "bend"))
-        )
+        heads = ("+-", "flown", "bend") if means else ("flown", "bend")
+        table = new_table("one std of", *(x for name in few for x in (name, *heads)))
         for dispersion in next(iter(analysis.effects.values())):
             cells: list[Any] = []
             for name in few:
                 effect = analysis.effects[name][dispersion]
                 numbers = np.array([effect.linear, effect.flown, effect.bend])
+                if means:
+                    numbers = np.insert(numbers, 1, effect.error)
                 edge, _ = at_edge(numbers, unit_of_output(None, name))
                 cells += [f"{x:z.4f}" for x in edge]
             table.add_row(dispersion, *cells)

@@ -26,7 +26,10 @@ from .planning import (
     plan_drag_reference as plan_drag_reference,
 )
 from .sensitivity import Sensitivity as Sensitivity, sensitivity as sensitivity
-from .surrogate import smooth_switching as smooth_switching
+from .surrogate import (
+    smooth_reversals as smooth_reversals,
+    smooth_switching as smooth_switching,
+)
 from .tuning import Tuned as Tuned, tune as tune
 from .velocity_planning import (
     k2_polynomial as k2_polynomial,

@@ -40,7 +40,9 @@ ROUNDING = 1e-12
 does not reach it"""
 
 _BEYOND_MEASURE = 1e6
-"""Times the median of the flights beside it: the gradient of a flight that diverges"""
+"""Times the median of the flights beside it: the derivative of a flight that diverges.
+It is judged by the outputs of the flights alone, whatever the loss makes of them: the
+flights of a tail, on which a loss may look alone, have usual derivatives."""
 
 
 class Problem(eqx.Module):
@@ -73,8 +75,8 @@ class Gradient(eqx.Module):
     counted: Array
     """Flights that the loss looks at"""
     failed: Array
-    """Of these, those whose own gradient was left out: it is not finite, or beyond all
-    measure"""
+    """Of these, those that were left out: their gradient is not finite, or the derivative
+    of their outputs is beyond all measure"""
 
 
 def all_finite(tree: PyTree) -> Bool[Array, ""]:
@@ -98,8 +100,9 @@ def batch_outputs(
 @eqx.filter_jit
 def batch_jacobian(
     problem: Problem, free: Free, inputs: dict[str, Array], devices: int
-) -> tuple[Any, Any, Bool[Array, " runs"], Bool[Array, " runs"]]:
-    """Outputs of every run, their Jacobian by forward mode, and which are finite."""
+) -> tuple[Any, Any, Bool[Array, " runs"], Float[Array, " runs"]]:
+    """Outputs of every run, their Jacobian by forward mode, which runs are finite, and
+    the size of the derivatives of each; NaN if one of them is not finite."""
 
     def one(shared, run):
         problem, free = shared
@@ -110,9 +113,38 @@ def batch_jacobian(
             return moving, (outputs, finite)
 
         jacobian, (outputs, finite) = jax.jacfwd(outputs, has_aux=True)(free)
-        return outputs, jacobian, finite, all_finite(jacobian)
+        size = jnp.where(all_finite(jacobian), _along_ones(jacobian, free), jnp.nan)
+        return outputs, jacobian, finite, size
 
     return over_runs(one, (problem, free), inputs, devices)
+
+
+def _along_ones(jacobian: Any, free: Free) -> Float[Array, ""]:
+    """Size of the derivatives of a flight, by which flights are compared: the largest of
+    its outputs when all free numbers move alike. What is not finite counts as nothing."""
+    is_row = lambda node: isinstance(node, dict) and node.keys() == free.keys()
+
+    def along(row: dict[str, Array]) -> Array:
+        moved = [jnp.sum(s, axis=_last(free[a].ndim)) for a, s in row.items()]
+        return _largest(sum(moved))
+
+    rows = jax.tree.leaves(jacobian, is_leaf=is_row)
+    return functools.reduce(jnp.maximum, map(along, rows), jnp.zeros(()))
+
+
+def _last(count: int) -> tuple[int, ...]:
+    return tuple(range(-count, 0))
+
+
+def _largest(x: Array) -> Array:
+    return jnp.max(jnp.where(jnp.isfinite(x), jnp.abs(x), 0.0), initial=0.0)
+
+
+def within_measure(sizes: Float[Array, " flights"]) -> Bool[Array, " flights"]:
+    """Which flights do not diverge: the derivatives of one that does are larger than
+    those of the flights beside it by orders of magnitude."""
+    usual = jnp.nanmedian(jnp.where(sizes > 0.0, sizes, jnp.nan))
+    return jnp.isfinite(sizes) & ~(sizes > _BEYOND_MEASURE * usual)
 
 
 @eqx.filter_jit
@@ -143,30 +175,43 @@ def batch_gradient(
 ) -> Gradient:
     """Gradient of the sum of weights times outputs, over all runs.
 
-    A flight whose gradient is not finite, or beyond all measure, adds nothing.
+    A flight whose gradient is not finite, or whose outputs have derivatives beyond all
+    measure, adds nothing.
     """
-    derivative = jax.jacfwd if forward else jax.grad
 
-    def of_run(shared, run) -> Free:
+    def of_run(shared, run) -> tuple[Free, Array]:
+        """Of one flight, and the size of the derivatives of its outputs."""
         problem, free = shared
         inputs, weights = run
 
-        def weighted(free):
+        def moving(free):
             outputs, _ = problem(free, inputs)
-            moving = eqx.filter(outputs, eqx.is_inexact_array)
-            products = jax.tree.map(lambda w, x: jnp.sum(w * x), weights, moving)
+            return eqx.filter(outputs, eqx.is_inexact_array)
+
+        if forward:
+            jacobian = jax.jacfwd(moving)(free)
+            return _contracted(weights, jacobian, free), _along_ones(jacobian, free)
+
+        def weighted(free):
+            products = jax.tree.map(
+                lambda w, x: jnp.sum(jnp.where(w != 0.0, w * x, 0.0)),
+                weights,
+                moving(free),
+            )
             return sum(jax.tree.leaves(products), jnp.zeros(()))
 
-        return derivative(weighted)(free)
+        ones = jax.tree.map(jnp.ones_like, free)
+        _, moved = jax.jvp(moving, (free,), (ones,))
+        size = functools.reduce(jnp.maximum, map(_largest, jax.tree.leaves(moved)))
+        return jax.grad(weighted)(free), size
 
     def of_chunk(shared, chunk) -> Gradient:
         """Of a cache-full of flights, summed."""
-        gradients = jax.vmap(lambda run: of_run(shared, run))(chunk)
+        gradients, moved = jax.vmap(lambda run: of_run(shared, run))(chunk)
         counts = jax.vmap(_any)(chunk[1])
         sizes = {a: jax.vmap(_size)(g) for a, g in gradients.items()}
         size = functools.reduce(jnp.maximum, sizes.values())
-        usual = jnp.nanmedian(jnp.where(counts & (size > 0.0), size, jnp.nan))
-        measured = jnp.isfinite(size) & ~(size > _BEYOND_MEASURE * usual)
+        measured = jnp.isfinite(size) & within_measure(moved)
         kept = counts & measured
 
         def total(gradient):
@@ -195,6 +240,22 @@ def batch_gradient(
 
     parts = on_devices(on_one_device, (problem, free), (inputs, weights), devices)
     return jax.tree.map(lambda x: jnp.sum(x, axis=0), parts)
+
+
+def _contracted(weights: Any, jacobian: Any, free: Free) -> Free:
+    """Weights times the Jacobian. An output without weight need not have a derivative."""
+    leaves, structure = jax.tree.flatten(weights)
+    rows = structure.flatten_up_to(jacobian)
+
+    def to(address: str) -> Array:
+        total = jnp.zeros_like(free[address])
+        for weight, row in zip(leaves, rows, strict=True):
+            column = row[address].reshape(weight.size, *free[address].shape)
+            each = jnp.reshape(weight, (-1, *[1] * free[address].ndim))
+            total += jnp.sum(jnp.where(each != 0.0, each * column, 0.0), axis=0)
+        return total
+
+    return {address: to(address) for address in free}
 
 
 def _any(tree: PyTree) -> Bool[Array, ""]:

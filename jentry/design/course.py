@@ -3,6 +3,7 @@
 import time
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +12,13 @@ from .evaluation import Evaluation, Evaluator
 from .parameters import Free, Parameters
 from .steppers import AbstractStepper
 from .tuning_record import Entry, Record, restored
+
+
+COARSE_STEP = 0.02
+"""In free numbers: 2 % of a positive number. Steps of tuning are rather longer"""
+
+_MEASURED_AGAIN = 1e-3
+"""Of the loss at which its rounding was measured before"""
 
 
 class Course:
@@ -47,19 +55,11 @@ class Course:
         evaluation = evaluate(here, len(self.entries))
         if not self.entries:
             _require_start(evaluation)
-        self.entries.append(
-            Entry(
-                loss=evaluation.loss,
-                gradient_norm=_norm(evaluation.gradient),
-                failed=evaluation.failed,
-                gradients_failed=evaluation.gradients_failed,
-                flights=evaluate.flights_per_step * (len(self.entries) + 1),
-                seconds=self._before + time.perf_counter() - self._begin,
-                values=jax.tree.map(np.asarray, parameters.values(here)),
-                free=here,
-                reached=evaluation.reached,
-            )
-        )
+        entry = self._entry(here, evaluation, evaluate, parameters)
+        if entry.is_rounding:
+            nothing = jax.tree.map(jnp.zeros_like, evaluation.gradient)
+            evaluation = eqx.tree_at(lambda e: e.gradient, evaluation, nothing)
+        self.entries.append(entry)
         self._compare(len(self.entries) - 1)
         if self._state is None:
             self._state = stepper.init(here, evaluation)
@@ -71,6 +71,47 @@ class Course:
         )
         # As host arrays: a program is compiled anew for each placement of its arguments.
         self._following = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), following)
+
+    def _entry(
+        self,
+        here: Free,
+        evaluation: Evaluation,
+        evaluate: Evaluator,
+        parameters: Parameters,
+    ) -> Entry:
+        step = len(self.entries)
+        norm = _norm(evaluation.gradient)
+        slope = None
+        by_differences = np.isfinite(evaluation.gradient_error)
+        if step == 0 and np.isfinite(norm) and norm > 0.0 and not by_differences:
+            along = {a: g / norm for a, g in evaluation.gradient.items()}
+            slope = evaluate.slope_along(here, along, step, COARSE_STEP)
+        return Entry(
+            loss=evaluation.loss,
+            gradient_norm=norm,
+            failed=evaluation.failed,
+            gradients_failed=evaluation.gradients_failed,
+            flights=evaluate.flights_per_step * (step + 1),
+            seconds=self._before + time.perf_counter() - self._begin,
+            values=jax.tree.map(np.asarray, parameters.values(here)),
+            free=here,
+            reached=evaluation.reached,
+            rounding=self._rounding(here, evaluation, evaluate),
+            difference=np.nan if slope is None else slope.value,
+            difference_error=np.nan if slope is None else slope.error,
+            gradient_error=evaluation.gradient_error,
+        )
+
+    def _rounding(
+        self, here: Free, evaluation: Evaluation, evaluate: Evaluator
+    ) -> float:
+        """Measured at the start, and again where the loss has become much smaller."""
+        if self.entries:
+            last = self.entries[-1].rounding
+            since = next(entry for entry in self.entries if entry.rounding == last)
+            if abs(evaluation.loss) > _MEASURED_AGAIN * abs(since.loss):
+                return last
+        return evaluate.rounding(here, len(self.entries), evaluation.followed)
 
     def store(self, record: Record) -> None:
         record.write(self.entries, self._following, self._state, self._converged)
@@ -90,6 +131,11 @@ class Course:
             if last.gradients_failed:
                 return "no flight has a gradient that is finite"
             return "the gradient is zero"
+        if last is best and last.is_rounding:
+            return (
+                f"the gradient {last.gradient_norm:.3g} is below the rounding of the "
+                f"loss, {last.rounding:.3g}: nothing is left to tune"
+            )
         if self._converged:
             return "converged"
         if len(self.entries) >= steps:

@@ -21,8 +21,15 @@ from .batch_gradient import (
     loss_and_weights,
     put_back,
     where_finite,
+    within_measure,
 )
+from .differences import Fly, Slope, gradient_by_differences, slope_along
 from .parameters import Free
+
+
+_NUDGE = 1e-13
+"""Of a free number: some hundred roundings of the value that it stands for, and far
+less than what a difference of the loss is to be told from"""
 
 
 class LinearResiduals(eqx.Module):
@@ -48,11 +55,14 @@ class Evaluation(eqx.Module):
     failed: int
     """Flights of the exact law that are not finite, and that the loss leaves out"""
     gradients_failed: int
-    """Flights whose gradient is not finite, or beyond all measure, and is left out"""
+    """Flights whose gradient is left out: not finite, or of outputs whose derivatives are
+    beyond all measure; by differences, flights that are not finite on both sides"""
     reached: dict[str, float]
     """Share of the flights that the loss looks at to which each parameter matters"""
     linear: LinearResiduals | None = None
     """For least squares"""
+    gradient_error: float = np.nan
+    """Standard error of a gradient by differences"""
 
 
 class Evaluator:
@@ -70,12 +80,16 @@ class Evaluator:
         fresh_draws: bool,
         forward: bool,
         least_squares: bool,
+        difference: float | None = None,
     ):
-        """The gradient is that of `followed`, and the loss that of `exact`."""
+        """The gradient is that of `followed`, and the loss that of `exact`.
+
+        With a `difference` the gradient is by central differences of that step.
+        """
         self._exact, self._followed, self._loss_of = exact, followed, loss
         self._dispersions, self._key, self._runs = dispersions, key, runs
         self._fresh_draws, self._forward = fresh_draws, forward
-        self._least_squares = least_squares
+        self._least_squares, self._difference = least_squares, difference
         self._devices = len(jax.devices())
         self._inputs = self._draw(0)
         self._apart = followed is not exact or fresh_draws
@@ -85,9 +99,10 @@ class Evaluator:
         """At a point, in a step that has draws of its own if they are fresh."""
         if self._least_squares:
             evaluation = self._by_residuals(free)
+        elif self._difference is not None:
+            evaluation = self._by_differences(free, self._drawn(step))
         else:
-            inputs = self._draw(step + 1) if self._fresh_draws else self._inputs
-            evaluation = self._by_gradient(free, inputs)
+            evaluation = self._by_gradient(free, self._drawn(step))
         if not self._apart:
             return evaluation
         loss, _, failed = self._loss(self._exact, free, self._inputs)
@@ -96,6 +111,36 @@ class Evaluator:
     def loss(self, free: Free) -> float:
         """Of the exact law, at a point."""
         return self._loss(self._exact, free, self._inputs)[0]
+
+    def slope_along(self, free: Free, direction: Free, step: int, size: float) -> Slope:
+        """Central difference of the loss that is followed, of a step of this size to both
+        sides, with the draws of the gradient of a step of tuning."""
+        fly = self._flown(self._drawn(step))
+        return slope_along(fly, self._loss_of, free, direction, size)
+
+    def _flown(self, inputs) -> Fly:
+        given, counted = inputs
+
+        def fly(free: Free) -> tuple[Any, np.ndarray]:
+            outputs, finite = batch_outputs(self._followed, free, given, self._devices)
+            return outputs, np.asarray(finite) & counted
+
+        return fly
+
+    def rounding(self, free: Free, step: int, loss: float) -> float:
+        """Of the loss that is followed: how much it changes by itself when all free
+        numbers change by their rounding."""
+        ones = {a: jnp.ones_like(x) for a, x in free.items()}
+        inputs = self._drawn(step)
+        changes = []
+        for nudge in (_NUDGE, -_NUDGE):
+            nudged = _moved(free, ones, nudge)
+            changes.append(abs(self._loss(self._followed, nudged, inputs)[0] - loss))
+        return max((change for change in changes if np.isfinite(change)), default=0.0)
+
+    def _drawn(self, step: int) -> tuple[dict[str, Array], np.ndarray]:
+        """The draws of a gradient."""
+        return self._draw(step + 1) if self._fresh_draws else self._inputs
 
     def _draw(self, step: int) -> tuple[dict[str, Array], np.ndarray]:
         """Inputs of the runs of a step, filled up, and which of them count."""
@@ -125,13 +170,30 @@ class Evaluator:
         left_out = int(gradient.failed)
         return Evaluation(loss, loss, gradient.total, failed, left_out, reached)
 
+    def _by_differences(self, free: Free, inputs) -> Evaluation:
+        """See `differences`. The loss is that of the point itself."""
+        assert self._difference is not None
+        loss, _, failed = self._loss(self._followed, free, inputs)
+        found = gradient_by_differences(
+            self._flown(inputs), self._runs, self._loss_of, free, self._difference
+        )
+        left_out = max(found.failed - failed, 0)
+        return Evaluation(
+            loss,
+            loss,
+            found.gradient,
+            failed,
+            left_out,
+            found.reached,
+            gradient_error=found.error,
+        )
+
     def _by_residuals(self, free: Free) -> Evaluation:
         given, counted = self._inputs
-        outputs, jacobian, finite, smooth = batch_jacobian(
+        outputs, jacobian, finite, sizes = batch_jacobian(
             self._followed, free, given, self._devices
         )
         finite = np.asarray(finite) & counted
-        smooth = np.asarray(smooth)[finite]
         flights = int(finite.sum())
         failed = self._runs - flights
         nothing = jax.tree.map(jnp.zeros_like, free)
@@ -142,6 +204,7 @@ class Evaluator:
                 {a: jnp.zeros((_rows(free), *x.shape)) for a, x in free.items()},
             )
             return Evaluation(np.inf, np.inf, nothing, failed, 0, unreached, linear)
+        smooth = np.asarray(within_measure(sizes[finite]))
         residuals, slopes = residuals_and_slopes(
             self._loss_of.residuals,
             where_finite(outputs, finite),
@@ -159,6 +222,10 @@ class Evaluator:
         return Evaluation(
             loss, loss, gradient, failed, left_out, _reached(slopes), linear
         )
+
+
+def _moved(free: Free, direction: Free, size: float) -> Free:
+    return {a: x + size * direction[a] for a, x in free.items()}
 
 
 def residuals_and_slopes(

@@ -14,7 +14,7 @@ from jaxtyping import Array, Key
 
 from .._addresses import leaves_by_address
 from ..campaign.dispersions import Dispersion
-from ..campaign.monte_carlo import drawn_inputs, filled_up
+from ..campaign.monte_carlo import LANES, drawn_inputs, filled_up
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
 from .batch_gradient import Loss, Outputs, Problem, batch_outputs, where_finite
@@ -25,6 +25,12 @@ from .sensitivity import named
 _RESAMPLES = 1000
 _CONFIDENCE = (2.5, 97.5)
 """Percent"""
+
+_NUDGE = 1.0 + 4.0 * np.finfo(float).eps
+"""By which the draws are multiplied, to see what rounding does to a statistic"""
+
+_ROUNDINGS = 10.0
+"""Of a statistic, as far as it is seen in a few flights"""
 
 
 class Estimate(eqx.Module):
@@ -44,7 +50,9 @@ class Comparison:
     before: Estimate
     after: Estimate
     change: Estimate
-    """After minus before, run by run: narrower than the two intervals let expect"""
+    """After minus before, run by run: narrower than the two intervals let expect. The
+    interval is that of the bootstrap, wider on both sides by ten times what rounding
+    does to the statistic: a difference of rounding is none"""
 
     @property
     def lower(self) -> bool:
@@ -100,27 +108,39 @@ def judge(
 ) -> Judgement:
     """Fly both with the same draws, and compare loss and outputs with intervals.
 
-    The intervals are those of a bootstrap over the runs, 95 %.
+    The intervals are those of a bootstrap over the runs, 95 %. What rounding does is seen
+    in the first flights, flown again with draws that differ in their last digits.
     """
     devices = len(jax.devices())
     filled = filled_up(np.arange(runs), devices)
-    flown = []
+    few = LANES * devices
+    flown: list[tuple[Any, np.ndarray]] = []
+    rounding: dict[str, float] = {}
     for scenario in (before, after):
         problem = Problem(scenario, Parameters({}), outputs, solver, history)
         inputs = drawn_inputs(scenario, dispersions, key, filled)
         values, finite = batch_outputs(problem, {}, inputs, devices)
-        flown.append((values, np.asarray(finite) & (np.arange(len(filled)) < runs)))
+        finite = np.asarray(finite) & (np.arange(len(filled)) < runs)
+        flown.append((values, finite))
+        nudged = {a: _NUDGE * x[:few] for a, x in inputs.items()}
+        again, finite_again = batch_outputs(problem, {}, nudged, devices)
+        both = finite[:few] & np.asarray(finite_again)
+        first = jax.tree.map(lambda x: x[:few], values)
+        pair = where_finite(first, both), where_finite(again, both)
+        for name, size in _rounding(pair, loss, bool(both.any())).items():
+            rounding[name] = max(size, rounding.get(name, 0.0))
     (values_before, finite_before), (values_after, finite_after) = flown
     both = finite_before & finite_after
     comparisons = []
     if both.sum() >= 2:
         pair = where_finite(values_before, both), where_finite(values_after, both)
         losses, resampled = _resampled(pair, loss, int(both.sum()))
-        comparisons.append(_comparison("loss", "", losses))
+        comparisons.append(_comparison("loss", "", losses, rounding.get("loss", 0.0)))
         for quantity in _columns(pair[0]):
             for statistic in _STATISTICS:
                 found = resampled[quantity][statistic]
-                comparisons.append(_comparison(quantity, statistic, found))
+                size = rounding.get(quantity, 0.0)
+                comparisons.append(_comparison(quantity, statistic, found, size))
     return Judgement(
         runs=int(both.sum()),
         not_finite_before=int(runs - finite_before.sum()),
@@ -129,10 +149,25 @@ def judge(
     )
 
 
-def _comparison(quantity: str, statistic: str, found: tuple[Any, Any]) -> Comparison:
+def _rounding(pair: tuple[Any, Any], loss: Loss, some: bool) -> dict[str, float]:
+    """Of the loss, and of the outputs that are one number: the largest of a flight."""
+    if not some:
+        return {}
+    found = {"loss": abs(float(loss(pair[0]) - loss(pair[1])))}
+    columns = [_columns(outputs) for outputs in pair]
+    for name, values in columns[0].items():
+        found[name] = float(jnp.max(jnp.abs(values - columns[1][name])))
+    return found
+
+
+def _comparison(
+    quantity: str, statistic: str, found: tuple[Any, Any], rounding: float
+) -> Comparison:
     before, after = (np.asarray(x) for x in found)
-    estimates = _estimate(before), _estimate(after), _estimate(after - before)
-    return Comparison(quantity, statistic, *estimates)
+    change = _estimate(after - before)
+    wider = _ROUNDINGS * rounding
+    change = Estimate(change.value, change.low - wider, change.high + wider)
+    return Comparison(quantity, statistic, _estimate(before), _estimate(after), change)
 
 
 def _estimate(values: np.ndarray) -> Estimate:

@@ -8,44 +8,33 @@ two at once, as one that is planned for its target does, is on that bend.
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from .._addresses import leaves_by_address
-from ..campaign.dispersions import Dispersion, check_dispersions, disperse, draw
-from ..campaign.monte_carlo import LANES, filled_up, fly_run, over_runs
+from ..campaign.dispersions import Dispersion, check_dispersions
+from ..campaign.monte_carlo import LANES, filled_up
 from ..flight.misses import misses
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
-from ..flight.termination import Outcome, Termination
 from .batch_gradient import Outputs
-from .sensitivity import named
+from .linear_models import (
+    Draws,
+    LinearModel,
+    Pairs,
+    columns_of,
+    draw_many,
+    ending_by,
+    fly_draws,
+    linear_model,
+    mean_model,
+)
 
 
 _SAMPLED = 100_000
 """Draws that are put through the linear models; no flights"""
-
-
-Draws = Mapping[str, Any]
-"""By the name of the dispersion"""
-
-
-@dataclasses.dataclass(frozen=True)
-class LinearModel:
-    """Time and outputs of the flight that ends by one condition, about the mean draws."""
-
-    time: float
-    """s"""
-    time_slope: dict[str, float]
-    """Per standard deviation of a dispersion"""
-    values: dict[str, float]
-    slopes: dict[str, dict[str, float]]
-    """By output and dispersion, per standard deviation"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,6 +60,8 @@ class Effect:
 
     linear: float
     """Half of the difference from one below to one above, as predicted"""
+    error: float
+    """Standard error of that, the largest of all end conditions; zero if exact"""
     flown: float
     """The same, flown"""
     bend: float
@@ -104,6 +95,7 @@ def linear_covariance(
     key: Key[Array, ""] | None = None,
     runs: int = 0,
     solver: AbstractSolver = FixedStep(),
+    mode: str | None = None,
 ) -> LinearCovariance:
     """Predict the standard deviations of outputs, with a Monte Carlo beside it on request.
 
@@ -115,6 +107,9 @@ def linear_covariance(
 
     - `outputs`: a function of scenario and flight, such as `misses`, to numbers.
     - `key`, `runs`: of the Monte Carlo; none is flown if `runs` is 0.
+    - `mode`: "exact", if not given: derivatives of the nominal flight, in forward mode. Or
+        "difference": mean slopes over two standard deviations, for flights that jump, see
+        `linear_models`; they cost 128 flights for each dispersion and end condition.
 
     **Raises:** `ValueError` as `monte_carlo` does, and for a nominal flight that is not
     finite.
@@ -128,12 +123,14 @@ def linear_covariance(
     check_dispersions(scenario, dispersions)
     if runs and (runs < 2 or key is None):
         raise ValueError(f"runs is {runs}: give 2 or more with a key, or 0 for none")
+    if mode not in (None, "exact", "difference"):
+        raise ValueError(f'mode is {mode!r}: it must be "exact" or "difference"')
     devices = len(jax.devices())
     key = jax.random.key(0) if key is None else key
     pairs = tuple(dispersions.items())
 
     axes = _along_axes(pairs)
-    drawn = _draws(pairs, key, jnp.arange(max(runs, LANES)))
+    drawn = draw_many(pairs, key, jnp.arange(max(runs, LANES)))
     points = {
         name: np.concatenate([[point[name] for point in axes], np.asarray(values)])
         for name, values in drawn.items()
@@ -141,9 +138,9 @@ def linear_covariance(
     count = len(axes) + max(runs, LANES)
     filled = filled_up(np.arange(count), devices)
     given = {name: jnp.asarray(values[filled]) for name, values in points.items()}
-    flown = _fly_draws(scenario, pairs, given, outputs, solver, devices)
-    values, codes, finite = jax.tree.map(lambda x: x[:count], flown)
-    columns = {name: np.asarray(x) for name, x in _columns(values).items()}
+    flown = fly_draws(scenario, pairs, given, outputs, solver, devices)
+    values, _, codes, finite = jax.tree.map(lambda x: x[:count], flown)
+    columns = {name: np.asarray(x) for name, x in columns_of(values).items()}
     codes, finite = np.asarray(codes), np.asarray(finite)
     if not finite[0]:
         raise ValueError(
@@ -153,7 +150,12 @@ def linear_covariance(
     models, without_model = {}, {}
     for code in np.unique(codes[finite]):
         name = scenario.termination.names[int(code)]
-        model = _linear_model(scenario, pairs, outputs, solver, name)
+        alone = ending_by(scenario, name)
+        if mode == "difference":
+            others = jax.random.fold_in(key, 2)
+            model = mean_model(alone, pairs, outputs, solver, others, devices)
+        else:
+            model = linear_model(alone, pairs, outputs, solver, name)
         if model is None:
             without_model[name] = float(np.mean(codes[finite] == code))
         else:
@@ -166,7 +168,7 @@ def linear_covariance(
     sampled = _through(
         models,
         _standard(
-            pairs, _draws(pairs, jax.random.fold_in(key, 1), jnp.arange(_SAMPLED))
+            pairs, draw_many(pairs, jax.random.fold_in(key, 1), jnp.arange(_SAMPLED))
         ),
     )
     same = _through(models, _standard(pairs, {n: x[kept] for n, x in points.items()}))
@@ -191,6 +193,7 @@ def linear_covariance(
             up, down = _through(models, unit)[name]
             effects[name][dispersion] = Effect(
                 linear=float(0.5 * (up - down)),
+                error=max(m.errors[name][dispersion] for m in models.values()),
                 flown=float(0.5 * (above - below)),
                 bend=float(0.5 * (above + below) - column[0]),
             )
@@ -198,10 +201,6 @@ def linear_covariance(
     return LinearCovariance(
         models, spreads, effects, int(kept.size), failed, without_model
     )
-
-
-Pairs = tuple[tuple[str, Dispersion], ...]
-"""Dispersions in their order, which a dictionary loses under `jit`"""
 
 
 def _along_axes(pairs: Pairs) -> list[dict[str, float]]:
@@ -216,90 +215,14 @@ def _along_axes(pairs: Pairs) -> list[dict[str, float]]:
     return points
 
 
-@eqx.filter_jit
-def _draws(pairs: Pairs, key: Key[Array, ""], runs: Array) -> Draws:
-    return jax.vmap(lambda run: draw(dict(pairs), key, run))(runs)
-
-
-@eqx.filter_jit
-def _fly_draws(scenario, pairs: Pairs, draws: Draws, outputs, solver, devices: int):
-    """Outputs, code of the end condition and whether finite, for each set of draws."""
-
-    def one(shared, draws):
-        scenario, pairs = shared
-        inputs = disperse(scenario, dict(pairs), draws)
-        flight, aimed = fly_run(scenario, inputs, solver)
-        finite = flight.outcome != Outcome.NOT_FINITE
-        return outputs(aimed, flight), flight.ended_by, finite
-
-    return over_runs(one, (scenario, pairs), draws, devices)
-
-
-def _columns(values: Any) -> dict[str, Array]:
-    columns = {
-        named(name): column for name, column in leaves_by_address(values).items()
-    }
-    for name, column in columns.items():
-        if column.ndim != 1:
-            raise ValueError(
-                f"output {name} has shape {column.shape[1:]}: give single numbers"
-            )
-    return columns
-
-
-def _linear_model(
-    scenario: Scenario, pairs: Pairs, outputs: Outputs, solver, name: str
-) -> LinearModel | None:
-    """Of the flight that only this condition ends; none if it never meets it."""
-    termination = scenario.termination
-    conditions = {n: c for n, c in termination.conditions.items() if n == name}
-    alone = dataclasses.replace(
-        scenario, termination=Termination(conditions, termination.time_limit)
-    )
-    slopes, values, outcome, ended_by = _linearize(alone, pairs, outputs, solver)
-    met = alone.termination.names[int(ended_by)] == name
-    if not met or int(outcome) == Outcome.NOT_FINITE:
-        return None
-    time, columns = values
-    time_slope, slope_columns = slopes
-    by_output = {named(n): leaf for n, leaf in leaves_by_address(columns).items()}
-    flat = jax.tree.structure(columns).flatten_up_to(slope_columns)
-    return LinearModel(
-        time=float(time),
-        time_slope={d: float(s) for d, s in time_slope.items()},
-        values={n: float(value) for n, value in by_output.items()},
-        slopes={
-            n: {d: float(s) for d, s in by_dispersion.items()}
-            for n, by_dispersion in zip(by_output, flat, strict=True)
-        },
-    )
-
-
-@eqx.filter_jit
-def _linearize(scenario, pairs: Pairs, outputs, solver):
-    moments = {name: d.distribution.moments() for name, d in pairs}
-
-    def at(standard):
-        draws = {n: mean + standard[n] * std for n, (mean, std) in moments.items()}
-        inputs = disperse(scenario, dict(pairs), draws)
-        flight, aimed = fly_run(scenario, inputs, solver)
-        looked_at = jax.tree.map(
-            lambda x: jnp.asarray(x, float), outputs(aimed, flight)
-        )
-        values = flight.time, looked_at
-        return values, (values, flight.outcome, flight.ended_by)
-
-    mean = {name: jnp.zeros(()) for name in moments}
-    slopes, others = jax.jacfwd(at, has_aux=True)(mean)
-    return slopes, *others
-
-
 def _standard(pairs: Pairs, draws: Draws) -> dict[str, np.ndarray]:
     """Draws in standard deviations from their mean."""
     standard = {}
     for name, dispersion in pairs:
         mean, deviation = (float(x) for x in dispersion.distribution.moments())
-        standard[name] = (np.asarray(draws[name]) - mean) / deviation
+        # Of a constant all draws are its mean.
+        away = np.asarray(draws[name]) - mean
+        standard[name] = away / deviation if deviation > 0.0 else 0.0 * away
     return standard
 
 

@@ -26,6 +26,13 @@ Free = dict[str, Array]
 Bounds = Mapping[str, tuple[Any, Any]]
 """Lower and upper bound by address"""
 
+Scales = Mapping[str, Any]
+"""By address, what a free number of one adds to a leaf"""
+
+_NEXT_TO_A_BOUND = 1e-3
+"""Of the interval between the bounds: there a leaf moves by less than a thousandth of it
+for a free number of one"""
+
 
 class AbstractMap(eqx.Module):
     """From free numbers, of any size, to values that are allowed. Zero is the start."""
@@ -51,13 +58,13 @@ class Positive(AbstractMap):
 
 
 class Unbounded(AbstractMap):
-    """value = start + scale free, with the root mean square of the start as scale."""
+    """value = start + scale free."""
 
     start: Array = eqx.field(converter=as_float_array)
+    scale: Array = eqx.field(converter=as_float_array)
 
     def __call__(self, free):
-        size = jnp.sqrt(jnp.mean(self.start**2))
-        return self.start + jnp.where(size > 0.0, size, 1.0) * free
+        return self.start + self.scale * free
 
 
 class Between(AbstractMap):
@@ -81,15 +88,19 @@ class Parameters(eqx.Module):
 
     @classmethod
     def of(
-        cls, scenario: Scenario, where: Callable[[Any], Any], bounds: Bounds | None
+        cls,
+        scenario: Scenario,
+        where: Callable[[Any], Any],
+        bounds: Bounds | None,
+        scales: Scales | None = None,
     ) -> "Parameters":
         """Of the leaves that a lens reaches; raises `ValueError` if that cannot be tuned.
 
         Leaves with bounds stay between them, leaves that must be positive stay so, and
-        all others are free.
+        all others are free: they move by a scale, or by their root mean square.
         """
         leaves = leaves_by_address(scenario)
-        bounds = dict(bounds or {})
+        bounds, scales = dict(bounds or {}), dict(scales or {})
         maps: dict[str, AbstractMap] = {}
         try:
             # A leaf that the lens reaches twice is one parameter.
@@ -104,17 +115,24 @@ class Parameters(eqx.Module):
                     f"{address} is of type {leaf.dtype}: it has no gradient"
                 )
             check_values(address, np.asarray(leaf), metadata)
+            positive = metadata.get("positive", False)
+            if address in scales and (address in bounds or positive):
+                has = "has bounds" if address in bounds else "must be positive"
+                raise ValueError(
+                    f"{address} {has}, from which its scale follows: leave the scale out"
+                )
             if address in bounds:
-                positive = metadata.get("positive", False)
                 maps[address] = _between(address, leaf, bounds.pop(address), positive)
-            elif metadata.get("positive"):
+            elif positive:
                 maps[address] = Positive(leaf)
             else:
-                maps[address] = Unbounded(leaf)
-        for address in bounds:
-            raise ValueError(
-                f"{address} has bounds and is not tuned; {nearest(address, maps)}"
-            )
+                scale = scales.pop(address, None)
+                maps[address] = Unbounded(leaf, _scale(address, leaf, scale))
+        for what, others in (("bounds", bounds), ("a scale", scales)):
+            for address in others:
+                raise ValueError(
+                    f"{address} has {what} and is not tuned; {nearest(address, maps)}"
+                )
         return cls(maps)
 
     @property
@@ -130,9 +148,47 @@ class Parameters(eqx.Module):
         """The free numbers of the scenario as it was given."""
         return {address: jnp.zeros_like(m.start) for address, m in self.maps.items()}
 
+    def near_bounds(self) -> list[str]:
+        """A sentence for each leaf that starts so near to a bound that it hardly moves."""
+        found = []
+        for address, value in self.maps.items():
+            if isinstance(value, Between):
+                share = (value.start - value.lower) / (value.upper - value.lower)
+                nearest_share = float(jnp.min(jnp.minimum(share, 1.0 - share)))
+                if nearest_share < _NEXT_TO_A_BOUND:
+                    found.append(
+                        f"{address} starts within {100.0 * nearest_share:.2g} % of one of "
+                        "its bounds, where it hardly moves: set the bound farther off, "
+                        "or start farther inside"
+                    )
+        return found
+
     def values(self, free: Free) -> dict[str, Array]:
         """The values of the leaves."""
         return {address: value(free[address]) for address, value in self.maps.items()}
+
+
+def _scale(address: str, start: Array, given: Any) -> Array:
+    if given is None:
+        scale = jnp.sqrt(jnp.mean(start**2))
+        if not scale > 0.0:
+            raise ValueError(
+                f"{address} is 0, which does not tell how much of it is a lot: give "
+                f'scales={{"{address}": ...}}, in its unit, or bounds'
+            )
+        return jnp.broadcast_to(scale, start.shape)
+    try:
+        scale = np.broadcast_to(np.asarray(given, float), start.shape)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"the scale of {address} is {given}: give a number, or an array of the shape "
+            f"{start.shape}"
+        ) from error
+    if not np.all((scale > 0.0) & np.isfinite(scale)):
+        raise ValueError(
+            f"the scale of {address} is {given}: it must be finite and above zero"
+        )
+    return jnp.asarray(scale)
 
 
 def _between(

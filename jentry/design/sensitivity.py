@@ -44,8 +44,13 @@ def sensitivity(
     """Jacobian of flight outputs with respect to leaves of the scenario.
 
     Exact for the flight as it is computed, its end included: commands that are clipped
-    stay clipped, decisions that were taken stay taken. The entry point moves with the
-    vehicle and not with the target, as in a campaign.
+    stay clipped, decisions that were taken stay taken. So it is the slope between the jumps
+    of a law that decides in cycles: where the phase of the last cycle makes a sawtooth of
+    an output, as with the altitude and the path angle that `cav-h` arrives with, it is that
+    of one tooth, and no guide to a change across several. At a corner, as of two
+    end conditions that are met at once, it is that of one side, `ended_by`. How an output
+    changes in the mean tells `linear_covariance(..., mode="difference")`. The entry point
+    moves with the vehicle and not with the target, as in a campaign.
 
     **Arguments:**
 

@@ -3,10 +3,12 @@
 import jax
 
 from ..flight.scenario import Scenario
-from ..guidance.switching import AbstractSwitching, Smooth
+from ..guidance.switching import AbstractSwitching, Smooth, SmoothReversals
 
 
-def smooth_switching(scenario: Scenario, switching: Smooth | None = None) -> Scenario:
+def smooth_switching(
+    scenario: Scenario, switching: AbstractSwitching | None = None
+) -> Scenario:
     """The scenario with the smooth switches of `Smooth` in its law.
 
     For `tune(..., surrogate=smooth_switching)`, which follows its gradients and judges by
@@ -31,3 +33,11 @@ def smooth_switching(scenario: Scenario, switching: Smooth | None = None) -> Sce
             "AbstractSwitching that could be made smooth"
         )
     return smooth
+
+
+def smooth_reversals(scenario: Scenario) -> Scenario:
+    """The scenario with reversals of its bank that are shared out between cycles.
+
+    For `tune(..., surrogate=smooth_reversals)`, see `SmoothReversals`.
+    """
+    return smooth_switching(scenario, SmoothReversals())

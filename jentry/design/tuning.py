@@ -1,6 +1,7 @@
 """Tune any numbers of a scenario by gradient through its Monte Carlo."""
 
 import dataclasses
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,11 @@ from ..flight.misses import misses
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
 from .batch_gradient import FORWARD_UP_TO, Loss, Outputs, Problem
-from .course import Course
+from .course import COARSE_STEP, Course
 from .evaluation import Evaluator
 from .judgement import Judgement, held_out as held_out_key, judge
 from .losses import MeanSquare
-from .parameters import Bounds, Parameters
+from .parameters import Bounds, Parameters, Scales
 from .steppers import AbstractStepper, Descent, Solver
 from .tuning_record import Entry, Record, told
 
@@ -49,6 +50,8 @@ class Tuned:
     """Why"""
     judgement: Judgement
     """Against the scenario as it was given, on held-out draws"""
+    remarks: tuple[str, ...] = ()
+    """What was warned of"""
 
     @property
     def reached(self) -> dict[str, float]:
@@ -70,11 +73,13 @@ def tune(
     runs: int = 256,
     steps: int = 100,
     bounds: Bounds | None = None,
+    scales: Scales | None = None,
     outputs: Outputs = misses,
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
     fresh_draws: bool = False,
     mode: str | None = None,
+    difference_step: float = 0.02,
     surrogate: Callable[[Scenario], Scenario] | None = None,
     patience: int = 20,
     tolerance: float = 1e-4,
@@ -84,11 +89,20 @@ def tune(
     labels: Mapping[str, Any] | None = None,
     report: Callable[[list[Entry], int], None] | None = None,
 ) -> Tuned:
-    """Make a loss of many dispersed flights small, by their exact gradient.
+    """Make a loss of many dispersed flights small, by its gradient.
 
     The loss sees the outputs of all runs at once; flights that are not finite are left
     out of it and of its gradient, and a point with more of them is never the best. What
     is found is flown again by the exact law on other draws, `Tuned.judgement`.
+
+    The gradient is the mean of the exact derivatives of the flights. A flight may also
+    jump: a law that decides in cycles reverses its bank one cycle later, or takes one
+    cycle more to the end. The derivative of a flight is that between its jumps, so that
+    with jumps the mean of the derivatives is not the derivative of the mean. Before the
+    first step the gradient is compared with a central difference of the loss along it, of
+    2 % of the numbers; where they contradict each other, `tune` warns. Then take a
+    `surrogate` without the jumps, such as `smooth_reversals` of the bank, or
+    `mode="difference"`, which sees whatever happens within its step.
 
     **Arguments:**
 
@@ -107,11 +121,18 @@ def tune(
     - `steps`: at most; `seconds` (wall clock) likewise. It ends before when the best
       loss has not fallen by a share of `tolerance` in `patience` steps.
     - `bounds`: lower and upper by address. Numbers that must be positive stay so anyway.
+        Next to a bound a number hardly moves: a start within 0.1 % of one is warned of.
+    - `scales`: by address, how much of a number counts as much as a factor e of a positive
+        one. Its own size if not given, so that a number that is zero needs one.
     - `outputs`: what is looked at of a flight, a function of scenario and flight, for
       example `lambda s, f: (misses(s, f), f.peaks)`. `history` (s) gives the flights
       one, see `fly`; define the function once, since another one is compiled anew.
-    - `mode`: "forward" or "reverse"; by the number of parameters if not given. Least
-      squares goes forward.
+    - `mode`: "forward" or "reverse", of the exact derivatives; by the number of parameters
+      if not given. Least squares goes forward. Or "difference": central differences of
+      the loss with the same draws, number by number, over `difference_step` to both sides
+      (in free numbers: 0.02 is 2 % of a positive number). They are exact for the loss
+      averaged over that interval, jumps included, and come with a standard error,
+      `Entry.gradient_error`. A step in which hardly a flight jumps tells little.
     - `surrogate`: takes the scenario to a smoother one whose gradient is followed, such
       as `smooth_switching`. The loss and the best point are those of the exact law.
     - `held_out`: runs to judge by.
@@ -120,8 +141,12 @@ def tune(
       losses and optimizers apart.
     - `report`: is called after each step with the history and the place of the best.
 
+    It stops where the gradient is below the rounding of the loss: every further step
+    would be taken by chance.
+
     **Raises:** `ValueError` for leaves that cannot be tuned, a leaf that is dispersed as
-    well, a loss that is no number, and if no flight is finite at the start.
+    well, a loss that is no number, and if no flight is finite at the start. **Warns**
+    of a gradient that a difference contradicts, and of a start next to a bound.
 
         tuned = tune(
             scenario,
@@ -137,7 +162,7 @@ def tune(
     if not dispersions:
         raise ValueError("nothing is dispersed: give dispersions")
     check_dispersions(scenario, dispersions)
-    parameters = Parameters.of(scenario, where, bounds)
+    parameters = Parameters.of(scenario, where, bounds, scales)
     _require_disjoint(scenario, parameters, dispersions)
     for name, value, least in (
         ("runs", runs, 2),
@@ -147,6 +172,11 @@ def tune(
     ):
         if value < least:
             raise ValueError(f"{name} is {value}: it must be at least {least}")
+    if not 0.0 < difference_step < 1.0:
+        raise ValueError(
+            f"difference_step is {difference_step}: it must be between 0 and 1; 0.02 is 2 "
+            "% of a positive number"
+        )
     stepper = _stepper(optimizer, loss, fresh_draws)
     least_squares = _is_least_squares(optimizer)
     exact = Problem(scenario, parameters, outputs, solver, history)
@@ -163,18 +193,25 @@ def tune(
         fresh_draws=fresh_draws,
         forward=_is_forward(mode, parameters.count, least_squares),
         least_squares=least_squares,
+        difference=difference_step if mode == "difference" else None,
     )
     stored = None
     if record is not None:
-        asked = loss, outputs, optimizer, fresh_draws, labels or {}
+        by = difference_step if mode == "difference" else None
+        asked = loss, outputs, optimizer, fresh_draws, by, labels or {}
         description = _description(exact, followed, dispersions, key, runs, asked)
         stored = Record(Path(record), description)
+    remarks = parameters.near_bounds()
+    for remark in remarks:
+        warnings.warn(remark, stacklevel=2)
     course = Course(parameters.start())
     if stored is not None and stored.path.exists():
         course.resume(stored, evaluate)
     limits = steps, seconds, patience, tolerance
     while not (stopped := course.why_stop(*limits)):
         course.advance(evaluate, stepper, parameters)
+        if len(course.entries) == 1 and course.entries[0].contradicted:
+            warnings.warn(_contradiction(course.entries[0]), stacklevel=2)
         if stored is not None:
             course.store(stored)
         if report is not None:
@@ -193,7 +230,22 @@ def tune(
         solver,
         history,
     )
-    return Tuned(tuned, values, course.entries, course.best, stopped, judgement)
+    first = course.entries[0]
+    remarks += [_contradiction(first)] if first.contradicted else []
+    return Tuned(
+        tuned, values, course.entries, course.best, stopped, judgement, tuple(remarks)
+    )
+
+
+def _contradiction(entry: Entry) -> str:
+    return (
+        f"the gradient of the loss at the start is {entry.gradient_norm:.3g}, and a "
+        f"difference of the loss along it, of {100.0 * COARSE_STEP:g} % to both sides, "
+        f"says {entry.difference:.3g} +- {entry.difference_error:.2g}: flights jump there "
+        "(a bank reversal or an end one guidance cycle later), which their derivatives do "
+        "not know; follow a surrogate, such as smooth_reversals, or take "
+        'mode="difference"'
+    )
 
 
 def _is_least_squares(optimizer: Optimizer) -> bool:
@@ -201,13 +253,15 @@ def _is_least_squares(optimizer: Optimizer) -> bool:
 
 
 def _is_forward(mode: str | None, count: int, least_squares: bool) -> bool:
-    if mode not in (None, "forward", "reverse"):
-        raise ValueError(f'mode is {mode!r}: it must be "forward" or "reverse"')
+    if mode not in (None, "forward", "reverse", "difference"):
+        raise ValueError(
+            f'mode is {mode!r}: it must be "forward", "reverse" or "difference"'
+        )
     if least_squares:
-        if mode == "reverse":
+        if mode in ("reverse", "difference"):
             raise ValueError(
                 "a least-squares solver goes forward: leave the mode out, or take "
-                "another optimizer for so many parameters"
+                "another optimizer, such as optimistix.LBFGS"
             )
         return True
     return count <= FORWARD_UP_TO if mode is None else mode == "forward"
@@ -255,13 +309,13 @@ def _description(
     dispersions: Mapping[str, Dispersion],
     key: Key[Array, ""],
     runs: int,
-    asked: tuple[Loss, Outputs, Optimizer, bool, Mapping[str, Any]],
+    asked: tuple[Loss, Outputs, Optimizer, bool, float | None, Mapping[str, Any]],
 ) -> dict[str, Any]:
     """What a tuning run is: two that are equal take the same steps.
 
     Of functions the names can be told, and of optimizers of optax nothing.
     """
-    loss, outputs, optimizer, fresh_draws, labels = asked
+    loss, outputs, optimizer, fresh_draws, difference, labels = asked
     known = describe(exact.scenario, dispersions, 0, exact.solver, exact.history)
     return {
         **known,
@@ -273,5 +327,6 @@ def _description(
         "outputs": told(outputs),
         "optimizer": told(optimizer),
         "fresh_draws": fresh_draws,
+        "difference_step": difference,
         "labels": {name: str(value) for name, value in labels.items()},
     }

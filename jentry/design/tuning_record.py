@@ -23,6 +23,21 @@ _UNREADABLE = ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZip
 """What numpy may raise of a file that it has not written"""
 
 
+_ROUNDINGS = 10.0
+"""Changes of a loss by rounding are measured twice, and vary by a few times"""
+
+_AGREES = 0.2
+"""Of a gradient. Optimizers take a step that brings some tenths of what was promised.
+Without jumps a difference of a step of 2 % agrees within 1e-4 of the third derivative"""
+
+_STANDARD_ERRORS = 2.0
+"""With jumps a difference is a matter of luck: of few flights that happen to jump"""
+
+_MATTERS = 1e-3
+"""Of the loss, for a step that changes a number by its own size. At a point that is
+best already the gradient is small, and so is all that it lacks"""
+
+
 @dataclasses.dataclass(frozen=True)
 class Entry:
     """One evaluated point."""
@@ -44,6 +59,34 @@ class Entry:
     free: Free
     reached: dict[str, float]
     """Share of the flights that the loss looks at to which the parameter matters"""
+    rounding: float = np.nan
+    """Of the loss that is followed, as it was measured last"""
+    difference: float = np.nan
+    """Of the loss that is followed, over its own gradient: a coarse central difference
+    beside `gradient_norm`. Measured at the start only, and not of a gradient that is one
+    of differences itself"""
+    difference_error: float = np.nan
+    """Standard error of it"""
+    gradient_error: float = np.nan
+    """Standard error of a gradient by differences"""
+
+    @property
+    def is_rounding(self) -> bool:
+        """Whether the gradient promises no change beyond the rounding of the loss, not
+        even for a step that changes a number by its own size."""
+        return self.gradient_norm <= _ROUNDINGS * self.rounding
+
+    @property
+    def contradicted(self) -> bool:
+        """Whether the difference says another thing than the gradient does, beyond its
+        standard error, and one that matters to the loss."""
+        lacking = abs(self.difference - self.gradient_norm)
+        least = max(
+            _AGREES * max(abs(self.difference), self.gradient_norm),
+            _STANDARD_ERRORS * self.difference_error,
+            _MATTERS * abs(self.loss),
+        )
+        return lacking > least
 
     def better_than(self, other: "Entry") -> bool:
         """Fewer flights that are not finite, or as many and less loss."""
@@ -52,7 +95,18 @@ class Entry:
         return self.loss < other.loss
 
 
-_NUMBERS = "loss", "gradient_norm", "failed", "gradients_failed", "flights", "seconds"
+_NUMBERS = (
+    "loss",
+    "gradient_norm",
+    "failed",
+    "gradients_failed",
+    "flights",
+    "seconds",
+    "rounding",
+    "difference",
+    "difference_error",
+    "gradient_error",
+)
 _BY_ADDRESS = "values", "free", "reached"
 
 

@@ -60,6 +60,13 @@ def fly(
     `jax.jacfwd`) and in reverse mode (`jax.grad`); the end is located exactly, and its
     time moves with what is varied.
 
+    A derivative is that of the flight between its jumps. Where a law decides in cycles a
+    flight jumps: a bank reversal, or the last cycle before the end, comes one cycle later.
+    At a corner, where two end conditions are met at once or a command meets its limit, the
+    derivative is one-sided. The mean of the derivatives of many flights is the derivative
+    of their mean if the flights have corners, and not if they have jumps: for these see
+    `tune(mode="difference")` and `linear_covariance(mode="difference")`.
+
     **Arguments:**
 
     - `scenario`: what flies.

@@ -34,6 +34,7 @@ from .switching import (
     AbstractSwitching as AbstractSwitching,
     Sharp as Sharp,
     Smooth as Smooth,
+    SmoothReversals as SmoothReversals,
 )
 from .velocity_control import (
     AbstractVelocityControl as AbstractVelocityControl,

@@ -3,13 +3,13 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
 
 from .._math import sincos
 from .._types import Scalar, scalar
 from ..motion.quantities import ground_track
 from ..motion.state import EntryState
 from ..world.planet import Planet
+from .switching import AbstractSwitching, Sharp
 
 
 class LateralCorridor(eqx.Module):
@@ -27,15 +27,20 @@ class LateralCorridor(eqx.Module):
         return self.floor + self.widening * velocity * velocity
 
 
-def reverse_bank(sign: Scalar, crossrange: Scalar, half_width: Scalar) -> Scalar:
+def reverse_bank(
+    sign: Scalar,
+    crossrange: Scalar,
+    half_width: Scalar,
+    switching: AbstractSwitching = Sharp(),
+) -> Scalar:
     """Sign of the bank for a predicted crossrange miss (m, positive to the left).
 
     Inside the corridor the sign stays. Outside it turns back: to the right, which is
-    positive, if the miss is to the left. A discrete choice, and so without derivative.
+    positive, if the miss is to the left. A discrete choice, and so without derivative,
+    unless the switching is `Smooth`; then the sign takes values between the two.
     """
     turning_back = jnp.where(crossrange > 0.0, 1.0, -1.0)
-    outside = jnp.abs(crossrange) > half_width
-    return lax.stop_gradient(jnp.where(outside, turning_back, sign))
+    return switching.reversed(sign, turning_back, jnp.abs(crossrange) - half_width)
 
 
 def predicted_crossrange(

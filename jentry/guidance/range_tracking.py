@@ -219,6 +219,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
                 held.bank_sign,
                 passing - aim.crossrange,
                 self.corridor.half_width(state.velocity),
+                self.switching,
             ),
         )
         jump = decided.scale - held.scale

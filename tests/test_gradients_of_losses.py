@@ -1,0 +1,240 @@
+"""The gradient of every named loss is that of its differences, tails and all.
+
+A loss with a tail gives most flights no weight to speak of. What a flight adds to the
+gradient may not be judged by that weight.
+"""
+
+import functools
+
+import cheap
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from jentry.campaign.monte_carlo import LANES, drawn_inputs
+from jentry.design.batch_gradient import (
+    Problem,
+    batch_gradient,
+    batch_outputs,
+    loss_and_weights,
+    where_finite,
+)
+from jentry.design.differences import gradient_by_differences
+from jentry.design.evaluation import Evaluator
+from jentry.design.losses import BY_NAME, ScaledMisses
+from jentry.design.parameters import Parameters
+from jentry.flight import FixedStep, misses
+from jentry.missions import find_mission
+
+
+FLIGHTS = 2 * LANES
+
+DIVERGES = "vehicle.nose_radius"
+"""A leaf of which nothing depends here but, above 5 m, the derivatives of `outputs`"""
+
+SCALED = ScaledMisses((("downrange", 3e3), ("altitude", 300.0)))
+"""So small that a tail, a tenth wide, holds few of the flights"""
+
+
+def outputs(scenario, flight):
+    """Misses, with derivatives a thousand million times as large where it diverges."""
+    found = misses(scenario, flight)
+    steep = jnp.where(scenario.vehicle.nose_radius > 5.0, 1e9, 1.0)
+    return jax.tree.map(
+        lambda x: lax.stop_gradient(x) + steep * (x - lax.stop_gradient(x)), found
+    )
+
+
+@functools.cache
+def problem():
+    where = lambda s: (s.guidance.bank_angle, s.initial_state.velocity)
+    parameters = Parameters.of(cheap.scenario(), where, None)
+    return Problem(cheap.scenario(), parameters, outputs, cheap.SOLVER, None)
+
+
+@functools.cache
+def drawn():
+    given = cheap.scenario(), cheap.dispersions(), jax.random.key(1), np.arange(FLIGHTS)
+    return drawn_inputs(*given) | {DIVERGES: jnp.ones(FLIGHTS)}
+
+
+def flown(free):
+    found, finite = batch_outputs(problem(), free, drawn(), 1)
+    return found, np.asarray(finite)
+
+
+def gradient(loss, forward, inputs=None):
+    free = problem().parameters.start()
+    _, weights = loss_and_weights(loss, flown(free)[0])
+    inputs = drawn() if inputs is None else inputs
+    return batch_gradient(problem(), free, inputs, weights, 1, forward), weights
+
+
+def differences(loss, step=2e-6):
+    """Of the loss itself, by address."""
+    free = problem().parameters.start()
+    found = {}
+    for address, here in free.items():
+        up, down = (
+            float(loss(flown(free | {address: here + s})[0])) for s in (step, -step)
+        )
+        found[address] = (up - down) / (2.0 * step)
+    return found
+
+
+MODES = [True, pytest.param(False, marks=pytest.mark.slow)]
+"""Forward, and reverse, which `test_tuning` has everyday with another loss"""
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+@pytest.mark.parametrize("forward", MODES)
+def test_gradient_of_a_named_loss_is_its_difference(name, forward):
+    loss = BY_NAME[name](SCALED)
+    found, weights = gradient(loss, forward)
+    assert int(found.failed) == 0
+    sizes = np.max([np.abs(w) for w in jax.tree.leaves(weights)], axis=0)
+    if name in ("worst-case", "outside"):
+        # What a loss with a tail is: flights a million times as heavy as the usual one.
+        assert sizes.max() > 1e6 * np.median(sizes[sizes > 0.0])
+    for address, expected in differences(loss).items():
+        # The third derivative of a tail, and rounding over the step.
+        assert float(found.total[address]) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_gradient_by_residuals_is_the_difference_too():
+    evaluate = Evaluator(
+        problem(),
+        problem(),
+        BY_NAME["mean-square"](SCALED),
+        cheap.dispersions(),
+        jax.random.key(1),
+        FLIGHTS,
+        fresh_draws=False,
+        forward=True,
+        least_squares=True,
+    )
+    evaluation = evaluate(problem().parameters.start(), 0)
+    assert evaluation.gradients_failed == 0
+    for address, expected in differences(BY_NAME["mean-square"](SCALED)).items():
+        found = float(evaluation.gradient[address])
+        assert found == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("forward", MODES)
+def test_a_flight_that_diverges_is_left_out_and_counted(forward):
+    """Whatever its weight: also where that makes its gradient as small as the others'."""
+    loss = BY_NAME["mean-square"](SCALED)
+    whole, weights = gradient(loss, forward)
+    diverges = np.zeros(FLIGHTS, bool)
+    diverges[[3, 70]] = True
+    inputs = drawn() | {DIVERGES: jnp.asarray(np.where(diverges, 10.0, 1.0))}
+    found, _ = gradient(loss, forward, inputs)
+    assert int(found.failed) == 2 and int(found.counted) == FLIGHTS
+    alone = jax.tree.map(lambda w: jnp.where(diverges, w, 0.0), weights)
+    free = problem().parameters.start()
+    theirs = batch_gradient(problem(), free, drawn(), alone, 1, forward)
+    for address, total in found.total.items():
+        expected = float(whole.total[address] - theirs.total[address])
+        assert float(total) == pytest.approx(expected, rel=1e-10)  # sums of 128
+    light = jax.tree.map(lambda w: jnp.where(diverges, 1e-9 * w, w), weights)
+    found = batch_gradient(problem(), free, inputs, light, 1, forward)
+    assert int(found.failed) == 2
+
+
+# By differences.
+
+
+def fly(free):
+    return flown(free)
+
+
+def test_gradient_by_differences_is_that_of_the_loss():
+    loss = BY_NAME["cvar"](SCALED)
+    free = problem().parameters.start()
+    found = gradient_by_differences(fly, FLIGHTS, loss, free, 2e-6)
+    for address, expected in differences(loss).items():
+        # Rounding of sums of 128 over the step.
+        assert float(found.gradient[address]) == pytest.approx(expected, rel=1e-9)
+    # Of the seven flights that the worst twentieth of 128 are.
+    assert found.failed == 0 and set(found.reached.values()) == {7 / FLIGHTS}
+
+
+def test_standard_error_of_differences_is_that_of_a_mean():
+    """For a mean square: of the squares before and behind, flight by flight."""
+    loss = BY_NAME["mean-square"](SCALED)
+    free = problem().parameters.start()
+    step, squares = 0.01, 0.0
+    for address, here in free.items():
+        up, down = (
+            np.sum(np.square(SCALED(flown(free | {address: here + s})[0])), axis=0)
+            for s in (step, -step)
+        )
+        slopes = (up - down) / (2.0 * step)
+        squares += np.var(slopes, ddof=1) / FLIGHTS
+    found = gradient_by_differences(fly, FLIGHTS, loss, free, step)
+    # The trapezoidal rule is exact for squares.
+    assert found.error == pytest.approx(np.sqrt(squares), rel=1e-9)
+
+
+def test_flights_that_fail_on_one_side_are_left_out_of_both():
+    """Else a difference would be that of their whole loss over the step."""
+    loss = BY_NAME["mean-square"](SCALED)
+    free = problem().parameters.start()
+    count = 0
+
+    def fragile(free):
+        nonlocal count
+        count += 1
+        found, finite = flown(free)
+        finite = finite.copy()
+        finite[5 if count % 2 else 9] = False
+        return found, finite
+
+    found = gradient_by_differences(fragile, FLIGHTS, loss, free, 1e-5)
+    assert found.failed == 2
+    others = np.ones(FLIGHTS, bool)
+    others[[5, 9]] = False
+    for address, here in free.items():
+        up, down = (
+            float(loss(where_finite(flown(free | {address: here + s})[0], others)))
+            for s in (1e-5, -1e-5)
+        )
+        expected = (up - down) / 2e-5
+        assert float(found.gradient[address]) == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("forward", [True, False])
+def test_tails_of_the_mars_mission(forward):
+    """Of the law and the draws of the campaign that tuning is for, b and epsilon0.
+
+    Differences have kinks between them: where a command is clipped, in a flight of some.
+    """
+    mission = find_mission("mars-drag-tracking")
+    scenario = mission.scenario("table-3")
+    where = lambda s: (s.guidance.gains.epsilon0, s.guidance.gains.b)
+    parameters = Parameters.of(scenario, where, None)
+    free = parameters.start()
+    whole = Problem(scenario, parameters, misses, FixedStep(), None)
+    given = scenario, mission.dispersion_table(), jax.random.key(0), np.arange(FLIGHTS)
+    inputs = drawn_inputs(*given)
+    scaled = ScaledMisses((("downrange", 1e3),))
+    for name in BY_NAME:
+        loss = BY_NAME[name](scaled)
+        here, _ = batch_outputs(whole, free, inputs, 1)
+        _, weights = loss_and_weights(loss, here)
+        found = batch_gradient(whole, free, inputs, weights, 1, forward)
+        assert int(found.failed) == 0
+        for address in free:
+            slopes = []
+            for step in (1e-4, 1e-5, 1e-6):
+                up, down = (
+                    float(loss(batch_outputs(whole, free | {address: s}, inputs, 1)[0]))
+                    for s in (jnp.asarray(step), jnp.asarray(-step))
+                )
+                slopes.append((up - down) / (2.0 * step))
+            error = min(abs(float(found.total[address]) / s - 1.0) for s in slopes)
+            assert error < 1e-4, (name, address, found.total[address], slopes)
