@@ -43,6 +43,7 @@ from jentry.onboard import (
     PathPoint,
 )
 from jentry.units import degree, km
+from jentry.world import USStandardAtmosphere1976
 
 
 def number(x):
@@ -391,6 +392,14 @@ def test_output_of_a_network_is_the_logarithm_of_the_velocity_per_radian():
     )
     predicted = NetworkPredictor(says, Inputs.STATE).predict(LAW.glide, here)
     assert float(predicted) == pytest.approx(2650.0, rel=1e-13)
+
+
+def test_the_standard_atmosphere_flies_and_is_on_board():
+    scenario = find_mission("cav-h").scenario("us-1976")
+    flown = scenario.planet.atmosphere.undisturbed
+    known = scenario.guidance.model.planet.atmosphere
+    assert isinstance(flown, USStandardAtmosphere1976)
+    assert isinstance(known, USStandardAtmosphere1976)
 
 
 # Deciding together, each for itself.

@@ -55,9 +55,8 @@ def test_beyond_the_ends_it_goes_on_straight(name):
     x = np.array([-3.0, -0.1, 0.0, 0.35, 2.55, 4.0, 4.2, 10.0])
     expected = np.where(x < 0.0, values[0] + first * x, cubic(np.clip(x, 0.0, 4.0)))
     expected = np.where(x > 4.0, values[-1] + last * (x - 4.0), expected)
-    found, slopes = over(
-        jax.value_and_grad(lambda at: interpolate(jnp.asarray(GRID), values, at))
-    )(x)
+    table = jnp.asarray(GRID), jnp.asarray(values)
+    found, slopes = over(jax.value_and_grad(lambda at: interpolate(*table, at)))(x)
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13)
     inside = cubic.derivative()(np.clip(x, 0.0, 4.0))
     np.testing.assert_allclose(slopes, inside, rtol=1e-11, atol=1e-12)

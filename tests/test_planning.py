@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import fly_compiled, mars_scenario
+from helpers import fly_compiled, mars_entry, mars_scenario, with_leaf
 
 from jentry.design import (
     k2_polynomial,
@@ -20,7 +20,7 @@ from jentry.design import (
     plan_parameters,
     velocity_map,
 )
-from jentry.design.planning import ReferenceFlight, plan_drag_reference
+from jentry.design.planning import ReferenceFlight, _profile, plan_drag_reference
 from jentry.flight import FixedStep, Outcome
 from jentry.missions.cav_h import stored
 from jentry.onboard import EnergyIndex, PolynomialProfile
@@ -139,6 +139,28 @@ def moved(scenario, curvature, directions):
     return jax.vmap(lambda d: jax.jvp(plan, (at,), (tuple(d),))[1])(directions)
 
 
+def test_a_profile_is_over_the_way_from_its_end_to_the_entry():
+    given = mars_scenario(), jnp.asarray(503.0), jnp.asarray(-0.3)
+    profile = _profile(given, jnp.array([0.6, 0.05]))
+    for velocity, z in ((503.0, 0.0), (6750.0, 1.0), (1752.4, 0.2)):
+        expected = 0.6 + 0.05 * z - 0.3 * z * z
+        assert float(profile(jnp.asarray(velocity))) == pytest.approx(expected)
+
+
+def test_an_open_loop_flies_its_profile_at_trim_to_its_velocity():
+    scenario = with_leaf(
+        mars_scenario(), lambda s: s.vehicle.trim_angle_of_attack, 0.125
+    )
+    profile = PolynomialProfile([0.3])
+    flown = open_loop(scenario, profile, 700.0)
+    assert float(flown.guidance.angle_of_attack) == 0.125
+    assert flown.guidance.cos_bank is profile
+    assert flown.termination.names == ("velocity", "time_limit")
+    assert float(flown.termination.conditions["velocity"].velocity) == 700.0
+    assert flown.termination.time_limit == scenario.termination.time_limit
+
+
+@pytest.mark.slow
 def test_a_planned_profile_has_the_curvature_and_meets_the_target():
     scenario = mars_scenario()
     curvature = jnp.asarray(-0.05)
@@ -173,25 +195,8 @@ def test_a_planned_profile_moves_with_what_it_is_planned_for():
         np.testing.assert_allclose(slope, numeric, rtol=1e-4, atol=1e-9)
 
 
-def test_a_reference_starts_where_the_drag_exceeds_the_gate(planned):
-    _, flight, references = planned
-    plan = eqx.filter_jit(plan_drag_reference)
-    gated = plan(flight, EnergyIndex(), 2.0, 60)
-    ungated = references["energy"]
-    assert float(gated.gate) == 2.0 and float(ungated.gate) == 0.0
-    first = gated.drag.start
-    # The first of samples 0.1 s apart, between which the drag grows by a few per cent.
-    assert 2.0 < float(gated.drag(first)) < 2.1
-    assert float(gated.drag(first)) == pytest.approx(
-        float(ungated.drag(first)), rel=1e-6
-    )
-    assert eqx.tree_equal(gated.cos_bank, flight.scenario.guidance.cos_bank)
-    assert gated.drag.coefficients.shape == (60, 6)
-
-
-def test_only_a_bank_profile_is_a_reference(planned):
-    _, flight, _ = planned
-    other = eqx.tree_at(lambda f: f.scenario.guidance, flight, stored().guidance)
+def test_only_a_bank_profile_is_a_reference():
+    states = jax.tree.map(lambda x: jnp.stack([x, x]), mars_entry())
+    flight = ReferenceFlight(stored(), 0.1, jnp.array([0.0, 0.1]), states)
     with pytest.raises(ValueError, match="flies BezierGuidance, not a BankProfile"):
-        plan_drag_reference(other, EnergyIndex())
-    assert isinstance(flight, ReferenceFlight)
+        plan_drag_reference(flight, EnergyIndex())
