@@ -283,23 +283,6 @@ def test_the_law_adjusts_at_its_epochs_alone(count):
     assert float(after.shape.first) == float(before.shape.first) == 0.848
 
 
-def test_the_variants_differ_in_their_epochs():
-    """The paper's adjusts at the first cycle alone; the tables are the same."""
-    once, at_epochs = (
-        find_mission("cav-h").scenario(f"adjusted-{name}").guidance.velocity_control
-        for name in ("once", "at-epochs")
-    )
-    assert once.epochs.every is None and at_epochs.epochs.every == 25
-    assert once.epochs.last == at_epochs.epochs.last == 60.0
-    assert float(once.nominal_k2) == 0.717
-    same = dataclasses.replace(at_epochs, epochs=once.epochs)
-    assert eqx.tree_equal(once, same)
-    # Far from the target more k2 is less velocity, and the nominal one is kept.
-    assert np.all(np.asarray(once.polynomials[:, 0]) == pytest.approx(0.717, abs=0.02))
-    assert np.all(np.asarray(once.polynomials[-20:, 1]) < 0.0)
-    assert np.all(np.diff(once.to_go) > 0.0)
-
-
 def by_polynomial(to_go, predicted):
     """Equation (38), the nominal velocity and the polynomial being those of the place."""
     nominal, p0, p1, p2 = (

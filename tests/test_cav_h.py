@@ -98,6 +98,23 @@ def test_adjusted_once():
     assert float(flight.state.velocity) == pytest.approx(2630.0, abs=0.2)
 
 
+def test_the_variants_differ_in_their_epochs():
+    """The paper's adjusts at the first cycle alone; the tables are the same."""
+    once, at_epochs = (
+        MISSION.scenario(f"adjusted-{name}").guidance.velocity_control
+        for name in ("once", "at-epochs")
+    )
+    assert once.epochs.every is None and at_epochs.epochs.every == 25
+    assert once.epochs.last == at_epochs.epochs.last == 60.0
+    assert float(once.nominal_k2) == 0.717
+    same = dataclasses.replace(at_epochs, epochs=once.epochs)
+    assert eqx.tree_equal(once, same)
+    # The nominal k2 is kept; far from the target more k2 is less velocity.
+    np.testing.assert_allclose(once.polynomials[:, 0], 0.717, rtol=1e-12)
+    assert np.all(np.asarray(once.polynomials[-20:, 1]) < 0.0)
+    assert np.all(np.diff(once.to_go) > 0.0)
+
+
 @pytest.mark.slow
 def test_the_network_costs_little_and_the_papers_own_cannot_work(as_printed):
     """Reading the factors, it adds 0.5 m/s at most to exact prediction; else it harms."""
