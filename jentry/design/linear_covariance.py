@@ -299,7 +299,8 @@ def _standard(pairs: Pairs, draws: Draws) -> dict[str, np.ndarray]:
     standard = {}
     for name, dispersion in pairs:
         mean, deviation = (float(x) for x in dispersion.distribution.moments())
-        standard[name] = (np.asarray(draws[name]) - mean) / deviation
+        # What is always the same is at its mean.
+        standard[name] = (np.asarray(draws[name]) - mean) / (deviation or 1.0)
     return standard
 
 
