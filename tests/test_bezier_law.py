@@ -15,7 +15,6 @@ from helpers import ahead
 from jentry._batching import where_due
 from jentry.guidance import (
     AbstractVelocityPredictor,
-    CycleSchedule,
     Epochs,
     NetworkPredictor,
     NewtonAdjustment,
@@ -212,7 +211,8 @@ def beside(latitude, longitude):
 
 @pytest.mark.parametrize(
     ("seconds", "before", "duration"),
-    [(500.0, 1.0, 1.0), (121.0, 1.0, 1.0), (119.0, 1.0, 0.1), (14.0, 0.1, 0.02)],
+    [(500.0, 1.0, 1.0), (121.0, 1.0, 1.0), (119.0, 1.0, 0.1), (14.0, 0.1, 0.02)]
+    + [(119.0, 0.02, 0.02), (14.0, 1.0, 0.02)],
 )
 def test_a_cycle_is_as_long_as_the_way_to_go_has_it(seconds, before, duration):
     held, after = cycle(state=to_go(seconds), duration=before)
@@ -243,23 +243,6 @@ def test_before_the_first_cycle_it_flies_level_at_trim():
     assert float(held.controls.cos_bank) == 1.0 and float(held.controls.sin_bank) == 0.0
     assert float(held.duration) == 1.0 and float(held.count) == 0.0
     assert float(held.shape.first) == 0.848 and float(held.shape.second) == 0.717
-
-
-def test_the_most_cycles_are_counted_with_twice_the_time_to_go():
-    # 2000 of 1 s, 2 * 120 / 0.1 and 2 * 15 / 0.02.
-    assert LAW.most_cycles(2000.0) == 2000 + 2400 + 1500
-    assert CycleSchedule(()).most_cycles(0.3, 1.0) == 4
-
-
-def test_the_shorter_cycles_begin_inside_their_times_to_go():
-    schedule = CycleSchedule()
-    for seconds, before, duration in (
-        (120.0, 1.0, 1.0),
-        (15.0, 0.1, 0.1),
-        (14.999, 1.0, 0.02),
-        (119.0, 0.02, 0.02),
-    ):
-        assert float(schedule.duration(number(seconds), number(before))) == duration
 
 
 # When and how the curve is adjusted.

@@ -144,16 +144,25 @@ def test_sensitivity_prints_derivatives_in_si(capsys):
     assert found[table] == ["rad", "-650000", "3"]
 
 
+def made(kind, otherwise, **given):
+    """One of these records: what is not given is of no interest here."""
+    names = [field.name for field in dataclasses.fields(kind)]
+    return kind(**{name: given.get(name, otherwise) for name in names})
+
+
 def test_covariance_prints_predicted_and_flown_spreads_apart(capsys):
     spreads = {
         "downrange": Spread(-100.0, -110.0, 2000.0, -120.0, 2100.0, 0.952),
         "velocity": Spread(0.25, 0.5, 3.0, 0.75, 4.0, 0.75),
     }
+    effect_of = lambda linear, flown, bend: made(
+        Effect, 0.0, linear=linear, flown=flown, bend=bend
+    )
     effects = {
-        "downrange": {"mass": Effect(1500.0, 1400.0, -50.0)},
-        "velocity": {"mass": Effect(1.5, 1.25, 0.125)},
+        "downrange": {"mass": effect_of(1500.0, 1400.0, -50.0)},
+        "velocity": {"mass": effect_of(1.5, 1.25, 0.125)},
     }
-    model = LinearModel(227.0, {"mass": 0.1}, {}, {})
+    model = made(LinearModel, {}, time=227.0)
     analysis = LinearCovariance({"velocity": model}, spreads, effects, 500, 2, {})
     print_covariance(cheap.scenario(), analysis, 0.1)
     printed = capsys.readouterr().out

@@ -12,12 +12,6 @@ from helpers import fly_compiled, mars_scenario, with_leaf
 from jentry.campaign import Dispersion, Normal, Uniform, add, monte_carlo
 from jentry.campaign.dispersions import scaled_dispersions
 from jentry.design import linear_covariance, sensitivity
-from jentry.design.linear_covariance import (
-    LinearModel,
-    _along_axes,
-    _standard,
-    _through,
-)
 from jentry.flight import misses
 from jentry.missions import find_mission
 from jentry.units import degree
@@ -182,32 +176,6 @@ def test_on_the_bend_of_two_end_conditions_both_are_needed():
     plain = analysed(False).spreads["altitude"].standard_deviation
     both = analysis.spreads["altitude"].standard_deviation
     assert both < 0.8 * plain
-
-
-def test_the_flight_ends_by_the_model_that_is_first_to_end():
-    """Two ends whose times cross: by hand, in standard deviations of one dispersion."""
-    early = LinearModel(100.0, {"d": 2.0}, {"x": 1.0}, {"x": {"d": 10.0}})
-    late = LinearModel(101.0, {"d": -1.0}, {"x": 3.0}, {"x": {"d": -20.0}})
-    models = {"ground": early, "velocity": late}
-    # 100 + 2 d and 101 - d: the second ends it where d is above 1/3.
-    draws = np.array([-1.0, 0.0, 0.3, 0.4, 2.0])
-    found = _through(models, {"d": draws})["x"]
-    np.testing.assert_allclose(found, [-9.0, 1.0, 4.0, -5.0, -37.0], rtol=1e-14)
-
-
-def test_points_lie_a_standard_deviation_from_the_mean_on_each_axis():
-    pairs = tuple(table().items())
-    deviation = 0.02 * degree / np.sqrt(3.0)
-    mean, *others = _along_axes(pairs)
-    assert mean == {"mass": 0.0, "path": 0.0}
-    expected = [(4.0, 0.0), (-4.0, 0.0), (0.0, deviation), (0.0, -deviation)]
-    for point, (mass, path) in zip(others, expected, strict=True):
-        assert point["mass"] == pytest.approx(mass, rel=1e-12)
-        assert point["path"] == pytest.approx(path, rel=1e-12)
-    draws = {"mass": np.array([4.0, -8.0]), "path": np.array([0.0, deviation])}
-    standard = _standard(pairs, draws)
-    np.testing.assert_allclose(standard["mass"], [1.0, -2.0], rtol=1e-12)
-    np.testing.assert_allclose(standard["path"], [0.0, 1.0], rtol=1e-12)
 
 
 def test_spread_is_the_root_of_the_sum_of_squares_of_the_slopes():
