@@ -198,6 +198,26 @@ all_laws = {
 """Makers of every law, each from a drag reference over energy."""
 
 
+def ahead(start, heading, distance):
+    """Where a great circle leads, and the heading there: the textbook formulas, deg."""
+    longitude, latitude = np.radians(start)
+    heading, distance = np.radians(heading), np.radians(distance)
+    sine = np.sin(latitude) * np.cos(distance) + np.cos(latitude) * np.sin(
+        distance
+    ) * np.cos(heading)
+    there = np.arcsin(sine)
+    turn = np.arctan2(
+        np.sin(heading) * np.sin(distance) * np.cos(latitude),
+        np.cos(distance) - np.sin(latitude) * sine,
+    )
+    after = np.arctan2(
+        np.sin(heading) * np.cos(latitude),
+        np.cos(heading) * np.cos(latitude) * np.cos(distance)
+        - np.sin(latitude) * np.sin(distance),
+    )
+    return np.degrees((longitude + turn, there, after))
+
+
 # What `test_every_model` wants to have one of each kind of.
 
 
@@ -277,23 +297,3 @@ all_gravities = {
     "inverse square": lambda: InverseSquareGravity(4.28283e13),
     "constant": lambda: ConstantGravity(3.7),
 }
-
-
-def ahead(start, heading, distance):
-    """Where a great circle leads, and the heading there: the textbook formulas, deg."""
-    longitude, latitude = np.radians(start)
-    heading, distance = np.radians(heading), np.radians(distance)
-    sine = np.sin(latitude) * np.cos(distance) + np.cos(latitude) * np.sin(
-        distance
-    ) * np.cos(heading)
-    there = np.arcsin(sine)
-    turn = np.arctan2(
-        np.sin(heading) * np.sin(distance) * np.cos(latitude),
-        np.cos(distance) - np.sin(latitude) * sine,
-    )
-    after = np.arctan2(
-        np.sin(heading) * np.cos(latitude),
-        np.cos(heading) * np.cos(latitude) * np.cos(distance)
-        - np.sin(latitude) * np.sin(distance),
-    )
-    return np.degrees((longitude + turn, there, after))
