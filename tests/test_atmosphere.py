@@ -288,6 +288,25 @@ def test_gas_law_and_sound_agree(atmosphere):
     np.testing.assert_allclose(sound**2, 1.4 * ratio, rtol=1e-13)  # rounding
 
 
+def test_sound_and_pressure_are_of_the_gas_that_is_given():
+    """Carbon dioxide at 183.7 K, as on Mars: by hand, 1.29 * 188.92 * 183.7."""
+    gas = {"gas_constant": 188.92, "heat_capacity_ratio": 1.29}
+    isothermal = gas | {"isothermal_temperature": 183.7}
+    density = ExponentialAtmosphere(0.0158, 9354.5).density
+    z = jnp.asarray([0.0, 20e3, 40e3])
+    for air in (
+        ExponentialAtmosphere(0.0158, 9354.5, **isothermal),
+        TabulatedAtmosphere(z, over(density)(z), **isothermal),
+        TabulatedAtmosphere(z, over(density)(z), jnp.full(3, 183.7), **gas),
+    ):
+        at = jnp.asarray(13e3)
+        sound = float(air.speed_of_sound(at))
+        assert sound == pytest.approx(np.sqrt(44768.93916), rel=1e-9)
+        pressure = float(density(at)) * 188.92 * 183.7
+        assert float(air.pressure(at)) == pytest.approx(pressure, rel=1e-9)
+        assert float(air.temperature(at)) == pytest.approx(183.7, rel=1e-14)
+
+
 # --- tables ------------------------------------------------------------------------
 
 
