@@ -76,8 +76,8 @@ class SaysWhatItSenses(AbstractContinuousLaw[None]):
         return None
 
     def __call__(self, time, measurement, memory):
-        nothing = 0.0 * measurement.drag
-        return Controls(nothing, 1e-3 * measurement.drag, 1e-3 * measurement.lift), None
+        cosine, sine = 1e-3 * measurement.drag, 1e-3 * measurement.lift
+        return Controls(jnp.zeros(()), cosine, sine), None
 
 
 @pytest.mark.parametrize("cycle", [None, 4.0], ids=["continuous", "sampled"])
