@@ -26,21 +26,37 @@ from jentry.flight import (
 )
 from jentry.guidance import (
     AbstractContinuousLaw,
+    Aim,
     BankProfile,
     ErrorGains,
+    LateralCorridor,
     ObserverDragTracking,
     ObserverGains,
+    RangeTracking,
     Sampled,
+    ScaleLimits,
     StateFeedbackDragTracking,
 )
+from jentry.missions.cav_h import stored
 from jentry.motion import Controls, EntryState
 from jentry.onboard import OnboardModel, PolynomialProfile
 from jentry.units import degree, km
 from jentry.world import (
     ConstantAerodynamics,
+    ConstantGravity,
+    ConstantWind,
+    DensityWave,
+    ExponentialAerodynamics,
     ExponentialAtmosphere,
     InverseSquareGravity,
+    PerturbedAtmosphere,
     Planet,
+    PolynomialAerodynamics,
+    StillAir,
+    TabulatedAerodynamics,
+    TabulatedAtmosphere,
+    TabulatedWind,
+    USStandardAtmosphere1976,
     Vehicle,
 )
 
@@ -154,10 +170,28 @@ def observer_law(reference) -> ObserverDragTracking:
     return ObserverDragTracking(error_gains(), gains, reference, model)
 
 
+def range_tracking(reference) -> RangeTracking:
+    """Towards the target of Yan and He; the range that is flown as a straight line over
+    the energy, from the entry to the target."""
+    model = OnboardModel(mars_planet(), mars_vehicle())
+    return RangeTracking(
+        gains=error_gains(),
+        observer=ObserverGains(0.481, 2.0, 1.0),
+        reference=reference,
+        range_flown=PolynomialProfile([0.0, 723.32 * km], 10.6e6, -23.1e6),
+        model=model,
+        aim=Aim(mars_entry(), 723.32 * km, 0.0, 10 * km, 503.0),
+        limits=ScaleLimits(0.5, 2.0, 10 * km),
+        corridor=LateralCorridor(300.0, 4e-4),
+    )
+
+
 all_laws = {
     "bank profile": lambda reference: bank_profile(),
     "state feedback": state_feedback,
     "observer": observer_law,
+    "range tracking": range_tracking,
+    "Bézier": lambda reference: stored().guidance,
     "sampled bank profile": lambda reference: Sampled(bank_profile(), 1.0),
     "sampled observer": lambda reference: Sampled(observer_law(reference), 1.0),
 }
@@ -182,3 +216,84 @@ def ahead(start, heading, distance):
         - np.sin(latitude) * np.sin(distance),
     )
     return np.degrees((longitude + turn, there, after))
+
+
+# What `test_every_model` wants to have one of each kind of.
+
+
+def over(f):
+    """Compiled, for an array of cases: without it each operation compiles by itself."""
+    return jax.jit(jax.vmap(f))
+
+
+def tabulated_atmosphere(**numbers) -> TabulatedAtmosphere:
+    """The standard to 120 km as a table."""
+    altitudes = jnp.linspace(0.0, 120e3, 61)
+    source = USStandardAtmosphere1976()
+    density, temperature = over(source.density), over(source.temperature)
+    return TabulatedAtmosphere(
+        altitudes, density(altitudes), temperature(altitudes), **numbers
+    )
+
+
+all_atmospheres = {
+    "exponential": lambda: ExponentialAtmosphere(1.225, 7200.0),
+    "standard": USStandardAtmosphere1976,
+    "table": tabulated_atmosphere,
+    "perturbed": lambda: PerturbedAtmosphere(
+        ExponentialAtmosphere(1.225, 7200.0),
+        (DensityWave(0.05, 25e3, 0.3), DensityWave(0.02, 8e3)),
+        trend=1.2,
+        share_low=0.03,
+        share_high=0.08,
+    ),
+}
+
+
+ANGLES = jnp.asarray([0.0, 5.0, 12.0, 20.0, 30.0, 45.0]) * degree
+MACHS = jnp.asarray([0.4, 0.9, 1.1, 2.0, 5.0, 12.0, 25.0])
+"""The grid of `tabulated_aerodynamics`"""
+
+
+def lift_of_table(angle, mach):
+    return jnp.sin(2.0 * angle) * (0.7 + 0.3 * jnp.exp(-mach))
+
+
+def drag_of_table(angle, mach):
+    return 0.1 + jnp.sin(angle) ** 2 * (1.0 + 1.0 / (1.0 + mach))
+
+
+def on_grid(f):
+    return over(lambda a: over(lambda m: f(a, m))(MACHS))(ANGLES)
+
+
+def tabulated_aerodynamics() -> TabulatedAerodynamics:
+    lift, drag = on_grid(lift_of_table), on_grid(drag_of_table)
+    return TabulatedAerodynamics(ANGLES, MACHS, lift, drag)
+
+
+all_aerodynamics = {
+    "constant": lambda: ConstantAerodynamics(0.4, 1.2),
+    "polynomial": lambda: PolynomialAerodynamics([-0.04, 0.8], [0.05, -0.1, 0.9]),
+    "exponential": lambda: ExponentialAerodynamics(
+        2.9, 0.3, 3.4e-4, -0.24, 2.4, 0.4, 1.1e-3, 0.023, 10 * degree
+    ),
+    "table": tabulated_aerodynamics,
+}
+
+
+WIND_ALTITUDES = jnp.asarray([0.0, 1e3, 5e3, 12e3, 13e3, 30e3, 60e3])
+EAST_WIND = jnp.asarray([2.0, 5.0, 20.0, 45.0, 44.0, -10.0, -30.0])
+NORTH_WIND = jnp.asarray([0.0, -3.0, -3.0, 8.0, 6.0, 0.0, 5.0])
+
+all_winds = {
+    "still": StillAir,
+    "constant": lambda: ConstantWind(10.0, -4.0, 0.5),
+    "table": lambda: TabulatedWind(WIND_ALTITUDES, EAST_WIND, NORTH_WIND),
+}
+
+
+all_gravities = {
+    "inverse square": lambda: InverseSquareGravity(4.28283e13),
+    "constant": lambda: ConstantGravity(3.7),
+}

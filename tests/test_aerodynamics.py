@@ -4,54 +4,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-
-from jentry.units import degree
-from jentry.world import (
-    ConstantAerodynamics,
-    PolynomialAerodynamics,
-    TabulatedAerodynamics,
+from helpers import (
+    ANGLES,
+    MACHS,
+    all_aerodynamics,
+    drag_of_table,
+    lift_of_table,
+    on_grid,
+    over,
+    tabulated_aerodynamics,
 )
 
-
-ANGLES = jnp.asarray([0.0, 5.0, 12.0, 20.0, 30.0, 45.0]) * degree
-MACHS = jnp.asarray([0.4, 0.9, 1.1, 2.0, 5.0, 12.0, 25.0])
+from jentry.world import PolynomialAerodynamics, TabulatedAerodynamics
 
 
 AIRSPEED = jnp.asarray(2e3)
 """m/s; where it has no effect"""
 
 
-def over(f):
-    """Compiled, for an array of cases: without it each operation compiles by itself."""
-    return jax.jit(jax.vmap(f))
-
-
-def _lift(angle, mach):
-    return jnp.sin(2.0 * angle) * (0.7 + 0.3 * jnp.exp(-mach))
-
-
-def _drag(angle, mach):
-    return 0.1 + jnp.sin(angle) ** 2 * (1.0 + 1.0 / (1.0 + mach))
-
-
-def _on_grid(f):
-    return over(lambda a: over(lambda m: f(a, m))(MACHS))(ANGLES)
-
-
-def _table():
-    return TabulatedAerodynamics(ANGLES, MACHS, _on_grid(_lift), _on_grid(_drag))
-
-
-ALL_AERODYNAMICS = {
-    "constant": lambda: ConstantAerodynamics(0.4, 1.2),
-    "polynomial": lambda: PolynomialAerodynamics([-0.04, 0.8], [0.05, -0.1, 0.9]),
-    "table": _table,
-}
-
-
-@pytest.fixture(params=ALL_AERODYNAMICS)
+@pytest.fixture(params=all_aerodynamics)
 def aerodynamics(request):
-    return ALL_AERODYNAMICS[request.param]()
+    return all_aerodynamics[request.param]()
 
 
 def _points(count):
@@ -145,7 +118,7 @@ def test_polynomial_refuses(lift, drag, message):
 
 
 def test_table_passes_through_its_values():
-    table = _table()
+    table = tabulated_aerodynamics()
     lift, drag = over(
         lambda a: over(lambda m: table.coefficients(a, m, AIRSPEED))(MACHS)
     )(ANGLES)
@@ -155,7 +128,7 @@ def test_table_passes_through_its_values():
 
 
 def test_table_of_a_product_of_straight_lines_is_exact():
-    surface = _on_grid(lambda a, m: (1.0 + 2.0 * a) * (3.0 - 0.1 * m))
+    surface = on_grid(lambda a, m: (1.0 + 2.0 * a) * (3.0 - 0.1 * m))
     table = TabulatedAerodynamics(ANGLES, MACHS, surface, surface)
     angles, machs = _points(50)
     angles = jnp.clip(angles, ANGLES[0], ANGLES[-1])
@@ -169,14 +142,16 @@ def test_table_comes_near_a_smooth_function():
     angles, machs = _points(300)
     angles = jnp.clip(angles, ANGLES[0], ANGLES[-1])
     machs = jnp.clip(machs, MACHS[0], MACHS[-1])
-    lift, drag = over(_table().coefficients)(angles, machs, machs)
+    lift, drag = over(tabulated_aerodynamics().coefficients)(angles, machs, machs)
     # Six angles up to 15 deg apart: second order next to the flat top of the lift.
-    np.testing.assert_allclose(lift, over(_lift)(angles, machs), atol=1.5e-2)
-    np.testing.assert_allclose(drag, over(_drag)(angles, machs), atol=1.5e-2)
+    np.testing.assert_allclose(lift, over(lift_of_table)(angles, machs), atol=1.5e-2)
+    np.testing.assert_allclose(drag, over(drag_of_table)(angles, machs), atol=1.5e-2)
 
 
 def test_table_has_no_kinks_across_its_lines():
-    slope = jax.jacfwd(lambda p: jnp.stack(_table().coefficients(p[0], p[1], AIRSPEED)))
+    slope = jax.jacfwd(
+        lambda p: jnp.stack(tabulated_aerodynamics().coefficients(p[0], p[1], AIRSPEED))
+    )
     inner = [(ANGLES[2], jnp.asarray(3.3)), (jnp.asarray(0.3), MACHS[3])]
     for axis, (angle, mach) in enumerate(inner):
         move = 1e-9 * jnp.eye(2)[axis]
@@ -204,13 +179,13 @@ def test_table_does_not_overshoot_a_step():
     ],
 )
 def test_table_is_held_at_its_edges(outside, edge):
-    table = _table()
+    table = tabulated_aerodynamics()
     values = table.coefficients(*map(jnp.asarray, outside), AIRSPEED)
     assert values == table.coefficients(*map(jnp.asarray, edge), AIRSPEED)
 
 
 def test_table_is_differentiable_in_its_values():
-    table = _table()
+    table = tabulated_aerodynamics()
     angle, mach = jnp.asarray(0.31), jnp.asarray(3.7)
 
     def lift(values):

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import all_atmospheres, over, tabulated_atmosphere
 
 from jentry.units import foot, slug
 from jentry.world import (
@@ -23,11 +24,6 @@ QUANTITIES = ("density", "temperature", "pressure", "speed_of_sound")
 TRUTHS = Path(__file__).parent / "truths" / "us_standard_atmosphere_1976.csv"
 
 
-def over(f):
-    """Compiled, for an array of cases: without it each operation compiles by itself."""
-    return jax.jit(jax.vmap(f))
-
-
 def _printed():
     with TRUTHS.open() as file:
         return list(csv.DictReader(line for line in file if not line.startswith("#")))
@@ -39,34 +35,9 @@ def _unit_of_last_digit(text):
     return 10.0 ** (int(exponent or 0) - decimals)
 
 
-def _table(**numbers):
-    altitudes = jnp.linspace(0.0, 120e3, 61)
-    source = USStandardAtmosphere1976()
-    return TabulatedAtmosphere(
-        altitudes,
-        over(source.density)(altitudes),
-        over(source.temperature)(altitudes),
-        **numbers,
-    )
-
-
-ALL_ATMOSPHERES = {
-    "exponential": lambda: ExponentialAtmosphere(1.225, 7200.0),
-    "standard": USStandardAtmosphere1976,
-    "table": _table,
-    "perturbed": lambda: PerturbedAtmosphere(
-        ExponentialAtmosphere(1.225, 7200.0),
-        (DensityWave(0.05, 25e3, 0.3), DensityWave(0.02, 8e3)),
-        trend=1.2,
-        share_low=0.03,
-        share_high=0.08,
-    ),
-}
-
-
-@pytest.fixture(params=ALL_ATMOSPHERES)
+@pytest.fixture(params=all_atmospheres)
 def atmosphere(request):
-    return ALL_ATMOSPHERES[request.param]()
+    return all_atmospheres[request.param]()
 
 
 # --- the standard ------------------------------------------------------------------
@@ -317,11 +288,30 @@ def test_gas_law_and_sound_agree(atmosphere):
     np.testing.assert_allclose(sound**2, 1.4 * ratio, rtol=1e-13)  # rounding
 
 
+def test_sound_and_pressure_are_of_the_gas_that_is_given():
+    """Carbon dioxide at 183.7 K, as on Mars: by hand, 1.29 * 188.92 * 183.7."""
+    gas = {"gas_constant": 188.92, "heat_capacity_ratio": 1.29}
+    isothermal = gas | {"isothermal_temperature": 183.7}
+    density = ExponentialAtmosphere(0.0158, 9354.5).density
+    z = jnp.asarray([0.0, 20e3, 40e3])
+    for air in (
+        ExponentialAtmosphere(0.0158, 9354.5, **isothermal),
+        TabulatedAtmosphere(z, over(density)(z), **isothermal),
+        TabulatedAtmosphere(z, over(density)(z), jnp.full(3, 183.7), **gas),
+    ):
+        at = jnp.asarray(13e3)
+        sound = float(air.speed_of_sound(at))
+        assert sound == pytest.approx(np.sqrt(44768.93916), rel=1e-9)
+        pressure = float(density(at)) * 188.92 * 183.7
+        assert float(air.pressure(at)) == pytest.approx(pressure, rel=1e-9)
+        assert float(air.temperature(at)) == pytest.approx(183.7, rel=1e-14)
+
+
 # --- tables ------------------------------------------------------------------------
 
 
 def test_table_passes_through_its_values():
-    table = _table()
+    table = tabulated_atmosphere()
     # Logarithm and back: rounding.
     np.testing.assert_allclose(
         over(table.density)(table.altitudes), table.densities, rtol=1e-13
@@ -336,7 +326,9 @@ def test_table_between_its_values():
     expected = over(USStandardAtmosphere1976().density)(z)
     # Where the scale height has a kink between two nodes 2 km apart, as at 11 km, where
     # it changes by a fifth: a hundredth of the density.
-    np.testing.assert_allclose(over(_table().density)(z), expected, rtol=1.5e-2)
+    np.testing.assert_allclose(
+        over(tabulated_atmosphere().density)(z), expected, rtol=1.5e-2
+    )
 
 
 def test_table_of_an_exponential_is_the_exponential_also_outside():
@@ -358,7 +350,7 @@ def test_table_falls_between_values_that_fall():
 
 
 def test_table_is_differentiable_in_its_values():
-    table = _table()
+    table = tabulated_atmosphere()
     z = jnp.asarray(33.3e3)
 
     def density(densities):
@@ -451,7 +443,7 @@ def test_csv_errors_name_file_line_and_expectation(tmp_path, text, message):
 
 
 def test_departures_of_the_density_add_up():
-    air = ALL_ATMOSPHERES["perturbed"]()
+    air = all_atmospheres["perturbed"]()
     for altitude, share in ((20e3, 0.03), (55e3, 0.055), (90e3, 0.08)):
         expected = 1.0 + 1.2 * share
         expected += 0.05 * np.sin(2 * np.pi * altitude / 25e3 + 0.3)

@@ -17,10 +17,10 @@ from jentry.design.velocity_planning import (
     velocity_map,
 )
 from jentry.flight import Outcome, misses
-from jentry.guidance import CycleSchedule
+from jentry.guidance import CycleSchedule, FlownModel
 from jentry.missions import find_mission
 from jentry.missions.cav_h import glide, stored
-from jentry.onboard import BezierParameters
+from jentry.onboard import BezierParameters, Measurement
 from jentry.units import degree
 
 
@@ -96,6 +96,45 @@ def test_adjusted_once():
     assert np.mean(error < 20.0) >= 0.95
     # The nominal flight is left as it is.
     assert float(flight.state.velocity) == pytest.approx(2630.0, abs=0.2)
+
+
+def test_the_variants_differ_in_their_epochs():
+    """The paper's adjusts at the first cycle alone; the tables are the same."""
+    once, at_epochs = (
+        MISSION.scenario(f"adjusted-{name}").guidance.velocity_control
+        for name in ("once", "at-epochs")
+    )
+    assert once.epochs.every is None and at_epochs.epochs.every == 25
+    assert once.epochs.last == at_epochs.epochs.last == 60.0
+    assert float(once.nominal_k2) == 0.717
+    same = dataclasses.replace(at_epochs, epochs=once.epochs)
+    assert eqx.tree_equal(once, same)
+    # The nominal k2 is kept; far from the target more k2 is less velocity.
+    np.testing.assert_allclose(once.polynomials[:, 0], 0.717, rtol=1e-12)
+    assert np.all(np.asarray(once.polynomials[-20:, 1]) < 0.0)
+    assert np.all(np.diff(once.to_go) > 0.0)
+
+
+def test_the_polynomial_gives_back_the_k2_that_was_flown():
+    """At the entry: of the velocity that the model reaches with a k2, that k2."""
+    law = MISSION.scenario("adjusted-once").guidance
+    control = law.velocity_control
+    start = stored().initial_state
+    _, held = law.init(Measurement(start, jnp.asarray(0.0), jnp.asarray(0.0)))
+
+    @jax.jit
+    def reached(k2):
+        moved = eqx.tree_at(lambda d: d.shape.second, held, k2)
+        return FlownModel().predict(law.glide, law.situation(start, moved))
+
+    np.testing.assert_allclose(control.to_go[-1], 55.9067 * degree, rtol=1e-8)
+    nominal = float(reached(jnp.asarray(0.717)))
+    assert float(control.nominal_velocity[-1]) == pytest.approx(nominal, abs=1e-6)
+    p0, p1, p2 = np.asarray(control.polynomials[-1])
+    for k2 in (0.6, 0.8):
+        x = (float(reached(jnp.asarray(k2))) - nominal) / 100.0
+        # What a quadratic leaves of nine values from 0.417 to 1.017.
+        assert p0 + x * (p1 + x * p2) == pytest.approx(k2, abs=0.02)
 
 
 @pytest.mark.slow

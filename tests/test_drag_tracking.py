@@ -19,8 +19,13 @@ from helpers import (
 
 from jentry._math import derivatives_along
 from jentry.flight import FixedStep, Outcome
-from jentry.guidance import Sampled
-from jentry.guidance.drag_tracking import drag_dynamics
+from jentry.guidance import ErrorGains, ObserverGains, Sampled, Sharp
+from jentry.guidance.drag_tracking import (
+    ObserverState,
+    Tracking,
+    drag_dynamics,
+    observe,
+)
 from jentry.motion import Controls, EntryState, air_data, energy, entry_dynamics
 from jentry.onboard import (
     EnergyIndex,
@@ -117,6 +122,25 @@ def test_closed_form_of_the_index_motion(index, key):
         # Rounding; the rate of the energy is a small difference of large terms.
         scale = np.max(np.abs(other))
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-12 * scale)
+
+
+@pytest.mark.parametrize(("excess", "tracked"), [(0.5, True), (-0.5, False)])
+def test_rates_of_the_observer_are_those_of_equation_25(excess, tracked):
+    """By hand, for x1 = 0.7 and estimates 0.4 and -0.2; below the gate the second stays."""
+    x1, error, rate = 0.7, 0.4, -0.2
+    numbers = (jnp.asarray(x) for x in (0.3, x1, 9.0, excess))
+    found = observe(
+        ErrorGains(epsilon0=5.0, a=1.982, b=3.0),
+        ObserverGains(epsilon=0.481, l1=2.0, l2=1.5),
+        Sharp(),
+        Tracking(*numbers),
+        ObserverState(jnp.asarray(error), jnp.asarray(rate)),
+    )
+    expected = rate + 2.0 / 0.481 * (x1 - error)
+    assert float(found.drag_error) == pytest.approx(expected, rel=1e-14)
+    feedback = -1.982 / 25.0 * x1 - 3.0 / 5.0 * rate
+    expected = feedback + 1.5 / 0.481**2 * (x1 - error) if tracked else 0.0
+    assert float(found.drag_error_rate) == pytest.approx(expected, rel=1e-14)
 
 
 # Profiles.

@@ -10,9 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import all_laws, mars_scenario
+from helpers import all_laws, bank_profile, mars_scenario
 
 from jentry.flight import FixedStep, fly
+from jentry.guidance import Sampled
+from jentry.motion import EntryState
 
 
 STEP = FixedStep(0.05)
@@ -214,6 +216,64 @@ def test_gradient_of_a_batch_and_batch_of_gradients(given):
 
 
 # Of the history.
+
+
+def short():
+    """40 s from 45 km on, at a bank that follows a profile: ten cycles of four seconds."""
+    scenario = mars_scenario(Sampled(bank_profile(), 4.0), time_limit=40.0)
+    start = EntryState(45e3, 0.0, 0.0, 6300.0, -0.17, 0.5 * np.pi)
+    return eqx.tree_at(lambda s: s.initial_state, scenario, start)
+
+
+SHORT = PHYSICS | {
+    "bank coefficients": (lambda s: s.guidance.law.cos_bank.coefficients, 1e-3)
+}
+
+
+def seen_on_the_way(leaves, scenario):
+    """All that a history shows of the motion, each in a unit that makes it of order one.
+
+    An entry every eight seconds, which is every second guidance cycle.
+    """
+    history = fly(put(scenario, SHORT, leaves), FixedStep(1.0), 8.0).history
+    states, controls, constraints = (
+        jnp.stack(jax.tree.leaves(part))
+        for part in (history.states, history.controls, history.constraints)
+    )
+    size = jnp.array([1e4, 0.1, 1.0, 1e3, 0.1, 1.0])[:, None]
+    peak = jnp.array([1e2, 1e4, 1e6, 10.0])[:, None]
+    return jnp.concatenate([states / size, controls, constraints / peak])
+
+
+def test_derivatives_of_all_that_a_history_shows():
+    """Entry by entry; the first one is the start, which moves with the path angle only."""
+    scenario = short()
+    leaves = leaves_of(scenario, SHORT)
+    value = eqx.filter_jit(seen_on_the_way)
+    assert value(leaves, scenario).shape == (13, 5)
+    pushed = eqx.filter_jit(jax.jacfwd(seen_on_the_way))(leaves, scenario)
+    pulled = eqx.filter_jit(jax.jacrev(seen_on_the_way))(leaves, scenario)
+    assert_close(pulled, pushed, rtol=1e-11)
+    for name, (_, step) in SHORT.items():
+        basis = jnp.eye(leaves[name].size).reshape(-1, *leaves[name].shape)
+        for place, tangent in enumerate(basis):
+
+            def at(h, name=name, tangent=tangent):
+                return value({**leaves, name: leaves[name] + h * tangent}, scenario)
+
+            wide, narrow = (
+                (at(h) - at(-h)) / (2.0 * h) for h in (float(step), 0.5 * float(step))
+            )
+            expected = narrow + (narrow - wide) / 3.0
+            found = pushed[name].reshape(13, 5, -1)[..., place]
+            # Richardson's fourth order, and rounding of numbers of order one.
+            close = 1e-7 * np.max(np.abs(expected)) + 1e-13 / step
+            np.testing.assert_allclose(found, expected, rtol=0, atol=close)
+            assert np.max(np.abs(expected[:, 1:])) > 0.0
+    states = slice(0, 6)
+    for name in ("density_scale", "mass", "bank coefficients"):
+        assert np.all(pushed[name][states, 0] == 0.0)
+    assert pushed["path"][4, 0] == pytest.approx(10.0)  # over its unit of 0.1
 
 
 @pytest.mark.slow

@@ -71,6 +71,15 @@ def test_bank_is_reversed_outside_of_the_corridor_only():
     np.testing.assert_array_equal(sign(before, crossrange, jnp.asarray(1.0)), wanted)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_on_the_edge_of_the_corridor_the_bank_stays(side, sign):
+    edge = jnp.asarray(1.0)
+    just_beyond = jnp.asarray(side * np.nextafter(1.0, 2.0))
+    assert reverse_bank(jnp.asarray(sign), side * edge, edge) == sign
+    assert reverse_bank(jnp.asarray(sign), just_beyond, edge) == side
+
+
 def test_the_choice_of_a_side_has_no_derivative():
     gradient = jax.grad(reverse_bank, argnums=(0, 1, 2))
     assert gradient(jnp.asarray(1.0), jnp.asarray(-2.0), jnp.asarray(1.0)) == (0, 0, 0)

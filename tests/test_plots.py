@@ -296,14 +296,54 @@ def test_velocity_map_has_the_wanted_velocity():
     velocity = 2000.0 + 1000.0 * k1[:, None] - 500.0 * k2[None, :]
     figure = glide.draw_velocity_map(k1, k2, velocity, 2450.0)
     assert figure.axes[0].get_xlabel() == "$k_1$"
-    assert len(figure.axes[0].collections) >= 2
+    filled, wanted = figure.axes[0].collections
+    # The line lies where the velocity is the wanted one: it is linear in both.
+    places = np.concatenate([path.vertices for path in wanted.get_paths()])
+    assert len(places) > 3 and np.ptp(places[:, 1]) > 0.3
+    np.testing.assert_allclose(1000.0 * places[:, 0] - 500.0 * places[:, 1], 450.0)
+    assert filled.get_array().min() == pytest.approx(velocity.min(), abs=30.0)
 
 
 def test_prediction_errors_are_means_over_the_way_to_go():
     to_go = np.repeat(np.linspace(1e5, 6e6, 24), 10)
     error = np.where(np.arange(240) % 2, 2.0, -4.0)
     figure = glide.prediction_errors(to_go, {"a network": error})
-    np.testing.assert_allclose(figure.axes[0].lines[0].get_ydata(), 3.0)
+    (line,) = figure.axes[0].lines
+    np.testing.assert_allclose(line.get_ydata(), 3.0)
+    # 24 bins from zero on, drawn at their middles in km.
+    np.testing.assert_allclose(line.get_xdata(), 250.0 * (np.arange(24) + 0.5))
+
+
+def test_small_errors_are_shown_in_powers_of_ten():
+    axes = Figure().subplots()
+    values = np.array([-4.2e-5, 1e-5, 2e-5])
+    glide.draw_errors(axes, values, "Azimuth error, deg")
+    assert axes.get_xlabel() == "Azimuth error, 1e-5 deg"
+    edges = [axes.patches[0].get_x(), axes.patches[-1].get_x()]
+    assert edges[0] == pytest.approx(-4.2)
+    assert edges[1] + axes.patches[-1].get_width() == pytest.approx(2.0)
+    large = Figure().subplots()
+    glide.draw_errors(large, 1e3 * values, "Velocity error, m/s")
+    assert large.get_xlabel() == "Velocity error, m/s"
+    assert large.patches[0].get_x() == pytest.approx(-0.042)
+
+
+def test_the_nominal_end_is_marked_in_the_footprint(runs):
+    nominal = runs.isel(run=[7])
+    (axes,) = campaign_figures(runs, None, nominal)["footprint"].axes
+    (marked,) = [line for line in axes.lines if line.get_label() == "nominal"]
+    place = np.array(marked.get_data())[:, 0]
+    expected = [runs[f"{n}_error"].values[7] / 1e3 for n in ("downrange", "altitude")]
+    np.testing.assert_allclose(place, expected, rtol=1e-15)
+
+
+def test_each_end_condition_has_the_runs_that_it_ended(runs):
+    (axes,) = campaign_figures(runs)["footprint"].axes
+    for scatter in axes.collections:
+        which = {"ended by velocity": 0, "ended by altitude": 1}[scatter.get_label()]
+        ended = runs["ended_by"].values == which
+        expected = runs["altitude_error"].values[ended] / 1e3
+        np.testing.assert_allclose(np.array(scatter.get_offsets())[:, 1], expected)
 
 
 def test_a_campaign_with_a_direction_has_its_figures(runs):

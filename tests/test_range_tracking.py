@@ -12,7 +12,8 @@ from helpers import fly_compiled, with_leaf
 
 from jentry.campaign import monte_carlo
 from jentry.flight import FixedStep, Outcome, fly
-from jentry.guidance import RangeTracking
+from jentry.guidance import ObserverDragTracking, RangeTracking
+from jentry.guidance.lateral import predicted_crossrange
 from jentry.guidance.range_tracking import scale_to_reach
 from jentry.missions import mars_range_tracking
 from jentry.missions.mars_drag_tracking import entry
@@ -219,6 +220,146 @@ def test_lift_to_drag_ratio_is_sensed():
     memory, held = law.init(measurement)
     _, decided = law.update(jnp.asarray(0.0), measurement, memory, held)
     np.testing.assert_allclose(decided.lift_factor, 0.8, rtol=1e-12)
+
+
+def decided_from(law, second, lift=1.0, drag=1.0, held=None):
+    """Measurement with so many times the forces of the model, before and after it."""
+    truth = sensed(scenario(), state_at(nominal(), second))
+    measurement = dataclasses.replace(
+        truth, lift=lift * truth.lift, drag=drag * truth.drag
+    )
+    memory, before = law.init(measurement)
+    before = before if held is None else held(before)
+    return measurement, law.update(jnp.asarray(0.0), measurement, memory, before)
+
+
+def test_ratio_and_density_are_those_that_are_sensed():
+    """Whatever makes them so: the law has its own model, and its sensors."""
+    law = scenario().guidance
+    measurement, (_, decided) = decided_from(law, 70, lift=0.7, drag=1.2)
+    np.testing.assert_allclose(decided.lift_factor, 0.7 / 1.2, rtol=1e-12)
+    downrange, _ = ground_track(law.model.planet, law.aim.origin, measurement.state)
+    now = energy(law.model.planet, measurement.state)
+    expected = scale_of(law, now, law.aim.downrange - downrange, jnp.asarray(1.2))
+    # Compiled apart: rounding of the ranges, of which the scale is a ratio.
+    np.testing.assert_allclose(decided.scale, expected, rtol=1e-9)
+    assert abs(decided.scale - 1.0) > 1e-3
+
+
+@pytest.mark.parametrize(("second", "held_on"), [(10, True), (60, False), (222, False)])
+def test_ratio_is_held_before_the_gate_only(second, held_on):
+    law = scenario().guidance
+    held = lambda h: with_leaf(h, lambda h: h.lift_factor, 1.3)
+    _, (_, decided) = decided_from(law, second, lift=0.9, held=held)
+    np.testing.assert_allclose(decided.lift_factor, 1.3 if held_on else 0.9, rtol=1e-12)
+
+
+def test_bank_is_computed_with_the_sensed_ratio():
+    """As by the law in the plane whose model has that ratio, which knows no factor."""
+    law = scenario().guidance
+    measurement, _ = decided_from(law, 70)
+    time = jnp.asarray(70.0)
+    memory, held = law.init(measurement)
+    held = with_leaf(held, lambda h: h.lift_factor, 0.8)
+    model = with_leaf(law.model, lambda m: m.vehicle.lift_scale, 0.8)
+    plain = ObserverDragTracking(law.gains, law.observer, law.reference, model)
+    memory = eqx.tree_at(
+        lambda m: (m.drag_error, m.drag_error_rate),
+        memory,
+        (memory.drag_error + 0.05, jnp.asarray(0.02)),
+    )
+    ours, our_rate = law(time, measurement, memory, held)
+    theirs, their_rate = plain(time, measurement, memory)
+    assert abs(theirs.cos_bank) < 1.0
+    np.testing.assert_allclose(ours.cos_bank, theirs.cos_bank, rtol=1e-12)
+    np.testing.assert_allclose(ours.sin_bank, theirs.sin_bank, rtol=1e-12)
+    for one, other in zip(*map(jax.tree.leaves, (our_rate, their_rate)), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-12)
+    # With less lift the cosine that gives as much of it upwards is a larger one.
+    unknowing, _ = law(time, measurement, memory, law.init(measurement)[1])
+    assert abs(unknowing.cos_bank) < abs(ours.cos_bank)
+
+
+@pytest.mark.parametrize(
+    ("beyond", "before", "after"),
+    [(1.0, -1.0, 1.0), (-1.0, -1.0, -1.0), (1.0, 1.0, 1.0), (-1.0, 1.0, 1.0)],
+)
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
+def test_bank_is_reversed_where_the_flight_would_pass_the_aim(
+    beyond, before, after, side
+):
+    """A metre beyond the corridor about the aim, and a metre within it; to the left of
+    the aim it turns to the right, which is positive."""
+    law = scenario().guidance
+    state = state_at(nominal(), 100)
+    velocity = float(state.velocity)
+    downrange, _ = ground_track(law.model.planet, law.aim.origin, state)
+    turned = with_leaf(state, lambda s: s.heading, 0.5 * jnp.pi - 0.04)
+    passing = predicted_crossrange(
+        law.model.planet, law.aim.origin, turned, law.aim.downrange - downrange
+    )
+    assert passing > 3 * km
+    off = side * (300.0 + 4e-4 * velocity**2 + beyond)
+    law = with_leaf(law, lambda law: law.aim.crossrange, passing - off)
+    measurement = sensed(scenario(), turned)
+    memory, held = law.init(measurement)
+    held = with_leaf(held, lambda h: h.bank_sign, side * before)
+    _, decided = law.update(jnp.asarray(0.0), measurement, memory, held)
+    assert decided.bank_sign == side * after
+
+
+def test_the_first_bank_is_to_the_chosen_side():
+    law = scenario().guidance
+    for side in (1.0, -1.0):
+        chosen = with_leaf(law, lambda law: law.first_bank_sign, side)
+        measurement = sensed(scenario(), state_at(nominal(), 60))
+        memory, held = chosen.init(measurement)
+        assert held.bank_sign == side
+        assert held.scale == held.lift_factor == 1.0
+        controls, _ = chosen(jnp.asarray(60.0), measurement, memory, held)
+        assert np.sign(controls.sin_bank) == side
+
+
+def test_range_flown_is_that_of_the_reference_from_its_gate_on():
+    law = scenario().guidance
+    start = law.reference.drag.start
+    # The first of samples 0.1 s apart, between which the drag grows by a few per cent.
+    assert 1.0 < law.reference.drag(start) < 1.05
+    assert law.range_flown.start == start
+    for second in (60, 100, 150, 200):
+        state = state_at(nominal(), second)
+        downrange, _ = ground_track(law.model.planet, law.aim.origin, state)
+        now = energy(law.model.planet, state)
+        # The tracked flight is metres off its reference.
+        np.testing.assert_allclose(law.range_flown(now), downrange, atol=10.0)
+
+
+def test_scale_has_the_derivatives_of_differences():
+    law = scenario().guidance
+    state = state_at(nominal(), 100)
+    downrange, _ = ground_track(law.model.planet, law.aim.origin, state)
+    to_go = law.aim.downrange - downrange
+    now, factor = energy(law.model.planet, state), jnp.asarray(1.05)
+
+    @eqx.filter_jit
+    def slopes(law, *at):
+        def scale(now, to_go, factor):
+            return scale_of(law, now, to_go, factor)
+
+        return jax.grad(scale, argnums=(0, 1, 2))(*at)
+
+    at = [now, to_go, factor]
+    for place, (slope, step) in enumerate(
+        zip(slopes(law, *at), (100.0, 10.0, 1e-4), strict=True)
+    ):
+        up, down = (
+            scale_of(law, *(x + s * step * (i == place) for i, x in enumerate(at)))
+            for s in (1.0, -1.0)
+        )
+        # The table's cubic pieces, and rounding of 1 over the steps.
+        np.testing.assert_allclose(slope, (up - down) / (2.0 * step), rtol=1e-5)
+    # More way to go takes less drag, and in thicker air it ends higher.
+    assert slopes(law, *at)[1] < 0.0
 
 
 def dispersed():

@@ -178,6 +178,23 @@ def test_on_the_bend_of_two_end_conditions_both_are_needed():
     assert both < 0.8 * plain
 
 
+def test_spread_is_the_root_of_the_sum_of_squares_of_the_slopes():
+    """Slopes per standard deviation, which the flown effects confirm below."""
+    analysis = analysed(False)
+    (model,) = analysis.models.values()
+    for name in ("downrange", "altitude"):
+        slopes = np.array(list(model.slopes[name].values()))
+        spread = analysis.spreads[name]
+        # A standard deviation of 100 000 draws: 2e-3, and four times that.
+        expected = np.sqrt(np.sum(slopes**2))
+        assert spread.standard_deviation == pytest.approx(expected, rel=0.01)
+        assert spread.mean == pytest.approx(model.values[name], abs=0.02 * expected)
+        assert spread.nominal == pytest.approx(model.values[name], rel=1e-9)
+        for dispersion, slope in model.slopes[name].items():
+            linear = analysis.effects[name][dispersion].linear
+            assert linear == pytest.approx(slope, rel=1e-9)
+
+
 def test_effects_of_each_dispersion_are_flown_as_predicted():
     for by_dispersion in analysed(False).effects.values():
         for effect in by_dispersion.values():

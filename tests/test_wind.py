@@ -4,30 +4,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import (
+    EAST_WIND as EAST,
+    NORTH_WIND as NORTH,
+    WIND_ALTITUDES as ALTITUDES,
+    all_winds,
+    over,
+)
 from scipy.interpolate import PchipInterpolator
 
-from jentry.world import ConstantWind, StillAir, TabulatedWind
+from jentry.world import TabulatedWind
 
 
-ALTITUDES = jnp.asarray([0.0, 1e3, 5e3, 12e3, 13e3, 30e3, 60e3])
-EAST = jnp.asarray([2.0, 5.0, 20.0, 45.0, 44.0, -10.0, -30.0])
-NORTH = jnp.asarray([0.0, -3.0, -3.0, 8.0, 6.0, 0.0, 5.0])
-
-ALL_WINDS = {
-    "still": StillAir,
-    "constant": lambda: ConstantWind(10.0, -4.0, 0.5),
-    "table": lambda: TabulatedWind(ALTITUDES, EAST, NORTH),
-}
-
-
-def over(f):
-    """Compiled, for an array of cases: without it each operation compiles by itself."""
-    return jax.jit(jax.vmap(f))
-
-
-@pytest.fixture(params=ALL_WINDS)
+@pytest.fixture(params=all_winds)
 def wind(request):
-    return ALL_WINDS[request.param]()
+    return all_winds[request.param]()
 
 
 def test_gradient_matches_finite_differences(wind):

@@ -1,0 +1,72 @@
+"""How draws go through linear models, without a flight; `test_sensitivity` flies."""
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jentry.campaign import Constant, Dispersion, Normal, Uniform, add
+from jentry.design.linear_covariance import (
+    LinearModel,
+    _along_axes,
+    _standard,
+    _through,
+)
+
+
+PAIRS = (
+    ("mass", Dispersion(lambda s: s.vehicle.mass, Normal(2.0, 4.0), apply=add)),
+    ("path", Dispersion(lambda s: s.initial_state.heading, Uniform(-0.3, 0.9))),
+)
+
+
+def model(time, slope, value, output_slope):
+    """Of one output, x, over one dispersion, d."""
+    given = {
+        "time": time,
+        "time_slope": {"d": slope},
+        "values": {"x": value},
+        "slopes": {"x": {"d": output_slope}},
+    }
+    names = [field.name for field in dataclasses.fields(LinearModel)]
+    return LinearModel(**{name: given.get(name, {}) for name in names})
+
+
+def test_a_flight_ends_by_the_condition_that_is_first_to_be_met():
+    """Two ends whose times cross: by hand, in standard deviations of one dispersion."""
+    models = {
+        "ground": model(100.0, 2.0, 1.0, 10.0),
+        "velocity": model(101.0, -1.0, 3.0, -20.0),
+    }
+    # 100 + 2 d and 101 - d: the second ends it where d is above 1/3.
+    draws = np.array([-1.0, 0.0, 0.3, 0.4, 2.0])
+    found = _through(models, {"d": draws})["x"]
+    np.testing.assert_allclose(found, [-9.0, 1.0, 4.0, -5.0, -37.0], rtol=1e-14)
+
+
+def test_points_lie_a_standard_deviation_from_the_mean_on_each_axis():
+    deviation = 1.2 / np.sqrt(12.0)
+    centre = (2.0, 0.3)
+    expected = [centre, (6.0, 0.3), (-2.0, 0.3)]
+    expected += [(2.0, 0.3 + deviation), (2.0, 0.3 - deviation)]
+    for point, (mass, path) in zip(_along_axes(PAIRS), expected, strict=True):
+        assert point["mass"] == pytest.approx(mass, rel=1e-14)
+        assert point["path"] == pytest.approx(path, rel=1e-14)
+
+
+def test_draws_are_counted_in_standard_deviations_from_their_mean():
+    deviation = 1.2 / np.sqrt(12.0)
+    draws = {"mass": np.array([6.0, -6.0]), "path": np.array([0.3, 0.3 + deviation])}
+    standard = _standard(PAIRS, draws)
+    np.testing.assert_allclose(standard["mass"], [1.0, -2.0], rtol=1e-14)
+    np.testing.assert_allclose(standard["path"], [0.0, 1.0], rtol=1e-14, atol=1e-15)
+
+
+def test_what_is_always_the_same_adds_nothing_to_the_spread():
+    """As the noise of the accelerometers in the readings of the CAV-H mission."""
+    constant = Dispersion(lambda s: s.accelerometers.noise, Constant(4.9e-4))
+    draws = {"mass": np.array([6.0, -6.0]), "noise": jnp.full(2, 4.9e-4)}
+    standard = _standard((PAIRS[0], ("noise", constant)), draws)
+    np.testing.assert_allclose(standard["mass"], [1.0, -2.0], rtol=1e-14)
+    np.testing.assert_array_equal(standard["noise"], [0.0, 0.0])

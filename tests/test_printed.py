@@ -1,0 +1,176 @@
+"""What is printed beside its unit is the SI number that it stands for."""
+
+import dataclasses
+
+import cheap
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jentry._addresses import leaves_by_address, unit_of
+from jentry.cli.design_report import print_covariance, print_sensitivity
+from jentry.cli.report import print_flight, print_leaves
+from jentry.cli.tables import at_edge
+from jentry.design.linear_covariance import (
+    Effect,
+    LinearCovariance,
+    LinearModel,
+    Spread,
+)
+from jentry.design.sensitivity import Sensitivity
+from jentry.flight import Flight, Outcome, Target, misses
+from jentry.flight.closed_loop import Peaks
+from jentry.missions.cav_h import stored
+from jentry.motion import EntryState
+from jentry.units import km
+
+
+SIZE = {
+    "m": 1.0,
+    "km": 1e3,
+    "m/s": 1.0,
+    "m/s2": 1.0,
+    "deg": np.pi / 180.0,
+    "s": 1.0,
+    "kPa": 1e3,
+    "W/cm2": 1e4,
+    "g": 1.0,
+}
+"""What a printed unit is in SI; of the load factor nothing is changed"""
+
+
+def rows(printed):
+    """Cells of the tables, without their rules."""
+    lines = (line for line in printed.splitlines() if "│" in line)
+    return [[cell.strip() for cell in line.strip("│ ").split("│")] for line in lines]
+
+
+@pytest.mark.parametrize("scenario", [cheap.scenario, stored], ids=["mars", "cav-h"])
+def test_show_has_every_number_in_the_unit_of_its_field(scenario, capsys):
+    scenario = scenario()
+    print_leaves(scenario)
+    shown = {address: rest for address, *rest in rows(capsys.readouterr().out)}
+    leaves = leaves_by_address(scenario)
+    assert set(leaves) == set(shown)
+    for address, leaf in leaves.items():
+        value, unit = shown[address]
+        assert unit == unit_of(scenario, address)
+        if leaf.shape == ():
+            assert float(value) == pytest.approx(float(leaf), rel=1e-9), address
+        else:
+            assert value == f"table of {' x '.join(map(str, leaf.shape))}"
+
+
+def a_flight(**changes):
+    """Numbers of a flight that are all different."""
+    state = EntryState(10.5 * km, 0.21, -0.03, 503.25, -0.31, 1.6)
+    peaks = Peaks(*(jnp.asarray(x) for x in (98.7, 12_345.0, 876_543.0, 10.25)))
+    numbers = {
+        "time": jnp.asarray(227.125),
+        "state": state,
+        "outcome": jnp.asarray(int(Outcome.SKIPPED_OUT)),
+        "ended_by": jnp.asarray(0),
+        "peaks": peaks,
+        "history": None,
+    }
+    return Flight(**numbers | changes)
+
+
+def test_fly_prints_what_was_flown(capsys):
+    target = Target(10 * km, 503.0, 723.32 * km, -2.0, -0.3, 1.5)
+    scenario = dataclasses.replace(cheap.scenario(), target=target)
+    flight = a_flight()
+    print_flight(cheap.MISSION, scenario, flight)
+    printed = capsys.readouterr().out
+    assert "cheap: skipped out of the atmosphere (ceiling)" in printed
+    found = {name: (float(value), unit) for name, value, unit in rows(printed)}
+    missed = misses(scenario, flight)
+    expected = {"time": flight.time}
+    expected |= {n.replace("_", " "): x for n, x in vars(flight.state).items()}
+    expected |= {
+        f"peak {n}".replace("_", " "): x for n, x in vars(flight.peaks).items()
+    }
+    expected |= {f"{n} error".replace("_", " "): x for n, x in vars(missed).items()}
+    assert set(found) == set(expected)
+    for name, value in expected.items():
+        shown, unit = found[name]
+        # Six decimals, four of the time.
+        half = 0.5001 * (1e-4 if name == "time" else 1e-6)
+        assert abs(shown - float(value) / SIZE[unit]) < half, name
+    units = {name: unit for name, (_, unit) in found.items()}
+    assert units["altitude"] == units["downrange error"] == "km"
+    assert units["flight path angle error"] == units["heading"] == "deg"
+    assert units["peak heat rate"] == "W/cm2" and units["peak load factor"] == "g"
+    assert units["velocity error"] == "m/s" and units["peak drag"] == "m/s2"
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "shown"),
+    [
+        (9.99, "m", (9.99, "m")),
+        (-9.99, "m", (-9.99, "m")),
+        (10.0, "m", (0.01, "km")),
+        (-2500.0, "m", (-2.5, "km")),
+        (np.pi, "rad", (180.0, "deg")),
+        (250.0, "Pa", (0.25, "kPa")),
+        (5e5, "W/m2", (50.0, "W/cm2")),
+        (9.0, "m/s", (9.0, "m/s")),
+        (3.0, "kg", (3.0, "kg")),
+    ],
+)
+def test_units_at_the_edge(value, unit, shown):
+    number, name = at_edge(value, unit)
+    assert (float(number), name) == (pytest.approx(shown[0], rel=1e-15), shown[1])
+
+
+def test_lengths_beside_one_another_share_a_unit():
+    values, unit = at_edge(np.array([0.5, 20.0]), "m")
+    assert unit == "km"
+    np.testing.assert_allclose(values, [5e-4, 0.02], rtol=1e-15)
+
+
+def test_sensitivity_prints_derivatives_in_si(capsys):
+    address, table = "vehicle.mass", "guidance.bank_angle"
+    jacobian = {
+        "downrange": {address: np.array(1234.5), table: np.array(-6.5e5)},
+        "crossrange": {address: np.array(-7.25), table: np.array(3.0)},
+    }
+    values = {name: np.array(0.0) for name in jacobian}
+    print_sensitivity(cheap.scenario(), Sensitivity(values, jacobian, "velocity"))
+    printed = capsys.readouterr().out
+    assert "while the flight ends by velocity" in printed
+    found = {name: rest for name, *rest in rows(printed)}
+    assert found[address] == ["kg", "1234.5", "-7.25"]
+    assert found[table] == ["rad", "-650000", "3"]
+
+
+def made(kind, otherwise, **given):
+    """One of these records: what is not given is of no interest here."""
+    names = [field.name for field in dataclasses.fields(kind)]
+    return kind(**{name: given.get(name, otherwise) for name in names})
+
+
+def test_covariance_prints_predicted_and_flown_spreads_apart(capsys):
+    spreads = {
+        "downrange": Spread(-100.0, -110.0, 2000.0, -120.0, 2100.0, 0.952),
+        "velocity": Spread(0.25, 0.5, 3.0, 0.75, 4.0, 0.75),
+    }
+    effect_of = lambda linear, flown, bend: made(
+        Effect, 0.0, linear=linear, flown=flown, bend=bend
+    )
+    effects = {
+        "downrange": {"mass": effect_of(1500.0, 1400.0, -50.0)},
+        "velocity": {"mass": effect_of(1.5, 1.25, 0.125)},
+    }
+    model = made(LinearModel, {}, time=227.0)
+    analysis = LinearCovariance({"velocity": model}, spreads, effects, 500, 2, {})
+    print_covariance(cheap.scenario(), analysis, 0.1)
+    printed = capsys.readouterr().out
+    assert "dispersions x 0.1" in printed and "beside 500 runs" in printed
+    found = rows(printed)
+    numbers = ["-0.1000", "-0.1100", "2.0000", "-0.1200", "2.1000", "0.952", "holds"]
+    assert ["downrange", "km", *numbers] in found
+    numbers = ["0.2500", "0.5000", "3.0000", "0.7500", "4.0000", "0.750", "DEPARTS"]
+    assert ["velocity", "m/s", *numbers] in found
+    effect = ["1.5000", "1.4000", "-0.0500", "1.5000", "1.2500", "0.1250"]
+    assert ["mass", *effect] in found
