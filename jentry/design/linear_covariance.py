@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Key
 
 from .._addresses import leaves_by_address
 from ..campaign.dispersions import Dispersion, check_dispersions, disperse, draw
-from ..campaign.monte_carlo import LANES, filled_up, fly_run, over_runs
+from ..campaign.monte_carlo import LANES, check_draws, filled_up, fly_run, over_runs
 from ..flight.misses import misses
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
@@ -130,6 +130,7 @@ def linear_covariance(
         raise ValueError(f"runs is {runs}: give 2 or more with a key, or 0 for none")
     devices = len(jax.devices())
     key = jax.random.key(0) if key is None else key
+    check_draws(scenario, dispersions, key, np.arange(max(runs, LANES)))
     pairs = tuple(dispersions.items())
 
     axes = _along_axes(pairs)

@@ -3,8 +3,6 @@
 import dataclasses
 import functools
 import json
-import os
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,12 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
+from .._files import read_arrays, write_arrays
 from ..campaign.description import first_difference
 from .parameters import Free
-
-
-_UNREADABLE = ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile
-"""What numpy may raise of a file that it has not written"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,14 +75,7 @@ class Record:
         for number, leaf in enumerate(_leaves(state)):
             arrays[f"state/{number}"] = leaf
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        partial = self.path.with_name(f"{self.path.name}.partial")
-        try:
-            with partial.open("wb") as file:
-                np.savez(file, allow_pickle=False, **arrays)
-            os.replace(partial, self.path)
-        except BaseException:
-            partial.unlink(missing_ok=True)
-            raise
+        write_arrays(self.path, arrays)
 
     def read(self) -> tuple[list[Entry], Free, list[np.ndarray], bool]:
         """History, next point, leaves of the stepper's state, and whether it converged.
@@ -96,10 +84,9 @@ class Record:
         and says where they differ.
         """
         try:
-            with self.path.open("rb") as file, np.load(file) as stored:
-                arrays = {name: stored[name] for name in stored.files}
+            arrays = read_arrays(self.path)
             known = json.loads(str(arrays["description"]))
-        except _UNREADABLE as error:
+        except (ValueError, KeyError) as error:
             raise ValueError(
                 f"{self.path} is no record of a tuning run: {error}"
             ) from None

@@ -6,8 +6,6 @@ trained, what comes out and with what error, and how to train it again.
 
 import hashlib
 import json
-import os
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +15,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from .._files import read_arrays, write_arrays
 from .._types import Scalar, table
 
 
 _FORMAT = "jentry network 1"
-
-_UNREADABLE = ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile
-"""What numpy may raise of a file that it has not written"""
 
 
 class Network(eqx.Module):
@@ -93,14 +89,7 @@ def save_network(path: Path | str, network: Network, card: dict[str, Any]) -> No
     arrays["card"] = np.array(json.dumps(card))
     arrays["digest"] = np.array(_digest(arrays))
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.partial")
-    try:
-        with partial.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
-        os.replace(partial, path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+    write_arrays(path, arrays)
 
 
 def load_network(
@@ -121,13 +110,12 @@ def load_network(
             f"no network at {path}: train one with `jentry train MISSION --out FOLDER`"
         )
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+        arrays = read_arrays(path)
         digest = str(arrays.pop("digest"))
         layers = int(arrays["layers"])
         card = json.loads(str(arrays["card"]))
         leaves = [arrays[f"leaf{number}"] for number in range(2 * layers + 4)]
-    except _UNREADABLE as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{path} is no stored network: {error}") from None
     if digest != _digest(arrays):
         raise ValueError(
