@@ -13,9 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from .._files import read_arrays, write_arrays
+from .._files import digest_of_arrays, read_arrays, write_arrays
 from ..campaign.description import first_difference
 from .parameters import Free
+
+
+_DIGEST = "digest"
+"""In the file, of all other arrays"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,6 +79,7 @@ class Record:
         for number, leaf in enumerate(_leaves(state)):
             arrays[f"state/{number}"] = leaf
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        arrays[_DIGEST] = np.array(digest_of_arrays(arrays))
         write_arrays(self.path, arrays)
 
     def read(self) -> tuple[list[Entry], Free, list[np.ndarray], bool]:
@@ -85,6 +90,8 @@ class Record:
         """
         try:
             arrays = read_arrays(self.path)
+            if str(arrays.pop(_DIGEST)) != digest_of_arrays(arrays):
+                raise ValueError("it is damaged; remove it, and tuning begins again")
             known = json.loads(str(arrays["description"]))
         except (ValueError, KeyError) as error:
             raise ValueError(

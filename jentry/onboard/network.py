@@ -6,6 +6,7 @@ trained, what comes out and with what error, and how to train it again.
 
 import hashlib
 import json
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from .._files import read_arrays, write_arrays
+from .._files import write_arrays
 from .._types import Scalar, table
 
 
 _FORMAT = "jentry network 1"
+
+_UNREADABLE = ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile
+"""What numpy may raise of a file that it has not written"""
 
 
 class Network(eqx.Module):
@@ -110,12 +114,13 @@ def load_network(
             f"no network at {path}: train one with `jentry train MISSION --out FOLDER`"
         )
     try:
-        arrays = read_arrays(path)
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
         digest = str(arrays.pop("digest"))
         layers = int(arrays["layers"])
         card = json.loads(str(arrays["card"]))
         leaves = [arrays[f"leaf{number}"] for number in range(2 * layers + 4)]
-    except (ValueError, KeyError, TypeError) as error:
+    except _UNREADABLE as error:
         raise ValueError(f"{path} is no stored network: {error}") from None
     if digest != _digest(arrays):
         raise ValueError(
