@@ -551,7 +551,7 @@ def test_every_option_of_tune_arrives(command, monkeypatch, tmp_path, density):
     two = [leaves["guidance.bank_angle"], leaves["vehicle.nose_radius"]]
     assert jax.tree.leaves(where(scenario)) == two
     # The worst twentieth of twenty, where only the altitude counts, in units of 500 m.
-    far, none = np.linspace(-2e3, 1e3, 20), np.full(20, 1e9)
+    far, none = jnp.linspace(-2e3, 1e3, 20), jnp.full(20, 1e9)
     missed = SimpleNamespace(altitude=far, downrange=none, crossrange=none)
     assert loss(missed) == pytest.approx(2e3 / 500.0)
     # Its first step is the learning rate.
