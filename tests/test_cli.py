@@ -398,7 +398,7 @@ def test_a_folder_of_another_campaign(command, tmp_path):
     assert_refused(other, "seed is 0 there and 1 now", 3)
     (out / "campaign.json").write_text("{}")
     foreign = monte_carlo(command, "--runs", 2, "--out", out)
-    assert_refused(foreign, "campaign.json is no campaign of jentry", 3)
+    assert_refused(foreign, "campaign.json is damaged, of an earlier jentry", 3)
 
 
 def test_a_full_disk(command, tmp_path, monkeypatch):
