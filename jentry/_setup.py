@@ -1,5 +1,6 @@
 """One explicit call that settles precision, cores, compilation cache and XLA options."""
 
+import json
 import os
 import subprocess
 import sys
@@ -12,6 +13,8 @@ _FAST_OPTIONS = (
 )
 
 _SELF_TEST = """
+import json, sys
+sys.path[:] = json.loads(sys.argv[1])
 import jax
 jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
@@ -33,8 +36,9 @@ def cache_directory() -> Path:
     given = os.environ.get("JENTRY_CACHE")
     if given:
         return Path(given)
-    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(base) / "jentry"
+    base = Path(os.environ.get("XDG_CACHE_HOME") or "")
+    # The specification of XDG has a relative path ignored: programs are run from here.
+    return (base if base.is_absolute() else Path.home() / ".cache") / "jentry"
 
 
 def available_cores() -> int:
@@ -104,17 +108,36 @@ def _turn_on_fast_options() -> None:
         _warn("XLA_FLAGS has --xla_backend_extra_options of its own")
         return
     environment = {**os.environ, "XLA_FLAGS": wanted, "JAX_PLATFORMS": "cpu"}
-    test = subprocess.run(
-        [sys.executable, "-c", _SELF_TEST],
-        env=environment,
-        capture_output=True,
-        text=True,
-    )
-    if test.returncode == 0:
+    failure = _failure_of_self_test(environment)
+    if failure is None:
         os.environ["XLA_FLAGS"] = wanted
     else:
-        reason = test.stderr.strip().splitlines()[-1:] or ["no message"]
-        _warn(f"their self-test failed ({reason[0]})")
+        _warn(f"their self-test failed ({failure})")
+
+
+def _failure_of_self_test(environment: dict[str, str]) -> str | None:
+    """Why the options do not work here; none where they do.
+
+    The process is isolated from the working folder, in which a `jax.py` may lie, and
+    imports from where this one does: places that are relative are left out.
+    """
+    places = json.dumps([place for place in sys.path if os.path.isabs(place)])
+    command = [sys.executable or "", "-I", "-c", _SELF_TEST, places]
+    try:
+        test = subprocess.run(
+            command,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            errors="replace",
+        )
+    except OSError as error:  # no interpreter of its own, as in an embedded one
+        return str(error)
+    if test.returncode == 0:
+        return None
+    said = test.stderr.strip().splitlines()
+    return said[-1] if said else f"exit code {test.returncode}"
 
 
 def _warn(reason: str) -> None:

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from ._addresses import leaves_by_address, nearest, replace_leaves, require_address
+from ._files import write_whole
 from .campaign.dispersions import (
     Dispersion,
     Normal,
@@ -178,7 +179,7 @@ def write_overrides(
         for name, entry in dispersions.items():
             lines += ["", f"[dispersions.{json.dumps(name)}]"]
             lines += [f"{key} = {json.dumps(value)}" for key, value in entry.items()]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_whole(path, ("\n".join(lines) + "\n").encode())
 
 
 def read_inputs(path: Path) -> dict[str, np.ndarray]:

@@ -1,27 +1,43 @@
 """The command: what it prints, what it writes, and how it ends."""
 
 import csv
+import dataclasses
 import errno
 import importlib
 import json
+import math
 import os
 import subprocess
 import sys
+from pathlib import Path
+from types import SimpleNamespace
 
 import cheap
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
+import typer
 import xarray
 from helpers import fly_compiled, free_scenario
 from typer.testing import CliRunner
 
-from jentry.campaign import open_campaign
-from jentry.cli import main
+import jentry.plots
+from jentry._addresses import leaves_by_address, replace_leaves
+from jentry.campaign import open_campaign, run_campaign
+from jentry.cli import main, options
+from jentry.design.surrogate import smooth_switching
+from jentry.flight import FixedStep
 from jentry.missions import ALL
 from jentry.units import degree
 
 
 cli = importlib.import_module("jentry.cli.main")
 design = importlib.import_module("jentry.cli.design")
+
+
+SETTLING = ("monte-carlo", "tune", "sensitivity", "train")
+"""Commands that take a number of workers"""
 
 
 @pytest.fixture
@@ -92,22 +108,29 @@ def test_fly(command, tmp_path):
     assert "cheap: reached the end of guided flight (velocity)" in printed
 
 
-def test_fly_with_other_numbers_into_a_file(command, tmp_path):
-    out = tmp_path / "flight.nc"
-    angle = "guidance.bank_angle=10deg"
-    code, printed, _ = command(
-        "fly", "cheap", "--step", 1, "--set", angle, "--history", 20, "--out", out
-    )
+def test_every_option_of_fly_arrives(command, tmp_path):
+    """All at once, each other than where it is not given: the same flight by hand."""
+    out, config = tmp_path / "flight.nc", tmp_path / "overrides.toml"
+    config.write_text('variant = "right"\n[set]\nplanet.density_scale = 1.25')
+    words = ("--variant", "steep", "--set", "vehicle.mass=900", "--config", config)
+    how = ("--step", 1, "--history", 20, "--out", out)
+    code, printed, _ = command("fly", "cheap", *words, *how)
     assert code == 0 and f"written: {out}" in printed
-    flight = fly_compiled(free_scenario(10 * degree), cheap.SOLVER)
+    changed = {"vehicle.mass": 900.0, "planet.density_scale": 1.25}
+    scenario = replace_leaves(free_scenario(10 * degree), changed)
+    flight = fly_compiled(scenario, cheap.SOLVER)
     with xarray.open_dataset(out, engine="h5netcdf") as written:
         # Compiled apart: rounding, grown over the flight.
         assert written["end_time"].values == pytest.approx([flight.time.item()], 1e-11)
+        altitude = flight.state.altitude.item()
+        assert written["end_altitude"].values == pytest.approx([altitude], 1e-9)
         # The arc cosine of a cosine.
         bank = written["bank_angle"].values[0, :3]
         assert bank == pytest.approx([10 * degree] * 3, rel=1e-12)
+        assert written["time"].values.tolist() == [20.0 * i for i in range(15)]
         described = json.loads(written.attrs["campaign"])
     assert described["solver"] == str(cheap.SOLVER)
+    assert described["mission"] == "cheap" and described["history_interval"] == 20.0
 
 
 def test_monte_carlo(command, tmp_path):
@@ -132,6 +155,57 @@ def test_monte_carlo(command, tmp_path):
     # Fewer: the statistics of these.
     _, other, _ = monte_carlo(command, "--runs", 1, "--seed", 7, "--out", out)
     assert "1 of 1 runs" in other
+
+
+def test_every_option_of_monte_carlo_arrives(command, tmp_path):
+    """All at once, each other than where it is not given: the same campaign by hand."""
+    out, config = tmp_path / "out", tmp_path / "overrides.toml"
+    config.write_text('variant = "right"\n[set]\nplanet.density_scale = 1.25')
+    words = ("--variant", "steep", "--set", "vehicle.mass=900", "--config", config)
+    how = ("--step", 1, "--history", 20, "--dispersions", "mass-only")
+    many = ("--runs", 3, "--seed", 11, "--out", out)
+    code, printed, _ = command(
+        "monte-carlo", "cheap", *words, *how, *many, "--no-figures"
+    )
+    assert code == 0 and "figures" not in printed and not (out / "figures").exists()
+    changed = {"vehicle.mass": 900.0, "planet.density_scale": 1.25}
+    run_campaign(
+        tmp_path / "same",
+        replace_leaves(free_scenario(10 * degree), changed),
+        cheap.mass_only(),
+        11,
+        3,
+        solver=cheap.SOLVER,
+        history=20.0,
+        mission="cheap",
+        variant="steep",
+    )
+    results, same = open_campaign(out), open_campaign(tmp_path / "same")
+    xarray.testing.assert_identical(results, same)
+    assert results.sizes == {"run": 3, "time": 15}
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "expected"),
+    [
+        *((name, (), (None, False)) for name in SETTLING),
+        *((name, ("--workers", 3), (3, False)) for name in SETTLING),
+        *((name, ("--fast",), (None, True)) for name in ("monte-carlo", "tune")),
+        *((name, (), (1, False)) for name in ("fly", "show")),
+    ],
+)
+def test_workers_and_fast_arrive(command, monkeypatch, name, words, expected):
+    settled = []
+
+    def setup(workers=None, *, fast=False):
+        settled.append((workers, fast))
+        raise ValueError("enough")
+
+    monkeypatch.setattr("jentry._setup.setup", setup)
+    for module in (cli, design):
+        monkeypatch.setattr(module, "set_up", options.set_up)
+    assert_refused(command(name, "cheap", *words), "enough")
+    assert settled == [expected]
 
 
 def test_results_without_a_folder_named(command, tmp_path):
@@ -181,7 +255,30 @@ def test_given_inputs(command, tmp_path, words, runs):
     assert open_campaign(out)["vehicle.mass"].values.tolist() == masses[:runs]
 
 
-def test_figures_are_drawn(command, tmp_path):
+UNITS = {"km": 1e3, "km/s": 1e3, "m/s²": 1.0, "deg": math.pi / 180.0, "s": 1.0}
+"""SI value of each unit on an axis"""
+
+
+def in_si(label, values):
+    """What an axis shows, by the unit in its label."""
+    return np.asarray(values) * UNITS[label.rpartition("(")[2].rstrip(")")]
+
+
+def shown(axes, x, y):
+    """A line or points of a figure in SI units."""
+    return in_si(axes.get_xlabel(), x), in_si(axes.get_ylabel(), y)
+
+
+def test_figures_are_drawn(command, tmp_path, monkeypatch):
+    """Of the runs of the campaign, in the units that their axes name."""
+    drawn = {}
+    save = jentry.plots.save_figures
+
+    def keep(figures, folder):
+        drawn.update(figures)
+        return save(figures, folder)
+
+    monkeypatch.setattr("jentry.plots.save_figures", keep)
     code, printed, said = command(
         "monte-carlo", "cheap", "--step", 1, "--runs", 4, "--out", tmp_path / "out"
     )
@@ -196,6 +293,42 @@ def test_figures_are_drawn(command, tmp_path):
         "footprint",
         "overview",
     }
+    results = open_campaign(tmp_path / "out")
+    axes = {name: figure.axes[0] for name, figure in drawn.items()}
+    nominal = {}
+    for name in ("altitude", "drag", "bank"):
+        (line,) = [x for x in axes[name].lines if x.get_label() == "nominal"]
+        nominal[name] = shown(axes[name], *line.get_data())
+    # The entry, as the scenario has it: 126.1 km, 6750 m/s, 50 deg, at t = 0.
+    assert [x[0] for x in nominal["altitude"]] == pytest.approx([6750.0, 126100.0])
+    assert [x[0] for x in nominal["bank"]] == pytest.approx([0.0, math.radians(50.0)])
+    # Every 0.5 s to the end, at which it has slowed to 503 m/s.
+    time, bank = nominal["bank"]
+    assert np.diff(time) == pytest.approx(0.5) and np.ptp(bank) < 1e-12
+    least, most = results["end_time"].values.min(), results["end_time"].values.max()
+    assert least - 1.0 < time[-1] < most + 1.0
+    velocity, drag = nominal["drag"]
+    assert 503.0 < velocity[-1] < 510.0  # of which it loses some 10 m/s a second
+    # Drag is half of the density times the velocity squared over the ballistic
+    # coefficient: 0.0158 kg/m3 exp(-h/9354.5 m), 115 kg/m2, in Mars' atmosphere.
+    density = 0.0158 * np.exp(-nominal["altitude"][1] / 9354.5)
+    assert drag == pytest.approx(0.5 * density * velocity**2 / 115.0, rel=1e-12)
+    # Bands of the runs: all have this bank; their largest drag is about their peaks.
+    edges = axes["bank"].collections[0].get_paths()[0].vertices[:, 1]
+    assert in_si(axes["bank"].get_ylabel(), edges) == pytest.approx(math.radians(50.0))
+    (median,) = [x for x in axes["drag"].lines if x.get_label() == "median"]
+    peak = in_si(axes["drag"].get_ylabel(), median.get_ydata()).max()
+    peaks = results["peak_drag"].values
+    assert 0.98 * peaks.min() < peak < 1.02 * peaks.max()
+    # The ends: each run's own, and the mean of the histogram's heading.
+    points = axes["footprint"].collections[0].get_offsets()
+    ends = shown(axes["footprint"], *points.T)
+    assert ends[0] == pytest.approx(results["downrange_error"].values)
+    assert ends[1] == pytest.approx(results["altitude_error"].values)
+    marked = [line.get_xdata()[0] for line in axes["downrange"].lines]
+    mean = in_si(axes["downrange"].get_xlabel(), marked).mean()
+    assert mean == pytest.approx(results["downrange_error"].values.mean())
+    assert sum(bar.get_height() for bar in axes["downrange"].patches) == 4
 
 
 REFUSED = {
@@ -265,7 +398,7 @@ def test_a_folder_of_another_campaign(command, tmp_path):
     assert_refused(other, "seed is 0 there and 1 now", 3)
     (out / "campaign.json").write_text("{}")
     foreign = monte_carlo(command, "--runs", 2, "--out", out)
-    assert_refused(foreign, "campaign.json is no campaign of jentry", 3)
+    assert_refused(foreign, "campaign.json is damaged, of an earlier jentry", 3)
 
 
 def test_a_full_disk(command, tmp_path, monkeypatch):
@@ -363,6 +496,144 @@ def test_tune_writes_what_monte_carlo_flies(command, tmp_path):
     described = json.loads((tmp_path / "flown" / "campaign.json").read_text())
     flown = described["scenario"]["guidance.bank_angle"]["value"]
     assert flown == float(best["guidance.bank_angle"])
+
+
+class Arrived(Exception):
+    """Ends a command where it would begin to compute."""
+
+
+def intercepted(monkeypatch, module, name):
+    """Keeps what a function of a module is called with, and ends the command there."""
+    seen = {}
+
+    def function(*given, **options):
+        seen.update(options, given=given)
+        raise Arrived
+
+    monkeypatch.setattr(sys.modules[module], name, function)
+    return seen
+
+
+OVERRIDES = ("--variant", "steep", "--set", "vehicle.mass=900", "--step", 2)
+OVERRIDES += ("--dispersions", "mass-only", "--seed", 11)
+
+
+def assert_overridden(scenario, table, key, solver):
+    """What `OVERRIDES` and a density by a file come to."""
+    leaves = leaves_by_address(scenario)
+    assert leaves["vehicle.mass"] == 900.0
+    assert leaves["planet.density_scale"] == 1.25
+    assert leaves["guidance.bank_angle"] == 10 * degree
+    assert table == cheap.mass_only()
+    assert jax.random.key_data(key).tolist() == [0, 11]
+    assert solver == FixedStep(2.0)
+
+
+@pytest.fixture
+def density(tmp_path):
+    config = tmp_path / "overrides.toml"
+    config.write_text('variant = "right"\n[set]\nplanet.density_scale = 1.25')
+    return "--config", config
+
+
+def test_every_option_of_tune_arrives(command, monkeypatch, tmp_path, density):
+    seen = intercepted(monkeypatch, "jentry.design.tuning", "tune")
+    words = ("--gains", "guidance.bank_angle,vehicle.nose_radius", "--runs", 16)
+    words += ("--steps", 3, "--loss", "cvar", "--of", "altitude=500m")
+    words += ("--out", "there", "--optimizer", "adam", "--learning-rate", 0.3)
+    words += ("--bounds", "guidance.bank_angle=0.1:1.5", "--fresh-draws", "--smooth")
+    words += ("--patience", 4, "--held-out", 32)
+    with pytest.raises(Arrived):
+        command("tune", "cheap", *words, *OVERRIDES, *density)
+    scenario, where, loss, optimizer, table, key = seen["given"]
+    assert_overridden(scenario, table, key, seen["solver"])
+    leaves = leaves_by_address(scenario)
+    two = [leaves["guidance.bank_angle"], leaves["vehicle.nose_radius"]]
+    assert jax.tree.leaves(where(scenario)) == two
+    # The worst twentieth of twenty, where only the altitude counts, in units of 500 m.
+    far, none = jnp.linspace(-2e3, 1e3, 20), jnp.full(20, 1e9)
+    missed = SimpleNamespace(altitude=far, downrange=none, crossrange=none)
+    assert loss(missed) == pytest.approx(2e3 / 500.0)
+    # Its first step is the learning rate.
+    step, _ = optimizer.update({"x": jnp.ones(())}, optimizer.init({"x": jnp.ones(())}))
+    assert step["x"] == pytest.approx(-0.3)
+    assert seen["bounds"] == {"guidance.bank_angle": (0.1, 1.5)}
+    assert seen["fresh_draws"] and seen["surrogate"] is smooth_switching
+    numbers = {name: seen[name] for name in ("runs", "steps", "patience", "held_out")}
+    assert numbers == {"runs": 16, "steps": 3, "patience": 4, "held_out": 32}
+    assert seen["record"].parent == Path("there")
+
+
+def test_every_option_of_sensitivity_arrives(command, monkeypatch, density):
+    module = "jentry.design.linear_covariance"
+    seen = intercepted(monkeypatch, module, "linear_covariance")
+    words = ("--scale", 0.25, "--runs", 16)
+    with pytest.raises(Arrived):
+        command("sensitivity", "cheap", *words, *OVERRIDES, *density)
+    scenario, scaled = seen["given"]
+    # A quarter as wide about the mean: 0.95 to 1.05 becomes 0.9875 to 1.0125.
+    uniform = scaled["mass"].distribution
+    assert [uniform.lower, uniform.upper] == pytest.approx([0.9875, 1.0125])
+    as_it_is = cheap.mass_only()["mass"].distribution
+    table = {"mass": dataclasses.replace(scaled["mass"], distribution=as_it_is)}
+    assert_overridden(scenario, table, seen["key"], seen["solver"])
+    assert seen["runs"] == 16
+    seen = intercepted(monkeypatch, "jentry.design.sensitivity", "sensitivity")
+    with pytest.raises(Arrived):
+        command("sensitivity", "cheap", "--wrt", "vehicle.mass", *OVERRIDES, *density)
+    (scenario,) = seen["given"]
+    assert jax.tree.leaves(seen["wrt"](scenario)) == [900.0]
+    assert seen["solver"] == FixedStep(2.0)
+
+
+def test_every_option_of_train_arrives(command, monkeypatch):
+    seen = {}
+
+    def train(folder, seed, **options):
+        seen.update(options, folder=folder, seed=seed)
+        raise Arrived
+
+    able = dataclasses.replace(cheap.MISSION, train=train)
+    monkeypatch.setitem(ALL, "cheap", able)
+    words = ("--out", "there", "--seed", 11, "--flights", 150, "--again", 120)
+    with pytest.raises(Arrived):
+        command("train", "cheap", *words, "--iterations", 7)
+    del seen["report"]
+    numbers = {"seed": 11, "flights": 150, "again": 120, "iterations": 7}
+    assert seen == {"folder": Path("there"), **numbers}
+
+
+RUN = {"variant", "set", "config", "step"}
+
+ARRIVE = {
+    "list": set(),
+    "show": {"variant", "set", "config"},
+    "fly": RUN | {"history", "out"},
+    "monte-carlo": RUN
+    | {"runs", "seed", "out", "workers", "dispersions", "inputs", "history", "fast"}
+    | {"no-fast", "figures", "no-figures"},
+    "tune": RUN
+    | {"gains", "runs", "steps", "loss", "of", "out", "optimizer", "learning-rate"}
+    | {"bounds", "smooth", "no-smooth", "fresh-draws", "no-fresh-draws", "patience"}
+    | {"held-out", "seed", "workers", "dispersions", "fast", "no-fast"},
+    "train": {"out", "seed", "flights", "again", "iterations", "workers"},
+    "sensitivity": RUN | {"wrt", "scale", "runs", "seed", "workers", "dispersions"},
+}
+
+
+def test_every_option_is_in_a_test_of_what_arrives():
+    """Those above, each with all options of its command; add yours there, and here."""
+    commands = typer.main.get_command(cli.app).commands
+    options = {
+        name: {
+            word.removeprefix("--")
+            for parameter in command.params
+            for word in (*parameter.opts, *parameter.secondary_opts)
+            if word.startswith("--") and word != "--help"
+        }
+        for name, command in commands.items()
+    }
+    assert options == ARRIVE
 
 
 def test_tune_resumes_and_refuses_another_run(command):

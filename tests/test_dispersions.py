@@ -1,13 +1,15 @@
 """Draws have their distribution, depend on key, name and run alone, and reach leaves."""
 
+import math
 import types
+import zlib
 
 import cheap
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
 from jentry._addresses import leaves_by_address
 from jentry.campaign import (
@@ -60,6 +62,68 @@ def test_moments_and_bounds(name, key):
     assert sample.dtype == jnp.float64
     # Of 53 bits all are drawn: no two of some ten thousand numbers are equal.
     assert len(np.unique(sample)) == DRAWS
+
+
+def threefry(key, counts):
+    """Threefry-2x32 of 20 rounds, after J. K. Salmon et al., "Parallel Random Numbers: As
+    Easy as 1, 2, 3", 2011: two words of a counter enciphered by two words of a key."""
+    mask, (first, second), (x, y) = 0xFFFFFFFF, key, counts
+    keys = first, second, first ^ second ^ 0x1BD11BDA
+    x, y = (x + first) & mask, (y + second) & mask
+    rotations = (13, 15, 26, 6), (17, 29, 16, 24)
+    for group in range(5):
+        for turn in rotations[group % 2]:
+            x = (x + y) & mask
+            y = ((y << turn | y >> 32 - turn) & mask) ^ x
+        x = (x + keys[(group + 1) % 3]) & mask
+        y = (y + keys[(group + 2) % 3] + group + 1) & mask
+    return x, y
+
+
+def test_the_cipher_is_threefry():
+    """The known answers of the authors' library, Random123."""
+    ones = 0xFFFFFFFF, 0xFFFFFFFF
+    assert threefry((0, 0), (0, 0)) == (0x6B200159, 0x99BA4EFE)
+    assert threefry(ones, ones) == (0x1CB996FC, 0xBB002BE7)
+    digits = threefry((0x13198A2E, 0x03707344), (0x243F6A88, 0x85A308D3))
+    assert digits == (0xC4923A9C, 0x483DF7A0)
+
+
+def expected_share(seed, name, run):
+    """Of the unit interval, what a run draws: seed, checksum of the name and run, each
+    enciphered by what came before; then 52 bits of a word of 64."""
+    key = seed >> 32, seed & 0xFFFFFFFF
+    for number in (zlib.crc32(name.encode()), run):
+        key = threefry(key, (0, number))
+    high, low = threefry(key, (0, 0))
+    return ((high << 32 | low) >> 12) * 2.0**-52
+
+
+@pytest.mark.parametrize("seed", [0, 7, 2**40 + 3])
+def test_draws_are_what_they_have_always_been(seed):
+    """A campaign of a seed is the same in years: other draws are another campaign."""
+    table = {
+        "density": Dispersion(density, Uniform(0.8, 1.2)),
+        "mass": Dispersion(mass, Normal(900.0, 10.0)),
+    }
+    runs = np.array([0, 1, 63, 2**31 + 5])
+    drawn = dispersed_inputs(
+        cheap.scenario(), table, jax.random.key(seed), jnp.asarray(runs)
+    )
+    shares = {
+        name: np.array([expected_share(seed, name, int(run)) for run in runs])
+        for name in table
+    }
+    # Of the same 52 bits; the rest is rounding.
+    np.testing.assert_allclose(
+        drawn["planet.density_scale"], 0.8 + 0.4 * shares["density"], rtol=5e-16
+    )
+    # By the inverse of the error function, of which XLA has its own, to 1e-15 or so; a
+    # share of 2^-53 would be 8 deviations away, and these are within 3.
+    deviates = math.sqrt(2.0) * special.erfinv(2.0 * shares["mass"] - 1.0)
+    np.testing.assert_allclose(
+        drawn["vehicle.mass"], 900.0 + 10.0 * deviates, rtol=1e-14
+    )
 
 
 def test_names_runs_and_keys_draw_apart(key):

@@ -1,5 +1,6 @@
 """Figures show what the runs hold; synthetic runs, nothing is flown."""
 
+import math
 import subprocess
 import sys
 
@@ -272,6 +273,52 @@ def test_every_run_is_drawn_over_time_under_its_limit(glides):
     np.testing.assert_allclose(heat.lines[6].get_ydata(), 1.5e-6)
     drawn = np.array([line.get_ydata() for line in load.lines])
     np.testing.assert_array_equal(drawn, glides["load_factor"].values)
+
+
+SI = {"km": 1e3, "m": 1.0, "km/s": 1e3, "m/s": 1.0, "deg": math.pi / 180.0}
+SI |= {"MW/m²": 1e6, "kPa": 1e3, "g": 1.0, "s": 1.0}
+"""SI value of each unit on an axis; load factors are counted in g"""
+
+
+def unit(label):
+    """SI value of the unit that a label ends in, such as 1e-3 m."""
+    power, _, name = label.rsplit(", ", 1)[1].rpartition(" ")
+    return float(power or 1.0) * SI[name]
+
+
+@pytest.mark.parametrize("names", [glide.STATES, glide.CONTROLS, glide.CONSTRAINTS])
+def test_every_panel_shows_its_quantity_in_the_unit_that_it_names(glides, names):
+    """Of sizes that no other unit on the figure would have."""
+    figure = glide.over_time(glides, names)
+    for axes, name in zip(figure.axes, names, strict=True):
+        words, _ = axes.get_ylabel().rsplit(", ", 1)
+        paper = {"heading": "Azimuth", "flight_path_angle": "Flight-path angle"}
+        assert words == paper.get(name, name.replace("_", " ").capitalize())
+        assert unit(axes.get_xlabel()) == 1.0
+        drawn = np.array([line.get_ydata() for line in axes.lines])
+        np.testing.assert_allclose(drawn * unit(axes.get_ylabel()), glides[name].values)
+        times = np.array([line.get_xdata() for line in axes.lines])
+        assert np.array_equal(times, np.tile(glides["time"].values, (6, 1)))
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-5], ids=["large", "small"])
+def test_errors_at_the_end_are_in_the_unit_that_they_name(glides, size):
+    """The histogram reaches from the least error to the largest."""
+    names = (
+        "miss_distance",
+        "flight_path_angle_error",
+        "heading_error",
+        "velocity_error",
+    )
+    results = glides.map(lambda values: size * values)
+    figure = glide.end_errors(results)
+    for axes, name in zip(figure.axes, names, strict=True):
+        edges = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in axes.patches]
+        reach = unit(axes.get_xlabel()) * np.array([edges[0][0], edges[-1][1]])
+        values = results[name].values
+        np.testing.assert_allclose(reach, [values.min(), values.max()])
+        # Small ones in a power of ten that makes them readable.
+        assert 1e-2 <= np.max(np.abs(edges)) < 1e3
 
 
 def test_velocity_errors_of_campaigns_with_their_means(glides):

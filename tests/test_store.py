@@ -1,8 +1,10 @@
 """What is reported as stored stays stored, and a folder holds one campaign."""
 
 import errno
+import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -17,7 +19,8 @@ from helpers import fly_compiled
 from jentry._addresses import replace_leaves
 from jentry.campaign import CampaignError, open_campaign, run_campaign
 from jentry.campaign.monte_carlo import LANES, fly_in_blocks
-from jentry.campaign.store import MANIFEST, write_flight
+from jentry.campaign.parts import MANIFEST
+from jentry.campaign.store import write_flight
 from jentry.flight import Outcome
 
 
@@ -39,6 +42,11 @@ def small_parts(monkeypatch):
 
 def parts(out):
     return sorted(path.name for path in out.glob("runs-*.nc"))
+
+
+def written(path):
+    """Another one whenever a file is written: which it is, and when it was."""
+    return path.stat().st_ino, path.stat().st_mtime_ns
 
 
 def rest(out):
@@ -139,12 +147,12 @@ def test_a_campaign_on_two_devices_is_the_same(tmp_path, whole):
 
 def test_a_stored_campaign_is_not_flown_again(tmp_path, small_parts):
     cheap.campaign(tmp_path, LANES)
-    before = (tmp_path / parts(tmp_path)[0]).stat()
+    before = written(tmp_path / parts(tmp_path)[0])
     reports = []
     cheap.campaign(tmp_path, LANES, report=reports.append)
     cheap.campaign(tmp_path, 3, report=reports.append)
     assert reports == [LANES, 3]
-    assert (tmp_path / parts(tmp_path)[0]).stat() == before
+    assert written(tmp_path / parts(tmp_path)[0]) == before
 
 
 def test_more_runs_are_added(tmp_path, whole):
@@ -162,6 +170,21 @@ def test_a_part_that_is_missing_is_flown_again(tmp_path, whole, small_parts):
     reports = []
     cheap.campaign(tmp_path, RUNS, report=reports.append)
     assert reports == [RUNS - LANES, RUNS]
+    xarray.testing.assert_identical(open_campaign(tmp_path), whole)
+
+
+def test_two_gaps_are_flown_and_nothing_else(tmp_path, whole, small_parts):
+    """Parts of the beginning and of the middle are lost."""
+    cheap.campaign(tmp_path, RUNS)
+    first, second, third, last = parts(tmp_path)
+    stays = {name: written(tmp_path / name) for name in (second, last)}
+    (tmp_path / first).unlink()
+    (tmp_path / third).unlink()
+    reports = []
+    cheap.campaign(tmp_path, RUNS, report=reports.append)
+    assert reports == [LANES + 8, 2 * LANES + 8, RUNS]
+    assert parts(tmp_path) == [first, second, third, last]
+    assert {name: written(tmp_path / name) for name in stays} == stays
     xarray.testing.assert_identical(open_campaign(tmp_path), whole)
 
 
@@ -269,11 +292,6 @@ def test_folders_that_are_no_campaign(tmp_path):
     file.write_text("")
     with pytest.raises(CampaignError, match="is a file"):
         cheap.campaign(file, 3)
-    runs_only = tmp_path / "runs"
-    runs_only.mkdir()
-    (runs_only / "runs-000000000-000000002.nc").write_text("")
-    with pytest.raises(CampaignError, match=f"has runs but no {MANIFEST}"):
-        cheap.campaign(runs_only, 3)
     empty = tmp_path / "empty"
     empty.mkdir()
     (empty / "notes.txt").write_text("mine")
@@ -285,7 +303,9 @@ def test_folders_that_are_no_campaign(tmp_path):
 def test_a_manifest_that_is_damaged(tmp_path, contents):
     (tmp_path / MANIFEST).write_bytes(contents)
     for use in (lambda: open_campaign(tmp_path), lambda: cheap.campaign(tmp_path, 3)):
-        with pytest.raises(CampaignError, match=f"{MANIFEST} is no campaign of jentry"):
+        with pytest.raises(
+            CampaignError, match=f"{MANIFEST} is damaged, of an earlier"
+        ):
             use()
     assert (tmp_path / MANIFEST).read_bytes() == contents
 
@@ -297,18 +317,166 @@ def test_a_campaign_without_runs_yet(tmp_path):
         open_campaign(tmp_path)
 
 
-@pytest.mark.parametrize("keep", [0, 100, -200], ids=["empty", "start", "most"])
-def test_a_part_that_is_damaged_is_named(tmp_path, whole, keep):
-    cheap.campaign(tmp_path, 3)
-    (name,) = parts(tmp_path)
-    path = tmp_path / name
-    path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(CampaignError, match=f"{name} cannot be read.*delete it"):
-        open_campaign(tmp_path)
+# Nothing is believed that is not, to the last bit, what the campaign has written.
+
+
+@pytest.fixture
+def copy(stored, tmp_path):
+    """A copy of the stored campaign, to be changed: its folder, and its only part."""
+    out = tmp_path / "copy"
+    shutil.copytree(stored, out)
+    (name,) = parts(out)
+    return out, out / name
+
+
+def assert_refused_until_deleted(out, path, stored):
+    """Neither opened nor flown on; mended by what the message says, and only by that."""
+    before = {p: p.read_bytes() for p in out.iterdir()}
+    for use in (lambda: open_campaign(out), lambda: flown_otherwise(out)):
+        with pytest.raises(CampaignError) as refused:
+            use()
+        assert f"{path} is not as this campaign has written it" in str(refused.value)
+        assert "Delete it and run the same campaign again" in str(refused.value)
+    assert {p: p.read_bytes() for p in out.iterdir()} == before
     path.unlink()
-    cheap.campaign(tmp_path, 3)
-    three = whole.isel(run=slice(3)).drop_attrs()
-    xarray.testing.assert_identical(open_campaign(tmp_path).drop_attrs(), three)
+    flown_otherwise(out)
+    xarray.testing.assert_identical(open_campaign(out), open_campaign(stored))
+
+
+def flipped(contents, bit):
+    place = bit // 8
+    changed = bytes([contents[place] ^ 1 << bit % 8])
+    return contents[:place] + changed + contents[place + 1 :]
+
+
+BITS = np.random.default_rng(20261121)
+
+
+def test_no_flipped_bit_in_a_part_passes(copy, stored):
+    """Of 500: neither is one opened, nor does a campaign go on with it."""
+    out, path = copy
+    contents = path.read_bytes()
+    for count, bit in enumerate(BITS.integers(8 * len(contents), size=500)):
+        path.write_bytes(flipped(contents, int(bit)))
+        with pytest.raises(CampaignError, match=f"{path.name} is not as this campaign"):
+            open_campaign(out)
+        if count % 100 == 0:  # which takes longer
+            with pytest.raises(CampaignError, match=f"{path.name} is not as this"):
+                flown_otherwise(out)
+    assert_refused_until_deleted(out, path, stored)
+
+
+def test_no_flipped_bit_in_the_manifest_passes(copy, stored):
+    out, _ = copy
+    manifest = out / MANIFEST
+    contents = manifest.read_bytes()
+    for bit in BITS.integers(8 * len(contents), size=500):
+        manifest.write_bytes(flipped(contents, int(bit)))
+        with pytest.raises(CampaignError, match=f"{MANIFEST} is damaged.*delete it"):
+            open_campaign(out)
+    with pytest.raises(CampaignError, match=f"{MANIFEST} is damaged.*delete it"):
+        flown_otherwise(out)
+    # What the message says mends it, and the runs stay.
+    before = open_campaign(stored)
+    part = out / parts(out)[0]
+    untouched = written(part)
+    manifest.unlink()
+    with pytest.raises(CampaignError, match=f"no {MANIFEST} in it; run the same"):
+        open_campaign(out)
+    flown_otherwise(out)
+    assert manifest.read_bytes() == contents and written(part) == untouched
+    xarray.testing.assert_identical(open_campaign(out), before)
+
+
+CHANGED = {
+    "empty": lambda contents: b"",
+    "start": lambda contents: contents[:100],
+    "most": lambda contents: contents[:-200],
+    "longer": lambda contents: contents + b"\0",
+    "a hole": lambda contents: contents[:20000] + bytes(512) + contents[20512:],
+}
+
+
+@pytest.mark.parametrize("change", CHANGED.values(), ids=CHANGED)
+def test_a_part_that_is_damaged_is_named_and_mended(copy, stored, change):
+    out, path = copy
+    path.write_bytes(change(path.read_bytes()))
+    assert_refused_until_deleted(out, path, stored)
+
+
+NAMES = {
+    "other runs": lambda name: name.replace("-000000000-", "-000000003-", 1).replace(
+        "-000000002-", "-000000005-"
+    ),
+    "more runs": lambda name: name.replace("-000000002-", "-000000009-"),
+    "another digest": lambda name: f"{name[:-4]}{'0' if name[-4] != '0' else '1'}.nc",
+    "no digest": lambda name: f"{name[:-20]}.nc",
+    "a copy": lambda name: f"{name[:-3]} (2).nc",
+}
+
+
+@pytest.mark.parametrize("rename", NAMES.values(), ids=NAMES)
+def test_a_name_that_lies_is_refused_and_mended(copy, stored, rename):
+    out, path = copy
+    path = path.rename(out / rename(path.name))
+    assert_refused_until_deleted(out, path, stored)
+
+
+@pytest.mark.parametrize("name", ["theirs", "ours"])
+def test_a_part_of_another_seed_is_not_taken_in(copy, stored, tmp_path, name):
+    out, path = copy
+    other = tmp_path / "other"
+    flown_otherwise(other, seed=8)
+    foreign = other / parts(other)[0]
+    path.unlink()
+    path = out / (foreign.name if name == "theirs" else path.name)
+    shutil.copy(foreign, path)
+    assert_refused_until_deleted(out, path, stored)
+
+
+def test_a_part_says_of_which_campaign_it_is(stored):
+    manifest = json.loads((stored / MANIFEST).read_text())
+    digest = manifest.pop("digest")
+    canonical = json.dumps(manifest, sort_keys=True).encode()
+    assert digest == hashlib.sha256(canonical).hexdigest()
+    path = stored / parts(stored)[0]
+    with xarray.open_dataset(path, engine="h5netcdf") as part:
+        assert part.attrs["campaign_digest"] == digest
+    sealed = hashlib.sha256(f"{digest} 0 2 ".encode() + path.read_bytes()).hexdigest()
+    assert path.name == f"runs-000000000-000000002-{sealed[:16]}.nc"
+
+
+def test_parts_without_a_manifest_are_not_given_to_another_campaign(copy):
+    out, _ = copy
+    (out / MANIFEST).unlink()
+    with pytest.raises(CampaignError, match=f"{out} has runs but no {MANIFEST}.*other"):
+        flown_otherwise(out, seed=8)
+    assert not (out / MANIFEST).exists()
+
+
+def test_folders_of_an_earlier_jentry_are_refused(copy):
+    """Without digests, in the manifest and in the names."""
+    out, path = copy
+    manifest = json.loads((out / MANIFEST).read_text())
+    del manifest["digest"]
+    (out / MANIFEST).write_text(json.dumps(manifest))
+    path.rename(out / "runs-000000000-000000002.nc")
+    for use in (lambda: open_campaign(out), lambda: flown_otherwise(out)):
+        with pytest.raises(CampaignError, match="of an earlier jentry"):
+            use()
+
+
+def test_names_that_were_prepared_are_not_written_through(tmp_path):
+    """Links at the names under which files were written meanwhile, once."""
+    victim = tmp_path / "victim"
+    victim.write_text("precious")
+    out = tmp_path / "out"
+    out.mkdir()
+    for name in (MANIFEST, "runs-000000000-000000002.nc"):
+        (out / f".{name}.unfinished").symlink_to(victim)
+    cheap.campaign(out, 3)
+    assert victim.read_text() == "precious"
+    assert open_campaign(out).sizes["run"] == 3
 
 
 def no_space(*given):
@@ -338,12 +506,13 @@ FULL = """
 import errno, resource, sys
 import xarray
 from pathlib import Path
-from jentry.campaign.store import _netcdf, _write_whole
+from jentry._files import write_whole
+from jentry.campaign.store import _netcdf
 resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, 10_000))
 out = Path(sys.argv[1])
 contents = _netcdf(xarray.Dataset({"x": ("run", [1.0] * 10_000)}))
 try:
-    _write_whole(out / "x.nc", contents)
+    write_whole(out / "x.nc", contents)
 except OSError as error:
     assert error.errno == errno.EFBIG, error
     assert not list(out.iterdir()), list(out.iterdir())

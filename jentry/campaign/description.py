@@ -30,7 +30,7 @@ def describe(
     return {
         **labels,
         "seed": seed,
-        "history_interval": history,
+        "history_interval": None if history is None else float(history),
         "solver": str(solver),
         "fast_options": fast_options_are_on(),
         "structure": str(scenario),

@@ -1,5 +1,6 @@
 """Fly many dispersed runs of one scenario, fast and on all cores."""
 
+import bisect
 import functools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
@@ -13,6 +14,7 @@ from jax.sharding import AxisType, PartitionSpec
 from jaxtyping import Array, Key
 
 from .._addresses import (
+    addresses_of,
     field_metadata,
     leaves_by_address,
     replace_leaves,
@@ -72,7 +74,8 @@ def monte_carlo(
     - `solver`, `history`: as for `fly`.
 
     **Raises:** `ValueError` for an empty batch, a dispersion or an address that reaches no
-    leaf, inputs of unequal length, and inputs that cannot be flown.
+    leaf, inputs of unequal length, and inputs that cannot be flown: all draws are looked
+    at before the first flight.
 
         campaign = monte_carlo(scenario, dispersions, jax.random.key(0))
         np.std(campaign.misses.downrange)
@@ -120,6 +123,8 @@ def fly_in_blocks(
         raise ValueError(f"run {indices.min()} was asked for: runs count from 0")
     if given is not None and indices.max() >= count:
         raise ValueError(f"run {indices.max()} was asked for, of {count} given")
+    if dispersions and key is not None:
+        check_draws(scenario, dispersions, key, indices)
     return _blocks(scenario, dispersions, key, indices, given, solver, history)
 
 
@@ -138,7 +143,8 @@ def _check_inputs(
             raise ValueError(
                 f"input {address} has shape {given[address].shape}: give one number a run"
             )
-        check_values(address, given[address], field_metadata(scenario, address))
+        runs = np.arange(len(given[address]))
+        _check_runs(scenario, address, given[address], runs, "the inputs")
     lengths = {address: len(values) for address, values in given.items()}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"inputs of unequal length: {lengths}")
@@ -154,18 +160,68 @@ def drawn_inputs(
     """As `dispersed_inputs`. Raises `ValueError` for a draw that cannot be flown."""
     inputs = dispersed_inputs(scenario, dispersions, key, jnp.asarray(runs))
     for address, values in inputs.items():
-        check_values(address, np.asarray(values), field_metadata(scenario, address))
+        movers = [
+            f"dispersions.{name}"
+            for name, dispersion in dispersions.items()
+            if address in addresses_of(scenario, dispersion.where)
+        ]
+        source = " and ".join(movers)
+        _check_runs(scenario, address, np.asarray(values), runs, source)
     return inputs
+
+
+def check_draws(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion],
+    key: Key[Array, ""],
+    runs: np.ndarray,
+) -> None:
+    """Refuse runs of which one has a draw that cannot be flown, before any is flown.
+
+    Block by block as they will be flown: in constant memory, and with nothing compiled
+    that flying does not need.
+    """
+    for _, filled in _in_blocks(runs, len(jax.devices())):
+        drawn_inputs(scenario, dispersions, key, filled)
+
+
+def _check_runs(
+    scenario: Scenario, address: str, values: np.ndarray, runs: np.ndarray, source: str
+) -> None:
+    """Refuse values of a leaf, one a run, with the first run whose value is wrong."""
+    metadata = field_metadata(scenario, address)
+
+    def refused(few: np.ndarray) -> str | None:
+        try:
+            check_values(address, few, metadata)
+        except ValueError as error:
+            return str(error)
+        return None
+
+    if refused(values) is None:
+        return
+    counts = range(1, len(values) + 1)
+    first = bisect.bisect(counts, False, key=lambda n: refused(values[:n]) is not None)
+    why = refused(values[first : first + 1])
+    raise ValueError(f"{source}, run {runs[first]}: {why}")
+
+
+def _in_blocks(
+    indices: np.ndarray, devices: int
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The runs of each block, and what is flown for them: as many, filled up."""
+    most = LANES * _CHUNKS * devices
+    for begin in range(0, len(indices), most):
+        runs = indices[begin : begin + most]
+        yield runs, filled_up(runs, devices)
 
 
 def _blocks(scenario, dispersions, key, indices, given, solver, history):
     devices = len(jax.devices())
-    most = LANES * _CHUNKS * devices
-    for begin in range(0, len(indices), most):
-        runs = indices[begin : begin + most]
-        filled = filled_up(runs, devices)
+    for runs, filled in _in_blocks(indices, devices):
         if given is None:
-            inputs = drawn_inputs(scenario, dispersions, key, filled)
+            runs_drawn = jnp.asarray(filled)
+            inputs = dispersed_inputs(scenario, dispersions, key, runs_drawn)
         else:
             inputs = {a: jnp.asarray(v[filled]) for a, v in given.items()}
         flown = _fly_block(scenario, inputs, solver, history, devices)

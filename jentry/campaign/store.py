@@ -1,14 +1,13 @@
 """Campaigns on disk: written part by part, resumed after a kill, read as one dataset.
 
 A campaign is a folder: `campaign.json` says what is flown, and each `runs-*.nc` holds a
-range of runs. A part is written under another name, flushed to the disk and then renamed,
-so that whatever stands there is whole.
+range of runs. Either is written whole or not at all, and sealed with a digest: see `parts`.
 """
 
 import contextlib
+import io
 import json
 import os
-import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,23 +15,31 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from .._files import remove_unfinished, write_whole
 from ..flight.fly import Flight
 from ..flight.misses import misses
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
-from .description import describe, first_difference
+from .description import describe
 from .dispersions import Dispersion
 from .errors import CampaignError
 from .monte_carlo import Campaign, fly_in_blocks
+from .parts import (
+    AGAIN,
+    MANIFEST,
+    Part,
+    claim,
+    digest_of,
+    name_of_part,
+    not_as_written,
+    parts_of,
+    read_manifest,
+)
 from .results import dataset
 
 
 if TYPE_CHECKING:
     import xarray
-
-MANIFEST = "campaign.json"
-_PART = re.compile(r"runs-(\d{9})-(\d{9})\.nc")
-_ESSENTIAL = {"scenario", "seed", "versions"}
 
 
 def run_campaign(
@@ -51,7 +58,8 @@ def run_campaign(
     """Fly a campaign into a folder, or what of it is not there yet.
 
     Interrupted at any moment, it is resumed by the same call and ends with the same
-    numbers. More runs of the same campaign are added by a larger `runs`.
+    numbers. More runs of the same campaign are added by a larger `runs`. Nothing that is
+    stored is taken in unless it is, to the last bit, what this campaign has written.
 
     **Arguments:**
 
@@ -61,7 +69,8 @@ def run_campaign(
     - `labels`: such as the mission; kept in the results.
 
     **Raises:** `CampaignError` for a folder with another campaign or with something else,
-    `ValueError` for what cannot be flown.
+    and for a part that is damaged; `ValueError` for what cannot be flown, a draw of any
+    run included, before the first flight.
     """
     out = Path(out)
     key = None if inputs is not None else jax.random.key(seed)
@@ -85,13 +94,16 @@ def run_campaign(
         raise CampaignError(f"{out} is a file: give a folder for the campaign")
     out.mkdir(parents=True, exist_ok=True)
     with _alone_in(out):
-        _claim(out, description)
-        stored = _stored(out, runs)
+        description, parts = claim(out, description)
+        for pattern in (MANIFEST, "runs-*"):
+            remove_unfinished(out, pattern)
+        campaign = digest_of(description)
+        stored = _stored(parts, runs)
         done = int(np.sum(stored))
         report(done)
         for missing in _unbroken(np.flatnonzero(~stored)):
             for block in blocks_of(missing):
-                _write_part(out, scenario, block, description)
+                _write_part(out, scenario, block, description, campaign)
                 done += len(block.runs)
                 report(done)
 
@@ -112,7 +124,7 @@ def write_flight(
     part = dataset(scenario, block, history)
     description = describe(scenario, None, 0, solver, history, None, **labels)
     part.attrs["campaign"] = json.dumps(description)
-    _write_whole(Path(path), _netcdf(part))
+    write_whole(path, _netcdf(part))
 
 
 def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
@@ -123,26 +135,25 @@ def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
     - `out`: folder of a campaign.
     - `runs`: the first so many only.
 
-    **Raises:** `CampaignError` for a folder that holds no campaign, or a part that cannot
-    be read.
+    **Raises:** `CampaignError` for a folder that holds no campaign, or a part that is not
+    as the campaign has written it.
     """
     import xarray
 
     out = Path(out)
-    description = _read_manifest(out)
-    parts = _parts(out)
+    description = read_manifest(out)
+    campaign = digest_of(description)
+    parts = parts_of(out)
     if not parts:
         raise CampaignError(f"{out} holds no runs yet: run its campaign first")
     opened: list[xarray.Dataset] = []
-    for _, _, path in parts:
-        try:
-            with xarray.open_dataset(path, engine="h5netcdf") as part:
-                opened.append(part.load())
-        except (OSError, ValueError, KeyError) as error:
-            raise CampaignError(
-                f"{path} cannot be read ({error}): delete it and run the same campaign "
-                "again, which flies what is missing"
-            ) from error
+    for part in parts:
+        contents = part.contents_of(campaign)
+        if contents is None:
+            raise not_as_written([part.path])
+        # What has been verified is what is opened, whatever happens to the file.
+        with xarray.open_dataset(io.BytesIO(contents), engine="h5netcdf") as runs_of:
+            opened.append(runs_of.load())
     result = xarray.concat(
         opened, dim="run", data_vars="minimal", combine_attrs="drop_conflicts"
     )
@@ -152,9 +163,7 @@ def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
         places = places[indices < runs]
     result = result.isel(run=places)
     if not np.array_equal(result["run"], np.arange(len(places))):
-        raise CampaignError(
-            f"{out} lacks some of its runs: run the same campaign again, which flies them"
-        )
+        raise CampaignError(f"{out} lacks some of its runs: {AGAIN}")
     result.attrs["campaign"] = json.dumps(description)
     return result
 
@@ -182,58 +191,11 @@ def _alone_in(out: Path) -> Iterator[None]:
         os.close(folder)
 
 
-def _claim(out: Path, description: Mapping[str, Any]) -> None:
-    """Make the folder this campaign's, or find that it is already.
-
-    A folder of another campaign that has no runs yet holds nothing, and is taken over.
-    """
-    manifest = out / MANIFEST
-    has_runs = bool(_parts(out))
-    if has_runs and not manifest.exists():
-        raise CampaignError(
-            f"{out} has runs but no {MANIFEST}: it is not known what was flown; give "
-            "another folder"
-        )
-    text = json.dumps(description)
-    known = _read_manifest(out) if manifest.exists() else None
-    different = known and first_difference(known, json.loads(text))
-    if known is None or (different and not has_runs):
-        _write_whole(manifest, text.encode())
-    elif different:
-        raise CampaignError(
-            f"{out} holds another campaign: {different}. Give another folder, or the "
-            "same options as before"
-        )
-
-
-def _read_manifest(out: Path) -> dict[str, Any]:
-    manifest = out / MANIFEST
-    if not manifest.exists():
-        raise CampaignError(f"{out} holds no campaign: there is no {MANIFEST} in it")
-    try:
-        known = json.loads(manifest.read_text())
-    except (OSError, ValueError) as error:
-        raise CampaignError(f"{manifest} is no campaign of jentry ({error})") from error
-    if not isinstance(known, dict) or not _ESSENTIAL <= set(known):
-        raise CampaignError(f"{manifest} is no campaign of jentry: give another folder")
-    return known
-
-
-def _parts(out: Path) -> list[tuple[int, int, Path]]:
-    """First run, last run and file of each part, in order."""
-    found = []
-    for path in out.iterdir():
-        match = _PART.fullmatch(path.name)
-        if match:
-            found.append((int(match[1]), int(match[2]), path))
-    return sorted(found)
-
-
-def _stored(out: Path, runs: int) -> np.ndarray:
+def _stored(parts: list[Part], runs: int) -> np.ndarray:
     """Which of the first runs are stored."""
     stored = np.zeros(runs, dtype=bool)
-    for first, last, _ in _parts(out):
-        stored[first : last + 1] = True
+    for part in parts:
+        stored[part.first : part.last + 1] = True
     return stored
 
 
@@ -245,7 +207,11 @@ def _unbroken(indices: np.ndarray) -> list[np.ndarray]:
 
 
 def _write_part(
-    out: Path, scenario: Scenario, block: Campaign, description: Mapping[str, Any]
+    out: Path,
+    scenario: Scenario,
+    block: Campaign,
+    description: Mapping[str, Any],
+    campaign: str,
 ) -> None:
     part = dataset(scenario, block, description["history_interval"])
     for name in ("seed", "versions"):
@@ -256,29 +222,12 @@ def _write_part(
         if not isinstance(leaf["value"], list)
     }
     part.attrs["scenario"] = json.dumps(scalars)
-    name = f"runs-{block.runs[0]:09d}-{block.runs[-1]:09d}.nc"
-    _write_whole(out / name, _netcdf(part))
+    part.attrs["campaign_digest"] = campaign
+    contents = _netcdf(part)
+    first, last = int(block.runs[0]), int(block.runs[-1])
+    write_whole(out / name_of_part(campaign, first, last, contents), contents)
 
 
 def _netcdf(part: "xarray.Dataset") -> bytes:
     """A netCDF file in memory. HDF5 itself dies of a full disk; Python only raises."""
     return bytes(part.to_netcdf(engine="h5netcdf"))
-
-
-def _write_whole(path: Path, contents: bytes) -> None:
-    """Write a file so that it is there whole or not at all, also after a crash."""
-    unfinished = path.with_name(f".{path.name}.unfinished")
-    try:
-        with open(unfinished, "wb") as file:
-            file.write(contents)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(unfinished, path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-    except BaseException:
-        unfinished.unlink(missing_ok=True)
-        raise

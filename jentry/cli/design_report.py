@@ -1,6 +1,7 @@
 """What the commands that design read from their options and print."""
 
 import csv
+import io
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ import numpy as np
 from rich.console import Console
 
 from .._addresses import nearest, unit_of
+from .._files import write_whole
 from ..design.judgement import Comparison
 from ..design.linear_covariance import LinearCovariance
 from ..design.losses import ScaledMisses
@@ -214,13 +216,14 @@ def write_history(path: Path, tuned: Tuned) -> None:
     for address, value in tuned.values.items():
         one = np.shape(value) == ()
         names += [address if one else f"{address}[{i}]" for i in range(value.size)]
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["step", *fields, *names])
-        for number, entry in enumerate(tuned.history, start=1):
-            row = [getattr(entry, field) for field in fields]
-            values = [x for a in tuned.values for x in np.ravel(entry.values[a])]
-            writer.writerow([number, *row, *map(float, values)])
+    lines = io.StringIO()
+    writer = csv.writer(lines)
+    writer.writerow(["step", *fields, *names])
+    for number, entry in enumerate(tuned.history, start=1):
+        row = [getattr(entry, field) for field in fields]
+        values = [x for a in tuned.values for x in np.ravel(entry.values[a])]
+        writer.writerow([number, *row, *map(float, values)])
+    write_whole(path, lines.getvalue().encode())
 
 
 def print_sensitivity(scenario: Scenario, found: Sensitivity) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from ..campaign.dispersions import Dispersion, check_dispersions
-from ..campaign.monte_carlo import LANES, filled_up
+from ..campaign.monte_carlo import LANES, check_draws, filled_up
 from ..flight.misses import misses
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
@@ -127,6 +127,7 @@ def linear_covariance(
         raise ValueError(f'mode is {mode!r}: it must be "exact" or "difference"')
     devices = len(jax.devices())
     key = jax.random.key(0) if key is None else key
+    check_draws(scenario, dispersions, key, np.arange(max(runs, LANES)))
     pairs = tuple(dispersions.items())
 
     axes = _along_axes(pairs)

@@ -15,6 +15,7 @@ from jaxtyping import Array, Key
 from .._addresses import addresses_of, replace_leaves
 from ..campaign.description import describe
 from ..campaign.dispersions import Dispersion, check_dispersions
+from ..campaign.monte_carlo import check_draws, drawn_inputs, filled_up
 from ..flight.misses import misses
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
@@ -177,6 +178,11 @@ def tune(
             f"difference_step is {difference_step}: it must be between 0 and 1; 0.02 is 2 "
             "% of a positive number"
         )
+    # All draws before the first flight, those of later steps and the held-out ones too.
+    if fresh_draws:
+        check_draws(scenario, dispersions, key, np.arange((steps + 1) * runs))
+    unseen = filled_up(np.arange(held_out), len(jax.devices()))
+    drawn_inputs(scenario, dispersions, held_out_key(key), unseen)
     stepper = _stepper(optimizer, loss, fresh_draws)
     least_squares = _is_least_squares(optimizer)
     exact = Problem(scenario, parameters, outputs, solver, history)

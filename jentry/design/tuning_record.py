@@ -3,8 +3,6 @@
 import dataclasses
 import functools
 import json
-import os
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,12 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
+from .._files import digest_of_arrays, read_arrays, write_arrays
 from ..campaign.description import first_difference
 from .parameters import Free
 
 
-_UNREADABLE = ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile
-"""What numpy may raise of a file that it has not written"""
+_DIGEST = "digest"
+"""In the file, of all other arrays"""
 
 
 _ROUNDINGS = 10.0
@@ -134,14 +133,8 @@ class Record:
         for number, leaf in enumerate(_leaves(state)):
             arrays[f"state/{number}"] = leaf
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        partial = self.path.with_name(f"{self.path.name}.partial")
-        try:
-            with partial.open("wb") as file:
-                np.savez(file, allow_pickle=False, **arrays)
-            os.replace(partial, self.path)
-        except BaseException:
-            partial.unlink(missing_ok=True)
-            raise
+        arrays[_DIGEST] = np.array(digest_of_arrays(arrays))
+        write_arrays(self.path, arrays)
 
     def read(self) -> tuple[list[Entry], Free, list[np.ndarray], bool]:
         """History, next point, leaves of the stepper's state, and whether it converged.
@@ -150,10 +143,11 @@ class Record:
         and says where they differ.
         """
         try:
-            with self.path.open("rb") as file, np.load(file) as stored:
-                arrays = {name: stored[name] for name in stored.files}
+            arrays = read_arrays(self.path)
+            if str(arrays.pop(_DIGEST)) != digest_of_arrays(arrays):
+                raise ValueError("it is damaged; remove it, and tuning begins again")
             known = json.loads(str(arrays["description"]))
-        except _UNREADABLE as error:
+        except (ValueError, KeyError) as error:
             raise ValueError(
                 f"{self.path} is no record of a tuning run: {error}"
             ) from None

@@ -6,7 +6,6 @@ trained, what comes out and with what error, and how to train it again.
 
 import hashlib
 import json
-import os
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from .._files import write_arrays
 from .._types import Scalar, table
 
 
@@ -93,14 +93,7 @@ def save_network(path: Path | str, network: Network, card: dict[str, Any]) -> No
     arrays["card"] = np.array(json.dumps(card))
     arrays["digest"] = np.array(_digest(arrays))
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.partial")
-    try:
-        with partial.open("wb") as file:
-            np.savez(file, allow_pickle=False, **arrays)
-        os.replace(partial, path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+    write_arrays(path, arrays)
 
 
 def load_network(

@@ -1,11 +1,13 @@
 """All figures of a campaign."""
 
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .._files import write_whole
 from ..flight.termination import Outcome
 from .errors import draw_downrange, draw_footprint, footprint
 from .glide import CONSTRAINTS, CONTROLS, STATES, end_errors, over_time
@@ -117,9 +119,11 @@ def save_figures(
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in figures.items():
-        paths.append(folder / f"{name}.png")
+        drawn = io.BytesIO()
         with in_style():
-            figure.savefig(paths[-1], dpi=150)
+            figure.savefig(drawn, format="png", dpi=150)
+        paths.append(folder / f"{name}.png")
+        write_whole(paths[-1], drawn.getvalue())
     return paths
 
 
