@@ -21,7 +21,7 @@ from ..flight.misses import misses
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
 from .description import describe, first_difference
-from .dispersions import Dispersion
+from .dispersions import Dispersion, key_of
 from .errors import CampaignError
 from .monte_carlo import Campaign, fly_in_blocks
 from .results import dataset
@@ -64,7 +64,7 @@ def run_campaign(
     `ValueError` for what cannot be flown.
     """
     out = Path(out)
-    key = None if inputs is not None else jax.random.key(seed)
+    key = None if inputs is not None else key_of(seed)
 
     def blocks_of(runs: int | np.ndarray) -> Iterator[Campaign]:
         return fly_in_blocks(
