@@ -9,6 +9,7 @@ campaign = jentry.monte_carlo(scenario, dispersions, key)
 tuned = jentry.tune(scenario, where, loss, optimizer, dispersions, key)
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 
@@ -18,16 +19,15 @@ if TYPE_CHECKING:
 
 def __getattr__(name: str) -> Any:
     """Imported when first asked for: JAX takes seconds, and a command may be `--help`."""
-    from . import _api
-
-    if name in globals():  # a module of ours, which is there by now
-        return globals()[name]
-    if name.startswith("_") or not hasattr(_api, name):
-        raise AttributeError(f"module 'jentry' has no attribute {name!r}")
-    return getattr(_api, name)
+    if not name.startswith("_"):
+        api = import_module("._api", __name__)
+        if name in globals():  # a module of ours, which is there by now
+            return globals()[name]
+        if hasattr(api, name):
+            return getattr(api, name)
+    raise AttributeError(f"module 'jentry' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    from . import _api
-
-    return sorted({*globals(), *(name for name in vars(_api) if name[0] != "_")})
+    api = import_module("._api", __name__)
+    return sorted({*globals(), *(name for name in vars(api) if name[0] != "_")})

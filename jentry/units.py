@@ -50,7 +50,7 @@ class Quantity(NamedTuple):
         return self.number * _factor(self.unit, unit, self.text)
 
 
-def quantity(given: str | float) -> Quantity:
+def quantity(given: str | float | int) -> Quantity:
     """A number, or one with a unit: `"126.1 km"`, `"-14.4deg"`, `"0.9"`.
 
     Raises `ValueError` that names the text and the units that are known.

@@ -209,12 +209,8 @@ def run() -> None:
 
 def _explained(error: Exception) -> tuple[int, str]:
     """Exit code and words for what a person can act on; raises all else again."""
-    from ..campaign.errors import CampaignError
-
     less = "there is not enough memory: fly fewer runs, or keep less of them"
     match error:
-        case CampaignError():
-            return 3, str(error)
         case ValueError():
             return 2, str(error)
         case OSError():
@@ -225,4 +221,8 @@ def _explained(error: Exception) -> tuple[int, str]:
             return 4, less
         case RuntimeError() if "RESOURCE_EXHAUSTED" in str(error):
             return 4, less
+    from ..campaign.errors import CampaignError
+
+    if isinstance(error, CampaignError):
+        return 3, str(error)
     raise error
