@@ -22,7 +22,7 @@ def command(monkeypatch, capsys, tmp_path):
     """Runs the command in this process: its exit code, and what it printed."""
     import cheap
 
-    from jentry.cli import command
+    from jentry.cli import main
     from jentry.missions import ALL
 
     monkeypatch.setitem(ALL, "cheap", cheap.MISSION)
@@ -35,7 +35,7 @@ def command(monkeypatch, capsys, tmp_path):
     def run(*words):
         monkeypatch.setattr(sys, "argv", ["jentry", *map(str, words)])
         with pytest.raises(SystemExit) as ended:
-            command()
+            main()
         printed = capsys.readouterr()
         return ended.value.code, printed.out, printed.err
 

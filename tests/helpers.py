@@ -164,14 +164,6 @@ all_laws = {
 """Makers of every law, each from a drag reference over energy."""
 
 
-def assert_refused(result, message, code=2):
-    """What the command gave is one line of words, without a traceback."""
-    ended, _, said = result
-    assert ended == code, said
-    assert message in said
-    assert said.startswith("jentry: ") and said.count("\n") == 1
-
-
 def ahead(start, heading, distance):
     """Where a great circle leads, and the heading there: the textbook formulas, deg."""
     longitude, latitude = np.radians(start)

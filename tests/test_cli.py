@@ -11,19 +11,48 @@ import sys
 import cheap
 import pytest
 import xarray
-from helpers import assert_refused, fly_compiled, free_scenario
+from helpers import fly_compiled, free_scenario
 from typer.testing import CliRunner
 
 from jentry.campaign import open_campaign
+from jentry.cli import main
 from jentry.missions import ALL
 from jentry.units import degree
 
 
 cli = importlib.import_module("jentry.cli.main")
+design = importlib.import_module("jentry.cli.design")
+
+
+@pytest.fixture
+def command(monkeypatch, capsys, tmp_path):
+    """Runs the command in this process: its exit code, and what it printed."""
+    monkeypatch.setitem(ALL, "cheap", cheap.MISSION)
+    # What it settles holds for the whole process.
+    for module in (cli, design):
+        monkeypatch.setattr(module, "set_up", lambda *how, **options: None)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["jentry", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        printed = capsys.readouterr()
+        return ended.value.code, printed.out, printed.err
+
+    return run
 
 
 def monte_carlo(command, *words):
     return command("monte-carlo", "cheap", "--step", 1, "--no-figures", *words)
+
+
+def assert_refused(result, message, code=2):
+    """In one line, without a traceback."""
+    ended, _, said = result
+    assert ended == code
+    assert message in said
+    assert said.startswith("jentry: ") and said.count("\n") == 1
 
 
 def test_list(command):

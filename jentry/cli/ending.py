@@ -5,6 +5,7 @@ import io
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from typing import NoReturn
 
@@ -45,6 +46,9 @@ def leaving_at_once() -> Iterator[None]:
     An exception in the middle of an import or of a callback would be a traceback, or
     lost. What is written is written whole or not at all, so nothing has to be put right.
     """
+    if threading.current_thread() is not threading.main_thread():
+        yield  # which has no say in signals
+        return
     before = signal.signal(signal.SIGINT, _leave)
     try:
         yield
@@ -59,6 +63,9 @@ def rounding_off(advice: str) -> Iterator[Callable[[], None]]:
     Gives a function to be called now and then: it notices an interruption that was lost
     where Python cannot pass exceptions on, in a callback of JAX.
     """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
     pressed = False
 
     def press(number, frame):

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from . import design as design
-from .ending import fail, forget_output, open_streams, rounding_off
+from .ending import fail, forget_output, leaving_at_once, open_streams, rounding_off
 from .options import (
     Config,
     Dispersions,
@@ -182,7 +182,7 @@ def monte_carlo(
         typer.echo(f"figures: {drawn}")
 
 
-def run() -> None:
+def main() -> None:
     """Run the command; errors that a person can act on are one line, without a traceback.
 
     Exit codes: 0 done, 1 whoever read the output has left, 2 wrong input, 3 results that
@@ -191,7 +191,11 @@ def run() -> None:
     # Tracing makes many objects and little rubbish: look for it less often.
     gc.set_threshold(100_000)
     open_streams()
+    with leaving_at_once():
+        _run()
 
+
+def _run() -> None:
     try:
         try:
             app()
