@@ -9,32 +9,25 @@ campaign = jentry.monte_carlo(scenario, dispersions, key)
 tuned = jentry.tune(scenario, where, loss, optimizer, dispersions, key)
 """
 
-from ._setup import setup as setup
-from .campaign import (
-    Campaign as Campaign,
-    CampaignError as CampaignError,
-    Dispersion as Dispersion,
-    Normal as Normal,
-    TruncatedNormal as TruncatedNormal,
-    Uniform as Uniform,
-    monte_carlo as monte_carlo,
-    open_campaign as open_campaign,
-    run_campaign as run_campaign,
-)
-from .design import (
-    linear_covariance as linear_covariance,
-    sensitivity as sensitivity,
-    tune as tune,
-)
-from .flight import (
-    Adaptive as Adaptive,
-    FixedStep as FixedStep,
-    Flight as Flight,
-    Outcome as Outcome,
-    Scenario as Scenario,
-    Target as Target,
-    Termination as Termination,
-    fly as fly,
-    misses as misses,
-)
-from .missions import find_mission as find_mission
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+
+if TYPE_CHECKING:
+    from ._api import *  # noqa: F403
+
+
+def __getattr__(name: str) -> Any:
+    """Imported when first asked for: JAX takes seconds, and a command may be `--help`."""
+    if not name.startswith("_"):
+        api = import_module("._api", __name__)
+        if name in globals():  # a module of ours, which is there by now
+            return globals()[name]
+        if hasattr(api, name):
+            return getattr(api, name)
+    raise AttributeError(f"module 'jentry' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    api = import_module("._api", __name__)
+    return sorted({*globals(), *(name for name in vars(api) if name[0] != "_")})

@@ -1,11 +1,14 @@
 """Array types, and the fields that make every physical number a leaf."""
 
+import math
 from dataclasses import MISSING
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
+
+from .units import TURN
 
 
 if TYPE_CHECKING:
@@ -25,30 +28,62 @@ def as_float_array(value: Any) -> Array:
     return jnp.asarray(value, dtype=float)
 
 
-def scalar(default: Any = MISSING, *, unit: str = "1", positive: bool = False) -> Any:
+Range = tuple[float, float]
+"""Least and largest value of a field, both allowed, in its unit"""
+
+NOT_NEGATIVE: Range = (0.0, math.inf)
+
+ABOVE_GROUND: Range = (0.0, math.inf)
+"""m; where an entry may begin. Where one should end may lie lower"""
+
+QUARTER: Range = (-0.5 * math.pi, 0.5 * math.pi)
+"""rad; of latitudes and flight-path angles"""
+
+
+def _about(unit: str, positive: bool, range: Range | None) -> dict[str, Any]:
+    """What a field says of itself; an angle lies within a turn if no range is given."""
+    if range is None and unit == "rad":
+        range = (-TURN, TURN)
+    return {"unit": unit, "positive": positive, "range": range}
+
+
+def scalar(
+    default: Any = MISSING,
+    *,
+    unit: str = "1",
+    positive: bool = False,
+    range: Range | None = None,
+) -> Any:
     """A physical number: a leaf with a unit that can be dispersed, tuned and swept.
 
     **Arguments:**
 
     - `default`: the value where the caller gives none; required without it.
-    - `unit`: SI unit, shown by `jentry show` and stored in result files.
+    - `unit`: SI unit; shown by `jentry show`, stored in result files, and what a unit
+      that a user gives is checked against.
     - `positive`: refuse values that are zero or negative (see `check`).
+    - `range`: least and largest value, both allowed, likewise; an angle lies within a
+      turn if not given.
     """
-    metadata = {"unit": unit, "positive": positive}
     given = {} if default is MISSING else {"default": default}
+    metadata = _about(unit, positive, range)
     return eqx.field(converter=as_float_array, metadata=metadata, **given)
 
 
-def optional_scalar(*, unit: str = "1") -> Any:
+def optional_scalar(*, unit: str = "1", range: Range | None = None) -> Any:
     """A physical number that may be none, and then is no leaf."""
 
     def convert(value: Any) -> Any:
         return None if value is None else as_float_array(value)
 
-    metadata = {"unit": unit, "positive": False}
+    metadata = _about(unit, False, range)
     return eqx.field(converter=convert, metadata=metadata, default=None)
 
 
-def table(*, unit: str = "1") -> Any:
-    """An array of physical numbers: one leaf."""
-    return eqx.field(converter=as_float_array, metadata={"unit": unit})
+def table(*, unit: str = "1", positive: bool = False, increasing: bool = False) -> Any:
+    """An array of physical numbers: one leaf.
+
+    `positive` and `increasing` refuse other values (see `check`).
+    """
+    metadata = _about(unit, positive, None) | {"increasing": increasing}
+    return eqx.field(converter=as_float_array, metadata=metadata)

@@ -25,7 +25,13 @@ from typing import Any
 
 import numpy as np
 
-from ._addresses import leaves_by_address, nearest, replace_leaves, require_address
+from ._addresses import (
+    leaves_by_address,
+    nearest,
+    replace_leaves,
+    require_address,
+    unit_of,
+)
 from ._files import write_whole
 from .campaign.dispersions import (
     Dispersion,
@@ -35,9 +41,10 @@ from .campaign.dispersions import (
     add,
     multiply,
     replace,
+    unit_of_draw,
 )
 from .flight.scenario import Scenario
-from .units import parse_quantity
+from .units import Quantity, quantity
 
 
 _DISTRIBUTIONS = {
@@ -73,17 +80,34 @@ def _at(tree: Any, address: str) -> Any:
 
 
 @dataclasses.dataclass(frozen=True)
+class Stated:
+    """A dispersion as a file states it; what its units mean depends on the scenario."""
+
+    distribution: type
+    addresses: tuple[str, ...]
+    numbers: Mapping[str, Quantity]
+    apply: Any
+
+
+@dataclasses.dataclass(frozen=True)
 class Overrides:
-    """What a user changes of a mission."""
+    """What a user changes of a mission: as read, or `in_si` of a scenario."""
 
     variant: str | None = None
     reading: str | None = None
     """Of the mission's dispersions"""
     values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """SI values by address: numbers, and lists of them for the leaves that are tables"""
-    dispersions: Mapping[str, Dispersion] | None = None
+    """By address: numbers, and lists of them for the leaves that are tables. Each is a
+    `Quantity` as read, and a float in SI"""
+    dispersions: Mapping[str, Any] | None = None
+    """By name: each is `Stated` as read, and a `Dispersion` in SI"""
     written: Mapping[str, Any] | None = None
     """The table of dispersions as the file has it"""
+
+    @property
+    def disperses(self) -> bool:
+        """Whether it says what is dispersed."""
+        return self.dispersions is not None or self.reading is not None
 
 
 def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overrides:
@@ -92,36 +116,69 @@ def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overri
     **Raises:** `ValueError` for an unknown key, with the nearest known, and for a value
     that is no number.
     """
+    try:
+        return _read_overrides(path, assignments)
+    except RecursionError:
+        raise ValueError(f"{path} is no configuration: it is nested too deep") from None
+
+
+def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
     contents = _read_toml(path) if path is not None else {}
     _require_keys(contents, ("variant", "dispersions", "set"), "")
     values = {
-        address: _numbers(value, f"set.{address}")
+        address: _quantities(value, f"set.{address}")
         for address, value in _flat(contents.get("set", {})).items()
     }
+    assigned = {}
     for assignment in assignments:
         address, equals, value = assignment.partition("=")
         if not equals:
             raise ValueError(f"--set {assignment!r}: write ADDRESS=VALUE")
-        values[address.strip()] = _number(value, f"--set {address.strip()}")
-    dispersed = contents.get("dispersions")
+        address = address.strip()
+        if address in assigned:
+            raise ValueError(f"--set {address} is given twice: once")
+        assigned[address] = _quantity(value, f"--set {address}")
+    variant, dispersed = contents.get("variant"), contents.get("dispersions")
+    if variant is not None and not isinstance(variant, str):
+        raise ValueError(f"variant is {variant!r}: it must be a name")
+    if dispersed is not None and not isinstance(dispersed, str | Mapping):
+        raise ValueError(f"dispersions is {dispersed!r}: it must be a name")
     table = None
     if isinstance(dispersed, Mapping):
-        table = {name: _dispersion(name, entry) for name, entry in dispersed.items()}
-    variant = contents.get("variant")
-    for name, value in (("variant", variant), ("dispersions", dispersed)):
-        if value is not None and not isinstance(value, str | Mapping):
-            raise ValueError(f"{name} is {value!r}: it must be a name")
+        if not dispersed:
+            raise ValueError(
+                "[dispersions] is empty: leave it out for the mission's own, or write "
+                "a table for each, [dispersions.NAME]"
+            )
+        table = {name: _stated(name, entry) for name, entry in dispersed.items()}
     return Overrides(
         variant=variant,
         reading=dispersed if isinstance(dispersed, str) else None,
-        values=values,
+        values=values | assigned,
         dispersions=table,
         written=dispersed if isinstance(dispersed, Mapping) else None,
     )
 
 
+def in_si(overrides: Overrides, scenario: Scenario) -> Overrides:
+    """With each number in the SI unit of the leaf that it is given for.
+
+    **Raises:** `ValueError` for an address that is not there, with the nearest, for a
+    unit of another dimension than the leaf's, and for an angle that was meant in degrees.
+    """
+    known = leaves_by_address(scenario)
+    values = {}
+    for address, value in overrides.values.items():
+        require_address(known, address)
+        values[address] = _si(value, unit_of(scenario, address), address)
+    table = overrides.dispersions
+    if table is not None:
+        table = {name: _dispersion(name, d, scenario) for name, d in table.items()}
+    return dataclasses.replace(overrides, values=values, dispersions=table)
+
+
 def apply_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
-    """The scenario with other values. Refuses unknown addresses, with the nearest."""
+    """The scenario with other values, SI. Refuses unknown addresses, with the nearest."""
     known = leaves_by_address(scenario)
     for address, value in values.items():
         require_address(known, address)
@@ -135,20 +192,6 @@ def apply_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
                 f"{address} has shape {wanted} and was given a list of shape {given}"
             )
     return replace_leaves(scenario, values)
-
-
-def require_addresses(
-    scenario: Scenario, dispersions: Mapping[str, Dispersion]
-) -> None:
-    """Refuse a dispersion by address that reaches no leaf, with the nearest names."""
-    known = leaves_by_address(scenario)
-    for name, dispersion in dispersions.items():
-        if isinstance(dispersion.where, AtAddresses):
-            for address in dispersion.where.addresses:
-                try:
-                    require_address(known, address)
-                except ValueError as error:
-                    raise ValueError(f"dispersions.{name}.address: {error}") from None
 
 
 def write_overrides(
@@ -208,7 +251,7 @@ def read_inputs(path: Path) -> dict[str, np.ndarray]:
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # also of an integer of thousands of digits
         raise ValueError(f"{path} is no valid TOML: {error}") from None
 
 
@@ -226,35 +269,51 @@ def _flat(table: Any, prefix: str = "") -> dict[str, Any]:
         raise ValueError(f"set is {table!r}: write a table, [set]")
     flat: dict[str, Any] = {}
     for key, value in table.items():
+        inner = {f"{prefix}{key}": value}
         if isinstance(value, Mapping):
-            flat |= _flat(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = value
+            inner = _flat(value, f"{prefix}{key}.")
+        for address in inner:
+            if address in flat:
+                raise ValueError(f"set.{address} is given twice: once")
+        flat |= inner
     return flat
 
 
-def _number(value: Any, place: str) -> float:
-    if isinstance(value, str):
-        try:
-            return parse_quantity(value)
-        except ValueError as error:
-            raise ValueError(f"{place}: {error}") from None
-    if isinstance(value, bool) or not isinstance(value, int | float):
+def _quantity(value: Any, place: str) -> Quantity:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError(f"{place} is {value!r}: it must be a number")
-    return float(value)
+    try:
+        return quantity(value)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{place}: {error}") from None
 
 
-def _numbers(value: Any, place: str) -> Any:
+def _quantities(value: Any, place: str) -> Any:
     """A number, or lists of numbers that make a table."""
     if not isinstance(value, list):
-        return _number(value, place)
-    rows = [_numbers(item, f"{place}[{i}]") for i, item in enumerate(value)]
-    if len({np.shape(row) for row in rows}) > 1:
+        return _quantity(value, place)
+    rows = [_quantities(item, f"{place}[{i}]") for i, item in enumerate(value)]
+    if len({_shape(row) for row in rows}) > 1:
         raise ValueError(f"{place} has rows of unequal length")
     return rows
 
 
-def _dispersion(name: str, entry: Any) -> Dispersion:
+def _shape(rows: Any) -> tuple[int, ...]:
+    if not isinstance(rows, list):
+        return ()
+    return (len(rows), *(_shape(rows[0]) if rows else ()))
+
+
+def _si(value: Any, unit: str, place: str) -> Any:
+    if isinstance(value, list):
+        return [_si(item, unit, f"{place}[{i}]") for i, item in enumerate(value)]
+    try:
+        return value.si(unit)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from None
+
+
+def _stated(name: str, entry: Any) -> Stated:
     place = f"dispersions.{name}"
     if not isinstance(entry, Mapping):
         raise ValueError(f"{place} is {entry!r}: write a table, [{place}]")
@@ -270,8 +329,10 @@ def _dispersion(name: str, entry: Any) -> Dispersion:
         raise ValueError(f"[{place}] lacks {', '.join(missing)}")
     addresses = entry["address"]
     addresses = [addresses] if isinstance(addresses, str) else addresses
-    if not isinstance(addresses, list) or not all(
-        isinstance(address, str) for address in addresses
+    if (
+        not isinstance(addresses, list)
+        or not addresses
+        or not all(isinstance(address, str) for address in addresses)
     ):
         raise ValueError(
             f"{place}.address is {addresses!r}: write one, or a list of them"
@@ -279,6 +340,19 @@ def _dispersion(name: str, entry: Any) -> Dispersion:
     apply = entry.get("apply", "replace")
     if not isinstance(apply, str) or apply not in _APPLY:
         raise ValueError(f"{place}.apply is {apply!r}: choose from {', '.join(_APPLY)}")
-    numbers = {p: _number(entry[p], f"{place}.{p}") for p in parameters}
-    where = AtAddresses(tuple(addresses))
-    return Dispersion(where, distribution(**numbers), _APPLY[apply])
+    numbers = {p: _quantity(entry[p], f"{place}.{p}") for p in parameters}
+    return Stated(distribution, tuple(addresses), numbers, _APPLY[apply])
+
+
+def _dispersion(name: str, stated: Stated, scenario: Scenario) -> Dispersion:
+    place = f"dispersions.{name}"
+    known = leaves_by_address(scenario)
+    try:
+        for address in stated.addresses:
+            require_address(known, address)
+    except ValueError as error:
+        raise ValueError(f"{place}.address: {error}") from None
+    unit = unit_of_draw(scenario, name, stated.addresses, stated.apply)
+    numbers = {p: _si(x, unit, f"{place}.{p}") for p, x in stated.numbers.items()}
+    distribution = stated.distribution(**numbers)
+    return Dispersion(AtAddresses(stated.addresses), distribution, stated.apply)

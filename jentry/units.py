@@ -5,7 +5,10 @@ flight_path_angle = -14.2 * degree
 altitude / km
 """
 
+import functools
 import math
+import re
+from typing import Any, NamedTuple
 
 
 km = 1000.0
@@ -21,45 +24,183 @@ micro_g = 9.80665e-6
 standard_gravity = 9.80665
 """m/s2, the g in which load factors are counted"""
 
-by_suffix = {
-    "m": 1.0,
-    "km": km,
-    "ft": foot,
-    "nmi": nautical_mile,
-    "rad": 1.0,
-    "deg": degree,
-    "m/s": 1.0,
-    "km/s": km,
-    "ft/s": foot,
-    "s": 1.0,
-    "min": minute,
-    "h": hour,
-    "kg": 1.0,
-    "slug": slug,
-    "lb": pound,
-    "%": 0.01,
-}
-"""What may follow a number on the command line and in configuration files."""
+TURN = 2.0 * math.pi
+"""rad; an angle that is larger was meant in degrees, more likely than not"""
 
 
-def parse_quantity(text: str) -> float:
-    """SI value of a number with an optional unit: `"126.1 km"`, `"-14.4deg"`, `"0.9"`.
+class Quantity(NamedTuple):
+    """A number as a user gives it, with the unit that stands behind it, if one does."""
+
+    number: float
+    unit: str
+    text: str
+
+    def si(self, unit: str) -> float:
+        """The number in the SI unit of what it is given for.
+
+        Raises `ValueError` for a unit that is not known or of another dimension, and for
+        an angle without a unit that is beyond a turn: it was meant in degrees.
+        """
+        if not self.unit and unit == "rad" and TURN < abs(self.number) < math.inf:
+            raise ValueError(
+                f"{self.text} rad is beyond a turn: did you mean {self.text}deg?"
+            )
+        if self.unit in ("", unit):
+            return self.number
+        return self.number * _factor(self.unit, unit, self.text)
+
+
+def quantity(given: str | float | int) -> Quantity:
+    """A number, or one with a unit: `"126.1 km"`, `"-14.4deg"`, `"0.9"`.
 
     Raises `ValueError` that names the text and the units that are known.
     """
-    stripped = text.strip()
-    for suffix in sorted(by_suffix, key=len, reverse=True):
-        number = stripped.removesuffix(suffix)
-        if number == stripped:
-            continue
-        try:
-            return float(number) * by_suffix[suffix]
-        except ValueError:
-            continue
+    if not isinstance(given, str):
+        return Quantity(float(given), "", f"{float(given):g}")
+    text = given.strip()
     try:
-        return float(stripped)
+        return Quantity(float(text), "", text)
     except ValueError:
+        pass
+    found = _QUANTITY.fullmatch(text)
+    if found is None or not _UNIT.fullmatch(_spelled(found[2])):
         raise ValueError(
-            f"{text!r} is not a number: write it in SI units, or with one of "
-            f"{', '.join(by_suffix)}"
-        ) from None
+            f"{given!r} is not a number: write it in SI units, or with a unit such as "
+            f"{_SUCH_AS}"
+        )
+    return Quantity(float(found[1]), found[2], text)
+
+
+def parse_quantity(text: str, unit: str) -> float:
+    """SI value of a number with an optional unit; see `Quantity.si`.
+
+    parse_quantity("126.1 km", "m")
+    """
+    return quantity(text).si(unit)
+
+
+_SUCH_AS = "m, km, ft, nmi, m/s, km/s, s, min, kg, lb, Pa, kPa, K, deg, rad, %"
+
+_QUANTITY = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\D.{0,59})")
+
+_SIGNS = {"%": " percent ", "°": "deg", "·": "*", "^": "**", "²": "2", "³": "3"}
+_SIGNS |= {"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"}
+
+# Names to a power, and between them a product, a quotient or brackets. What pint would
+# make of more than that, such as a power of a power, is not what a unit is.
+_UNIT = re.compile(r"(?:[A-Za-z]+(?:\*\*-?\d(?:\.\d)?)?|1(?= */)|[ */()])+")
+
+
+def _spelled(unit: str) -> str:
+    """A unit as pint reads it: `m/s2` is `m/s**2`."""
+    for sign, word in _SIGNS.items():
+        unit = unit.replace(sign, word)
+    return re.sub(r"(?<=[A-Za-z])(?=-?\d)", "**", unit).strip()
+
+
+@functools.cache
+def _registry() -> Any:
+    """The units of entry flight with all prefixes; pint takes a while to import.
+
+    Not pint's own list: there an angle is a plain number, so that degrees would be
+    taken for a factor.
+    """
+    import pint
+
+    registry = pint.UnitRegistry(None)
+    registry.load_definitions(_DEFINITIONS.strip().splitlines())
+    return registry
+
+
+def _factor(given: str, unit: str, text: str) -> float:
+    """How many of an SI unit one of a given unit is."""
+    registry = _registry()
+    wanted = registry.parse_units(_spelled("" if unit == "1" else unit))
+    try:
+        one = registry.parse_expression(_spelled(given))
+        # A unit whose name cancels leaves a number.
+        one = registry.Quantity(one) if isinstance(one, int | float) else one
+        dimension = one.dimensionality
+    except Exception as error:  # of whatever a parser makes of a text
+        raise ValueError(
+            f"{text!r} has a unit that is not known, {given!r}: take one such as "
+            f"{_SUCH_AS}"
+        ) from error
+    if dimension != wanted.dimensionality:
+        here = "a plain number" if unit == "1" else f"a number in {unit}"
+        raise ValueError(
+            f"{text!r} is {_kind(dimension)}, and what is wanted is {here}, "
+            f"{_kind(wanted.dimensionality)}"
+        )
+    return float(one.to(wanted).magnitude)
+
+
+def _kind(dimension: Any) -> str:
+    """A dimension in words: `[length] / [time]`."""
+    return str(dimension) if dimension else "without a dimension"
+
+
+_DEFINITIONS = """
+quecto- = 1e-30 = q-
+ronto- = 1e-27 = r-
+yocto- = 1e-24 = y-
+zepto- = 1e-21 = z-
+atto- = 1e-18 = a-
+femto- = 1e-15 = f-
+pico- = 1e-12 = p-
+nano- = 1e-9 = n-
+micro- = 1e-6 = u-
+milli- = 1e-3 = m-
+centi- = 1e-2 = c-
+deci- = 1e-1 = d-
+deca- = 1e1 = da-
+hecto- = 1e2 = h-
+kilo- = 1e3 = k-
+mega- = 1e6 = M-
+giga- = 1e9 = G-
+tera- = 1e12 = T-
+peta- = 1e15 = P-
+exa- = 1e18 = E-
+zetta- = 1e21 = Z-
+yotta- = 1e24 = Y-
+ronna- = 1e27 = R-
+quetta- = 1e30 = Q-
+meter = [length] = m = metre
+second = [time] = s = sec
+gram = [mass] = g
+kelvin = [temperature] = K
+radian = [angle] = rad
+percent = 0.01
+ppm = 1e-6
+degree = 0.017453292519943295 * radian = deg
+arcminute = degree / 60 = arcmin
+arcsecond = degree / 3600 = arcsec
+turn = 6.283185307179586 * radian = rev = revolution
+minute = 60 * second = min
+hour = 3600 * second = h = hr
+day = 86400 * second = d
+hertz = 1 / second = Hz
+inch = 0.0254 * meter = in
+foot = 0.3048 * meter = ft = feet
+yard = 0.9144 * meter = yd
+mile = 1609.344 * meter = mi
+nautical_mile = 1852 * meter = nmi = NM
+knot = 1852 * meter / hour = kn
+tonne = 1e6 * gram = t
+pound = 453.59237 * gram = lb
+slug = 14593.902937206364 * gram
+newton = 1000 * gram * meter / second ** 2 = N
+standard_gravity = 9.80665 * meter / second ** 2 = gee
+pound_force = 0.45359237 * 9.80665 * newton = lbf
+pascal = newton / meter ** 2 = Pa
+bar = 1e5 * pascal
+atmosphere = 101325 * pascal = atm
+psf = pound_force / foot ** 2
+psi = pound_force / inch ** 2
+joule = newton * meter = J
+watt = joule / second = W
+british_thermal_unit = 1055.05585262 * joule = Btu = BTU
+rankine = kelvin * 5 / 9 = degR
+"""
+"""Exact by definition, but for the slug, which is rounded, and the British thermal unit,
+which is that of the International Table."""

@@ -1,5 +1,8 @@
 """Settings and fixtures that every test shares."""
 
+import importlib
+import sys
+
 import equinox as eqx
 import jax
 import pytest
@@ -12,6 +15,31 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 @pytest.fixture
 def key():
     return jax.random.key(20261121)
+
+
+@pytest.fixture
+def command(monkeypatch, capsys, tmp_path):
+    """Runs the command in this process: its exit code, and what it printed."""
+    import cheap
+
+    from jentry.cli import main
+    from jentry.missions import ALL
+
+    monkeypatch.setitem(ALL, "cheap", cheap.MISSION)
+    # What it settles holds for the whole process.
+    for module in ("main", "design"):
+        commands = importlib.import_module(f"jentry.cli.{module}")
+        monkeypatch.setattr(commands, "set_up", lambda *how, **options: None)
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["jentry", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        printed = capsys.readouterr()
+        return ended.value.code, printed.out, printed.err
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import mars_scenario, observer_law
 from scipy import special, stats
 
 from jentry._addresses import leaves_by_address
@@ -27,6 +28,7 @@ from jentry.campaign.dispersions import (
     Constant,
     check_dispersions,
     dispersed_inputs,
+    key_of,
     scaled_dispersions,
 )
 from jentry.missions import ALL
@@ -43,6 +45,8 @@ DISTRIBUTIONS = {
         stats.truncnorm(-1.0, 2.0, 10.0, 2.0),
     ),
 }
+
+sample_of = jax.jit(lambda d, keys: jax.vmap(d.sample)(keys))
 
 mass = lambda s: s.vehicle.mass
 density = lambda s: s.planet.density_scale
@@ -218,8 +222,14 @@ def test_a_replacement_may_be_moved_but_not_discard_another(key):
         (lambda s: s.planet.densty, "dispersion 'x': .*densty"),
         (lambda s: s.termination.conditions["none"], "dispersion 'x': 'none'"),
         (lambda s: s.vehicle.mass + 1.0, "dispersion 'x'"),
+        (lambda s: s.planet, "reaches a whole Planet, with planet.radius"),
+        (lambda s: (s.vehicle.mass, s.planet.atmosphere), "a whole ExponentialAtmosph"),
+        (lambda s: s.termination.conditions, "reaches a whole dict"),
+        (lambda s: (s.vehicle.mass,) * 2, "reaches vehicle.mass twice"),
+        (lambda s: s.guidance[3], "dispersion 'x'"),
     ],
-    ids=["static", "no field", "no key", "computed"],
+    ids=["static", "no field", "no key", "computed"]
+    + ["module", "number and module", "dictionary", "twice", "no list"],
 )
 def test_a_dispersion_that_reaches_no_leaf_is_an_error(key, where, message):
     table = {"x": Dispersion(where, Uniform(0.0, 1.0))}
@@ -230,8 +240,6 @@ def test_a_dispersion_that_reaches_no_leaf_is_an_error(key, where, message):
 
 
 def test_a_table_of_numbers_is_not_dispersed(key):
-    from helpers import mars_scenario
-
     table = {"x": Dispersion(lambda s: s.guidance.cos_bank.coefficients, Normal(0, 1))}
     with pytest.raises(ValueError, match=r"table of shape \(2,\)"):
         monte_carlo(mars_scenario(), table, key, 1)
@@ -245,6 +253,8 @@ def test_a_table_of_numbers_is_not_dispersed(key):
         (Normal(np.nan, 0.1), "dispersions.x.mean is nan"),
         (Uniform(1.2, 0.8), "dispersions.x.lower is 1.2: .*below upper.* 0.8"),
         (TruncatedNormal(1.0, 0.1, 1.0, 1.0), "dispersions.x.lower is 1"),
+        (TruncatedNormal(1.0, 0.1, 4.8, 5.0), "dispersions.x.mean is 38 standard dev"),
+        (TruncatedNormal(1.0, 0.1, -5.0, -2.8), "dispersions.x.mean is 38 standard d"),
     ],
 )
 def test_a_distribution_that_cannot_be_drawn_from_is_an_error(distribution, message):
@@ -290,6 +300,177 @@ def test_every_declared_dispersion_changes_the_flight_when_it_alone_is_drawn_ane
     assert not unmoved
 
 
+# What cannot matter, and what cannot be told apart.
+
+
+NO_EFFECT = {
+    "factor on zero": (
+        lambda s: s.planet.rotation_rate,
+        multiply,
+        "factor on planet.rotation_rate, which is zero",
+    ),
+    "onboard nose radius": (
+        lambda s: s.guidance.model.vehicle.nose_radius,
+        multiply,
+        "guidance.model.vehicle.nose_radius has no effect",
+    ),
+    "onboard rotation": (
+        lambda s: s.guidance.model.planet.rotation_rate,
+        add,
+        "guidance.model.planet.rotation_rate has no effect",
+    ),
+    "trim of a vehicle whose lift does not depend on it": (
+        lambda s: s.vehicle.trim_angle_of_attack,
+        add,
+        "vehicle.trim_angle_of_attack has no effect",
+    ),
+    "temperature without a Mach number": (
+        lambda s: s.planet.atmosphere.isothermal_temperature,
+        multiply,
+        "planet.atmosphere.isothermal_temperature has no effect",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def observer_scenario(reference):
+    return mars_scenario(observer_law(reference))
+
+
+@pytest.mark.parametrize(
+    ("where", "apply", "message"), NO_EFFECT.values(), ids=NO_EFFECT
+)
+def test_what_cannot_matter_is_refused(observer_scenario, where, apply, message):
+    table = {"x": Dispersion(where, Uniform(0.9, 1.1), apply)}
+    with pytest.raises(ValueError, match=message):
+        check_dispersions(observer_scenario, table)
+
+
+def test_what_matters_is_taken(observer_scenario):
+    """Of motion, sensors, law, peaks and misses one each; and zero may be replaced."""
+    wheres = [
+        (lambda s: s.planet.rotation_rate, add),
+        (lambda s: s.vehicle.nose_radius, multiply),
+        (lambda s: s.guidance.model.planet.radius, multiply),
+        (lambda s: s.guidance.model.planet.atmosphere.scale_height, multiply),
+        (lambda s: s.guidance.gains.epsilon0, multiply),
+        (lambda s: s.termination.conditions["velocity"].velocity, multiply),
+        (lambda s: s.target.altitude, add),
+        (lambda s: s.initial_state.longitude, add),
+    ]
+    table = {
+        str(i): Dispersion(where, Uniform(0.9, 1.1), apply)
+        for i, (where, apply) in enumerate(wheres)
+    }
+    check_dispersions(observer_scenario, table)
+
+
+def test_a_factor_on_what_another_dispersion_made_is_taken(observer_scenario):
+    rotation = lambda s: s.planet.rotation_rate
+    table = {
+        "one": Dispersion(rotation, Uniform(1e-5, 2e-5)),
+        "two": Dispersion(rotation, Uniform(0.9, 1.1), multiply),
+    }
+    check_dispersions(observer_scenario, table)
+
+
+def test_leaves_that_move_by_one_draw_have_one_unit():
+    both = lambda s: (s.vehicle.mass, s.vehicle.drag_scale)
+    table = {"x": Dispersion(both, Uniform(0.9, 1.1))}
+    with pytest.raises(
+        ValueError, match=r"vehicle.mass \(kg\), vehicle.drag_scale \(1"
+    ):
+        check_dispersions(cheap.scenario(), table)
+    table = {"x": Dispersion(both, Uniform(0.9, 1.1), apply=multiply)}
+    check_dispersions(cheap.scenario(), table)
+
+
+# Two words with one CRC-32, well known.
+COLLIDING = ("plumless", "buckeroo")
+
+
+def test_names_that_would_share_their_draws_are_refused(key):
+    assert len({zlib.crc32(name.encode()) for name in COLLIDING}) == 1
+    table = {
+        name: Dispersion(where, Uniform(0.9, 1.1))
+        for name, where in zip(COLLIDING, (mass, density), strict=True)
+    }
+    for refuses in (
+        lambda: draw(table, key, jnp.asarray(0)),
+        lambda: check_dispersions(cheap.scenario(), table),
+    ):
+        with pytest.raises(ValueError, match="'plumless' and 'buckeroo' .*CRC-32"):
+            refuses()
+    del table["plumless"]
+    draw(table, key, jnp.asarray(0))
+
+
+def test_runs_that_would_be_equal_are_refused(key):
+    """A key takes 32 bits of the index."""
+    last = 2**32 - 1
+    runs = jnp.asarray([last - 2**31, last])
+    drawn = dispersed_inputs(cheap.scenario(), cheap.mass_only(), key, runs)
+    assert len(np.unique(drawn["vehicle.mass"])) == 2
+    for runs, wrong in (([0, 2**32], 2**32), ([-1], -1), (2**32 + 1, 2**32)):
+        with pytest.raises(
+            ValueError, match=f"run {wrong} was asked for: .*2\\^32 - 1"
+        ):
+            monte_carlo(cheap.scenario(), cheap.mass_only(), key, runs)
+
+
+@pytest.mark.parametrize("seed", [2**63, 2**64, 10**30, -(2**63) - 1])
+def test_a_seed_that_no_key_holds_is_refused(seed):
+    with pytest.raises(ValueError, match=f"the seed is {seed}: .*2\\^63 - 1"):
+        key_of(seed)
+
+
+def test_a_key_is_that_of_jax():
+    for seed in (0, 7, -1, 2**63 - 1, -(2**63), 2**32):
+        assert key_of(seed) == jax.random.key(seed)
+    assert key_of(0) != key_of(2**32)
+
+
+TAILS = {
+    "4 above": (4.0, 5.0),
+    "5 to 8 above": (5.0, 8.0),
+    "7 above": (7.0, 12.0),
+    "8.5 above": (8.5, 9.0),
+    "20 above": (20.0, 30.0),
+    "36 above": (36.0, 40.0),
+    "9 below": (-9.5, -9.0),
+    "30 below": (-60.0, -30.0),
+    "both sides": (-2.0, 30.0),
+    "no bounds to speak of": (-30.0, 30.0),
+}
+
+
+@pytest.mark.parametrize("name", TAILS)
+def test_draws_in_the_tails_are_quantiles_of_the_distribution(name, key):
+    """Each draw is the quantile, by scipy, of the share that its key draws."""
+    lower, upper = TAILS[name]
+    keys = jax.random.split(key, 2000)
+    drawn = sample_of(TruncatedNormal(0.0, 1.0, lower, upper), keys)
+    shares = jax.vmap(lambda k: jax.random.uniform(k, dtype=float))(keys)
+    expected = stats.truncnorm(lower, upper).ppf(np.asarray(shares))
+    assert lower <= drawn.min() and drawn.max() <= upper
+    # Beyond that the quantile of scipy itself is iterated for; on both sides it loses
+    # what a share near 1 has lost already.
+    np.testing.assert_allclose(drawn, expected, rtol=1e-11, atol=1e-9)
+    assert len(np.unique(drawn)) == len(drawn)
+
+
+def test_a_tail_is_filled(key):
+    """Not its bound: beyond 8 deviations the distance from it is nearly exponential."""
+    keys = jax.random.split(key, DRAWS)
+    bound = 9.0
+    drawn = sample_of(TruncatedNormal(0.0, 1.0, bound, 20.0), keys)
+    reference = stats.truncnorm(bound, 20.0)
+    assert stats.kstest(np.asarray(drawn), reference.cdf).pvalue > 1e-4
+    # Four standard errors.
+    error = 4.0 * reference.std() / np.sqrt(DRAWS)
+    assert drawn.mean() == pytest.approx(reference.mean(), abs=error)
+
+
 # Moments, and the same distributions wider or narrower.
 
 LOPSIDED = {
@@ -333,6 +514,19 @@ def test_moments_are_integrals_of_the_density(name):
     # The rule is good to the square of its interval, 24e-5 deviations at most.
     np.testing.assert_allclose(mean, first, atol=1e-7 * deviation, rtol=0.0)
     np.testing.assert_allclose(deviation, np.sqrt(second), rtol=1e-7)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("bound", [6.0, 9.0, 30.0])
+def test_moments_far_out_are_those_of_the_closed_form(bound, sign):
+    """By the hazard of the normal distribution, which erfcx gives without a difference."""
+    bounds = sorted((sign * bound, sign * (bound + 12.0)))
+    mean, deviation = TruncatedNormal(0.0, 1.0, *bounds).moments()
+    hazard = np.sqrt(2.0 / np.pi) / special.erfcx(bound / np.sqrt(2.0))
+    np.testing.assert_allclose(mean, sign * hazard, rtol=1e-14)
+    # 1 + b h - h^2 leaves 1 / b^2 of b^2, of which rounding is some 1e-16.
+    expected = np.sqrt(1.0 + bound * hazard - hazard**2)
+    np.testing.assert_allclose(deviation, expected, rtol=1e-15 * bound**4)
 
 
 @pytest.mark.parametrize("factor", [0.1, 1.0, 3.5])

@@ -21,9 +21,9 @@ from jentry.campaign import (
 from jentry.overrides import (
     AtAddresses,
     apply_values,
+    in_si,
     read_inputs,
     read_overrides,
-    require_addresses,
     write_overrides,
 )
 from jentry.units import degree
@@ -41,6 +41,11 @@ def written(tmp_path):
         return path
 
     return write
+
+
+def read(*given, scenario=None):
+    """In SI, of a scenario."""
+    return in_si(read_overrides(*given), scenario or cheap.scenario())
 
 
 def test_nothing_given_changes_nothing():
@@ -62,7 +67,7 @@ def test_both_spellings_of_an_address_and_units(written):
         atmosphere.scale_height = "9 km"
         """
     )
-    overrides = read_overrides(path)
+    overrides = read(path)
     assert (overrides.variant, overrides.reading) == ("steep", "mass-only")
     assert overrides.values == {
         "initial_state.flight_path_angle": -14.2 * degree,
@@ -75,7 +80,7 @@ def test_both_spellings_of_an_address_and_units(written):
 def test_assignments_come_last(written):
     path = written("[set]\nvehicle.mass = 900\nplanet.density_scale = 1.1")
     given = ["vehicle.mass=950", " initial_state.velocity = 6.7 km/s"]
-    assert read_overrides(path, given).values == {
+    assert read(path, given).values == {
         "vehicle.mass": 950.0,
         "planet.density_scale": 1.1,
         "initial_state.velocity": 6700.0,
@@ -118,8 +123,7 @@ apply = "add"
 
 def test_a_table_of_dispersions(written):
     path = written(DISPERSIONS)
-    table = read_overrides(path).dispersions
-    require_addresses(cheap.scenario(), table)
+    table = read(path).dispersions
     kinds = {name: type(d.distribution) for name, d in table.items()}
     assert kinds == {
         "density": Uniform,
@@ -141,19 +145,17 @@ def test_a_table_of_dispersions(written):
 
 def test_equal_addresses_are_equal_lenses(written):
     """So that the same file is not compiled twice."""
-    first, second = (read_overrides(written(DISPERSIONS)).dispersions for _ in range(2))
+    first, second = (read(written(DISPERSIONS)).dispersions for _ in range(2))
     assert first["density"].where == second["density"].where
     assert hash(AtAddresses(("a", "b"))) == hash(AtAddresses(("a", "b")))
 
 
 def test_a_dispersion_of_an_unknown_address_is_refused(written):
-    table = read_overrides(
-        written(DISPERSIONS.replace("density_scale", "density"))
-    ).dispersions
+    path = written(DISPERSIONS.replace("density_scale", "density"))
     with pytest.raises(
         ValueError, match="dispersions.density.address: .*nearest: planet.density_scale"
     ):
-        require_addresses(cheap.scenario(), table)
+        read(path)
 
 
 def uniform(**changes):
@@ -192,6 +194,17 @@ WRONG = {
     "address a number": (uniform(address=3), "dispersions.x.address is 3"),
     "address of numbers": (uniform(address="[3]"), r"dispersions.x.address is \[3\]"),
     "apply unknown": (uniform(apply='"plus"'), "apply is 'plus': choose from replace"),
+    "set twice": (
+        '[set]\nvehicle.mass = 1\n"vehicle.mass" = 2',
+        "set.vehicle.mass is given twice",
+    ),
+    "variant a table": ("[variant]\na = 1", "variant is {'a': 1}: it must be a name"),
+    "no dispersions": ("[dispersions]", r"\[dispersions\] is empty"),
+    "no addresses": (uniform(address="[]"), r"address is \[\]: write one"),
+    "too deep": ("set = " + "[" * 5000, "nested too deep"),
+    "deep in dots": ("set." + ".".join("a" * 5000) + " = 1", "nested too deep"),
+    "a number too long": ("set.a = " + "9" * 5000, "no valid TOML"),
+    "a number too large": ("set.a = 1" + "0" * 400, "set.a: .*too large"),
     "apply a list": (uniform(apply="[]"), r"apply is \[\]: choose from replace"),
 }
 
@@ -257,6 +270,10 @@ VALUES = {
 }
 
 
+def numbers_of(given):
+    return [numbers_of(x) for x in given] if isinstance(given, list) else given.number
+
+
 def same(first, second):
     """To the last bit."""
     first, second = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
@@ -279,7 +296,7 @@ def test_written_values_are_read_back_to_the_last_bit(tmp_path):
     found = read_overrides(path).values
     assert list(found) == [*values, *tables]
     for address, value in (values | tables).items():
-        assert same(found[address], value)
+        assert same(numbers_of(found[address]), value)
 
 
 def test_a_written_scenario_is_the_same_to_the_last_bit(tmp_path):
@@ -288,7 +305,8 @@ def test_a_written_scenario_is_the_same_to_the_last_bit(tmp_path):
     leaves = leaves_by_address(mars_scenario())
     moved = {a: np.asarray(x) * (1.0 + 1.0 / 3.0) + 0.1 for a, x in leaves.items()}
     write_overrides(path, "All of it", "right", moved, "all")
-    changed = apply_values(mars_scenario(), read_overrides(path).values)
+    values = {a: numbers_of(x) for a, x in read_overrides(path).values.items()}
+    changed = apply_values(mars_scenario(), values)
     found = leaves_by_address(changed)
     assert moved["guidance.cos_bank.coefficients"].shape == (2,)
     assert all(same(found[address], value) for address, value in moved.items())
@@ -316,11 +334,11 @@ upper = 1e16
 @pytest.mark.parametrize("contents", [DISPERSIONS, AWKWARD], ids=["units", "names"])
 def test_a_written_table_of_dispersions_is_the_same(written, tmp_path, contents):
     """With the units and the names that the first file had."""
-    first = read_overrides(written(contents))
+    first = read(written(contents))
     path = tmp_path / "tuned.toml"
     values = {"vehicle.mass": 900.0}
     write_overrides(path, "Again", "right", values, first.written)
-    again = read_overrides(path)
+    again = read(path)
     assert again.reading is None
     assert again.values == values
     assert again.written == first.written == tomllib.loads(contents)["dispersions"]
@@ -340,13 +358,13 @@ def test_lists_are_tables_of_numbers_with_units(written):
     path = written(
         """
         [set]
-        a.b = [1, "2 km", -3.5]
-        a.c = [[1, 2], [3, 4]]
+        guidance.cos_bank.coefficients = [1, "2 %"]
+        initial_state.altitude = ["2 km", -3.5]
         """
     )
-    assert read_overrides(path).values == {
-        "a.b": [1.0, 2000.0, -3.5],
-        "a.c": [[1.0, 2.0], [3.0, 4.0]],
+    assert read(path, scenario=mars_scenario()).values == {
+        "guidance.cos_bank.coefficients": [1.0, 0.02],
+        "initial_state.altitude": [2000.0, -3.5],
     }
 
 
@@ -384,3 +402,74 @@ def test_a_list_reaches_the_scenario():
     address = "guidance.cos_bank.coefficients"
     changed = apply_values(mars_scenario(), {address: [0.5, 0.25]})
     np.testing.assert_array_equal(changed.guidance.cos_bank.coefficients, [0.5, 0.25])
+
+
+UNITS = {
+    "a length for a mass": ("vehicle.mass=900km", r"vehicle.mass: '900km' is \[length"),
+    "an angle for a length": ("initial_state.altitude=126deg", r"is \[angle\]"),
+    "an angle for a factor": ("planet.density_scale=1deg", "a plain number"),
+    "degrees forgotten": (
+        "initial_state.flight_path_angle=-14.2",
+        "initial_state.flight_path_angle: -14.2 rad is .*did you mean -14.2deg",
+    ),
+    "of a law": ("guidance.bank_angle=50", "did you mean 50deg"),
+}
+
+
+@pytest.mark.parametrize(("assignment", "message"), UNITS.values(), ids=UNITS)
+def test_units_are_checked_against_the_leaf(written, assignment, message):
+    with pytest.raises(ValueError, match=message):
+        read(None, [assignment])
+    address, _, value = assignment.partition("=")
+    with pytest.raises(ValueError, match=message):
+        read(written(f'[set]\n{address} = "{value}"'))
+
+
+def test_plain_numbers_of_a_file_too(written):
+    path = written("[set]\ninitial_state.flight_path_angle = -14.2")
+    with pytest.raises(ValueError, match="did you mean -14.2deg"):
+        read(path)
+
+
+MOVED = """
+[dispersions.x]
+address = ["initial_state.altitude", "{other}"]
+distribution = "normal"
+mean = {mean}
+standard_deviation = {width}
+apply = "{apply}"
+"""
+
+
+def moved(**given):
+    given = {"other": "termination.conditions.ground.altitude", "apply": "add"} | given
+    return MOVED.format(**given)
+
+
+def test_a_dispersion_is_in_units_of_its_leaves_or_without_one(written):
+    table = read(written(moved(mean='"-1 km"', width='"2 ft"'))).dispersions
+    assert table["x"].distribution.mean == -1000.0
+    assert table["x"].distribution.standard_deviation == 2 * 0.3048
+    factor = moved(mean='"100 %"', width=0.1, apply="multiply", other="vehicle.mass")
+    table = read(written(factor)).dispersions
+    assert table["x"].distribution.mean == 1.0
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"mean": '"1 kg"', "width": 1}, "dispersions.x.mean: '1 kg' is"),
+        ({"mean": 0, "width": '"1 deg"'}, "dispersions.x.standard_deviation: '1 deg'"),
+        ({"mean": '"1 m"', "width": 1, "apply": "multiply"}, "a plain number"),
+        ({"mean": 0, "width": 1, "other": "vehicle.mass"}, r"vehicle.mass \(kg\)"),
+    ],
+)
+def test_another_unit_of_a_dispersion_is_refused(written, given, message):
+    with pytest.raises(ValueError, match=message):
+        read(written(moved(**given)))
+
+
+def test_an_angle_of_a_dispersion_beyond_a_turn_was_meant_in_degrees(written):
+    entry = uniform(address='"initial_state.heading"', lower=88, upper=92)
+    with pytest.raises(ValueError, match="x.lower: 88 rad .*did you mean 88deg"):
+        read(written(entry))

@@ -4,17 +4,20 @@ import dataclasses
 import math
 import zlib
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
+from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Float, Int, Key
 
-from .._addresses import addresses_of, field_metadata, leaves_by_address
+from .._addresses import addresses_of, field_metadata, leaves_by_address, unit_of
 from .._types import Scalar, scalar
+from ..flight.effect import require_felt
 from ..flight.scenario import Scenario, check_values, require_effect
 
 
@@ -87,6 +90,10 @@ class Constant(AbstractDistribution):
         return self
 
 
+_FARTHEST = 37.0
+"""Standard deviations: beyond it the probability is below the least number there is."""
+
+
 class TruncatedNormal(AbstractDistribution):
     """Normal distribution of which only what lies between two bounds is drawn."""
 
@@ -95,18 +102,34 @@ class TruncatedNormal(AbstractDistribution):
     lower: Scalar = scalar()
     upper: Scalar = scalar()
 
-    def sample(self, key: Key[Array, ""]) -> Scalar:
+    def in_deviations(self) -> tuple[Scalar, Scalar]:
+        """The bounds, counted from the mean in standard deviations."""
         lower = (self.lower - self.mean) / self.standard_deviation
         upper = (self.upper - self.mean) / self.standard_deviation
-        draw = jax.random.truncated_normal(key, lower, upper, dtype=float)
+        return lower, upper
+
+    def sample(self, key: Key[Array, ""]) -> Scalar:
+        lower, upper = self.in_deviations()
+        share = jax.random.uniform(key, dtype=float)
+        # In the tail below the mean, by symmetry, where a probability that is small keeps
+        # its digits: above it they are what is left of 1, and beyond 8 deviations nothing.
+        above = lower + upper > 0.0
+        near = jnp.where(above, ndtr(-lower), ndtr(lower))
+        far = jnp.where(above, ndtr(-upper), ndtr(upper))
+        draw = ndtri(near + (far - near) * share)
+        draw = jnp.clip(jnp.where(above, -draw, draw), lower, upper)
         return self.mean + self.standard_deviation * draw
 
     def moments(self) -> tuple[Scalar, Scalar]:
         # By quadrature about the mode: the closed form cancels in the tails.
-        lower = (self.lower - self.mean) / self.standard_deviation
-        upper = (self.upper - self.mean) / self.standard_deviation
+        lower, upper = self.in_deviations()
         mode = jnp.clip(jnp.zeros_like(lower), lower, upper)
-        lower, upper = jnp.maximum(lower, mode - 12.0), jnp.minimum(upper, mode + 12.0)
+        # As far as the density is more than exp(-80) of that at the mode.
+        reach = jnp.sqrt(mode * mode + 160.0) - jnp.abs(mode)
+        lower, upper = (
+            jnp.maximum(lower, mode - reach),
+            jnp.minimum(upper, mode + reach),
+        )
         nodes, weights = np.polynomial.legendre.leggauss(128)
         x = lower + 0.5 * (upper - lower) * (1.0 + nodes)
         weights = weights * jnp.exp(0.5 * (mode * mode - x * x))
@@ -170,6 +193,42 @@ Inputs = dict[str, Scalar]
 """Values of leaves by their addresses."""
 
 
+MOST_RUNS = 2**32
+"""Indices of runs that draw apart: a key takes 32 bits of one."""
+
+
+def key_of(seed: int) -> Key[Array, ""]:
+    """The key of a seed. Raises `ValueError` for one that JAX does not take."""
+    bits = 64 if jax.config.read("jax_enable_x64") else 32
+    if not -(2 ** (bits - 1)) <= seed < 2 ** (bits - 1):
+        raise ValueError(
+            f"the seed is {seed}: it must be a number from -2^{bits - 1} to "
+            f"2^{bits - 1} - 1"
+        )
+    return jax.random.key(seed)
+
+
+def check_runs(runs: np.ndarray) -> None:
+    """Refuse indices of runs that would not draw apart."""
+    for wrong in runs[(runs < 0) | (runs >= MOST_RUNS)][:1]:
+        raise ValueError(f"run {wrong} was asked for: runs count from 0 to 2^32 - 1")
+
+
+def _codes(names: Iterable[str]) -> dict[str, int]:
+    """What a key is folded with, by name. Refuses two that would share their draws."""
+    codes: dict[str, int] = {}
+    for name in names:
+        code = zlib.crc32(name.encode())
+        same = next((other for other, c in codes.items() if c == code), None)
+        if same is not None:
+            raise ValueError(
+                f"the dispersions {same!r} and {name!r} would have the same draws, since "
+                "their names have the same CRC-32: give one of them another name"
+            )
+        codes[name] = code
+    return codes
+
+
 def draw(
     dispersions: Mapping[str, Dispersion], key: Key[Array, ""], run: Int[Array, ""]
 ) -> dict[str, Scalar]:
@@ -178,9 +237,9 @@ def draw(
     They depend on the key, the name and the run alone, not on what else is drawn.
     """
     draws = {}
-    for name, dispersion in dispersions.items():
-        name_key = jax.random.fold_in(key, zlib.crc32(name.encode()))
-        draws[name] = dispersion.distribution.sample(jax.random.fold_in(name_key, run))
+    for name, code in _codes(dispersions).items():
+        run_key = jax.random.fold_in(jax.random.fold_in(key, code), run)
+        draws[name] = dispersions[name].distribution.sample(run_key)
     return draws
 
 
@@ -193,17 +252,14 @@ def disperse(
 
     Dispersions that move the same leaf do so one after the other, in their order.
 
-    Raises `ValueError` for a dispersion that reaches no leaf, one that is no single
-    number, or one that would discard what another has done to the same leaf.
+    Raises `ValueError` for a dispersion that reaches no leaf, a whole module, one leaf
+    twice or one that is no single number, and for one that would discard what another
+    has done to the same leaf.
     """
     leaves = leaves_by_address(scenario)
     inputs: Inputs = {}
     for name, dispersion in dispersions.items():
-        try:
-            reached = addresses_of(scenario, dispersion.where)
-        except (ValueError, AttributeError, KeyError, TypeError) as error:
-            raise ValueError(f"dispersion {name!r}: {error}") from error
-        for address in reached:
+        for address in addresses_of_dispersion(scenario, name, dispersion):
             if leaves[address].shape != ():
                 raise ValueError(
                     f"dispersion {name!r} reaches {address}, a table of shape "
@@ -219,15 +275,69 @@ def disperse(
     return inputs
 
 
+def addresses_of_dispersion(
+    scenario: Scenario, name: str, dispersion: Dispersion
+) -> list[str]:
+    """The leaves that it moves, each once. Raises `ValueError` for what is no leaf."""
+    try:
+        reached = addresses_of(scenario, dispersion.where)
+        parts = dispersion.where(scenario)
+    except (ValueError, AttributeError, LookupError, TypeError) as error:
+        raise ValueError(f"dispersion {name!r}: {error}") from error
+    parts = parts if isinstance(parts, list | tuple) else [parts]
+    whole = next((part for part in parts if not eqx.is_array(part)), None)
+    if whole is not None:
+        raise ValueError(
+            f"dispersion {name!r} reaches a whole {type(whole).__name__}, with "
+            f"{', '.join(reached)}: return the numbers themselves"
+        )
+    for address in reached:
+        if reached.count(address) > 1:
+            raise ValueError(f"dispersion {name!r} reaches {address} twice: once")
+    return reached
+
+
+def unit_of_draw(
+    scenario: Scenario,
+    name: str,
+    addresses: Iterable[str],
+    apply: Callable[[Scalar, Scalar], Scalar],
+) -> str:
+    """Unit of what is drawn: that of the leaves, or of a factor on them.
+
+    Raises `ValueError` for a draw that takes the place of leaves in different units.
+    """
+    if apply not in (replace, add):
+        return "1"
+    units = {address: unit_of(scenario, address) for address in addresses}
+    if len(set(units.values())) > 1:
+        described = ", ".join(f"{address} ({unit})" for address, unit in units.items())
+        raise ValueError(
+            f"dispersion {name!r} moves leaves in different units by one draw: "
+            f"{described}. Disperse each by itself, or a factor on all of them"
+        )
+    return next(iter(units.values()))
+
+
 def check_dispersions(
     scenario: Scenario, dispersions: Mapping[str, Dispersion]
 ) -> None:
-    """Refuse what `disperse` would, and distributions that cannot be drawn from."""
+    """Refuse what `disperse` would, distributions that cannot be drawn from, and what
+    cannot matter: a number that no flight depends on, or a factor on zero.
+    """
     draws = {name: jnp.zeros(()) for name in dispersions}
     jax.eval_shape(lambda draws: disperse(scenario, dispersions, draws), draws)
+    _codes(dispersions)
+    leaves = leaves_by_address(scenario)
+    moved: set[str] = set()
     for name, dispersion in dispersions.items():
-        for address in addresses_of(scenario, dispersion.where):
+        reached = addresses_of_dispersion(scenario, name, dispersion)
+        unit_of_draw(scenario, name, reached, dispersion.apply)
+        for address in reached:
             require_effect(scenario, address)
+            if dispersion.apply is multiply and address not in moved:
+                _refuse_factor_on_zero(name, address, leaves[address])
+        moved.update(reached)
         distribution = dispersion.distribution
         numbers = leaves_by_address(distribution)
         for field, value in numbers.items():
@@ -240,6 +350,27 @@ def check_dispersions(
                     f"dispersions.{name}.lower is {lower:g}: it must be below upper, "
                     f"which is {upper:g}"
                 )
+        if isinstance(distribution, TruncatedNormal):
+            _refuse_empty_interval(name, distribution)
+    require_felt(scenario, moved)
+
+
+def _refuse_factor_on_zero(name: str, address: str, leaf: Array) -> None:
+    if not isinstance(leaf, Tracer) and np.asarray(leaf) == 0.0:
+        raise ValueError(
+            f"dispersion {name!r} has no effect: it is a factor on {address}, which is "
+            "zero. Use add or replace"
+        )
+
+
+def _refuse_empty_interval(name: str, distribution: TruncatedNormal) -> None:
+    lower, upper = distribution.in_deviations()
+    nearest = max(float(lower), -float(upper))
+    if nearest > _FARTHEST:
+        raise ValueError(
+            f"dispersions.{name}.mean is {nearest:.0f} standard deviations from the "
+            f"interval that is drawn from: it must be {_FARTHEST:g} at most"
+        )
 
 
 def dispersed_inputs(

@@ -20,11 +20,17 @@ from .._addresses import (
     replace_leaves,
     require_address,
 )
+from ..flight.cycle import Plan
 from ..flight.fly import Flight, fly
 from ..flight.misses import Misses, misses
 from ..flight.scenario import Scenario, check, check_values, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
-from .dispersions import Dispersion, check_dispersions, dispersed_inputs
+from .dispersions import (
+    Dispersion,
+    check_dispersions,
+    check_runs,
+    dispersed_inputs,
+)
 
 
 LANES = 64
@@ -98,6 +104,7 @@ def fly_in_blocks(
 ) -> Iterator[Campaign]:
     """As `monte_carlo`, part by part in the order of the runs, in constant memory."""
     check(scenario)
+    Plan.of(scenario, solver, history)  # refuses a step or an interval
     given = None
     count = 1000
     if inputs is not None:
@@ -116,11 +123,12 @@ def fly_in_blocks(
         raise ValueError(
             f"runs is {runs}: it must be a number of runs, or their indices"
         )
+    if wanted.ndim == 0:
+        check_runs(np.ravel(wanted) - 1 if wanted > 0 else np.arange(0))
     indices = np.arange(int(wanted)) if wanted.ndim == 0 else wanted.astype(int)
     if indices.size == 0:
         raise ValueError(f"no runs to fly: runs is {wanted}")
-    if indices.min() < 0:
-        raise ValueError(f"run {indices.min()} was asked for: runs count from 0")
+    check_runs(indices)
     if given is not None and indices.max() >= count:
         raise ValueError(f"run {indices.max()} was asked for, of {count} given")
     if dispersions and key is not None:

@@ -21,7 +21,7 @@ from ..flight.misses import misses
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
 from .description import describe
-from .dispersions import Dispersion
+from .dispersions import Dispersion, key_of
 from .errors import CampaignError
 from .monte_carlo import Campaign, fly_in_blocks
 from .parts import (
@@ -73,7 +73,7 @@ def run_campaign(
     run included, before the first flight.
     """
     out = Path(out)
-    key = None if inputs is not None else jax.random.key(seed)
+    key = None if inputs is not None else key_of(seed)
 
     def blocks_of(runs: int | np.ndarray) -> Iterator[Campaign]:
         return fly_in_blocks(

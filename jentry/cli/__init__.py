@@ -1,3 +1,7 @@
 """Floor 8: the command `jentry`."""
 
-from .main import main as main
+from .ending import leaving_at_once
+
+
+with leaving_at_once():
+    from .main import main as main

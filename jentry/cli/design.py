@@ -1,10 +1,12 @@
 """The commands that design: tune a law, and ask what a flight is sensitive to."""
 
+import math
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from .ending import rounding_off
 from .options import (
     Config,
     Dispersions,
@@ -17,7 +19,7 @@ from .options import (
     app,
     chosen_scenario,
     dispersion_table,
-    fail,
+    first_given,
     set_up,
 )
 
@@ -124,11 +126,11 @@ def tune(
 ) -> None:
     """Tune gains, or any numbers, by gradient through a Monte Carlo."""
     set_up(workers, fast)
-    import jax
     import optax
     import optimistix
 
     from ..design import surrogate
+    from ..campaign.dispersions import key_of
     from ..design.losses import BY_NAME
     from ..design.tuning import tune as tune_scenario
     from ..flight.solver import FixedStep
@@ -143,15 +145,17 @@ def tune(
     )
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
-    variant = variant or overrides.variant or next(iter(chosen.variants))
-    reading, table = dispersion_table(chosen, scenario, overrides, dispersions)
+    variant = first_given(variant, overrides.variant, *chosen.variants)
+    reading, table = dispersion_table(chosen, overrides, dispersions)
     if loss not in BY_NAME:
         raise ValueError(f"loss is {loss!r}: choose from {', '.join(BY_NAME)}")
     if smooth and smooth_reversals:
         raise ValueError("give --smooth or --smooth-reversals, not both")
     followed = surrogate.smooth_switching if smooth else None
     followed = surrogate.smooth_reversals if smooth_reversals else followed
-    wanted = optimizer or ("adam" if fresh_draws else "lbfgs")
+    wanted = first_given(optimizer, "adam" if fresh_draws else "lbfgs")
+    if not 0.0 < learning_rate < math.inf:
+        raise ValueError(f"--learning-rate is {learning_rate}: it must be positive")
     methods = {
         "lbfgs": optimistix.LBFGS(rtol=1e-6, atol=1e-6),
         "levenberg-marquardt": optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6),
@@ -163,18 +167,23 @@ def tune(
     addresses = expanded(scenario, gains or (), default)
     folder = Path("results") / f"{mission}-tuned" if out is None else out
     record = folder / "tuning.npz"
-    try:
+    with rounding_off("the same command resumes") as look:
+
+        def report(history: list, best: int) -> None:
+            report_step(history, best)
+            look()
+
         tuned = tune_scenario(
             scenario,
             AtAddresses(tuple(addresses)),
             BY_NAME[loss](parse_scales(of or (), scenario.in_plane)),
             methods[wanted],
             table,
-            jax.random.key(seed),
+            key_of(seed),
             runs=runs,
             steps=steps,
-            bounds=parse_bounds(bounds or ()),
-            scales=parse_leaf_scales(scale or ()),
+            bounds=parse_bounds(bounds or (), scenario),
+            scales=parse_leaf_scales(scale or (), scenario),
             **_by(differences),
             solver=FixedStep(step),
             fresh_draws=fresh_draws,
@@ -183,10 +192,8 @@ def tune(
             held_out=held_out,
             record=record,
             labels={"loss": loss, "optimizer": wanted, "learning_rate": learning_rate},
-            report=report_step,
+            report=report,
         )
-    except KeyboardInterrupt:
-        fail("interrupted; the same command resumes", 130)
     print_tuned(chosen, scenario, tuned)
     write_history(folder / "history.csv", tuned)
     stepped = "" if step is None else f", --step {step:g}"
@@ -225,6 +232,7 @@ def train(
 ) -> None:
     """Fly the data and train the networks of a mission."""
     set_up(workers)
+    from ..campaign.dispersions import key_of
     from ..missions import ALL, find_mission
     from .design_report import print_cards
 
@@ -235,17 +243,24 @@ def train(
     for name, value in (("flights", flights), ("again", again)):
         if value < 100:
             raise ValueError(f"--{name} is {value}: a network takes 100 or more")
+    key_of(seed)
     if iterations < 1:
         raise ValueError(f"--iterations is {iterations}: it must be 1 or more")
     folder = out or Path("results") / f"{chosen.name}-networks"
-    cards = chosen.train(
-        folder,
-        seed,
-        flights=flights,
-        again=again,
-        iterations=iterations,
-        report=lambda line: typer.echo(line, err=True),
-    )
+    with rounding_off("nothing is stored") as look:
+
+        def report(line: str) -> None:
+            typer.echo(line, err=True)
+            look()
+
+        cards = chosen.train(
+            folder,
+            seed,
+            flights=flights,
+            again=again,
+            iterations=iterations,
+            report=report,
+        )
     print_cards(chosen, cards)
     typer.echo(f"networks: {folder}")
 
@@ -281,9 +296,8 @@ def sensitivity(
 ) -> None:
     """Derivatives of the misses, and their spread predicted from one flight."""
     set_up(workers)
-    import jax
 
-    from ..campaign.dispersions import scaled_dispersions
+    from ..campaign.dispersions import key_of, scaled_dispersions
     from ..design.linear_covariance import linear_covariance
     from ..design.sensitivity import sensitivity as sensitivity_of
     from ..flight.solver import FixedStep
@@ -291,7 +305,7 @@ def sensitivity(
     from .design_report import print_covariance, print_sensitivity
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
-    _, table = dispersion_table(chosen, scenario, overrides, dispersions)
+    _, table = dispersion_table(chosen, overrides, dispersions)
     solver = FixedStep(step)
     if wrt:
         addresses = expanded(scenario, wrt, ())
@@ -299,13 +313,15 @@ def sensitivity(
             scenario, wrt=AtAddresses(tuple(addresses)), solver=solver
         )
         print_sensitivity(scenario, found)
-    for factor in scale or (0.1, 1.0):
-        if not factor > 0.0:
+    factors = scale or (0.1, 1.0)
+    for factor in factors:
+        if not 0.0 < factor < math.inf:
             raise ValueError(f"scale is {factor:g}: it must be greater than zero")
+    for factor in factors:
         analysis = linear_covariance(
             scenario,
             scaled_dispersions(table, factor),
-            key=jax.random.key(seed),
+            key=key_of(seed),
             runs=runs,
             solver=solver,
             mode="difference" if differences else None,

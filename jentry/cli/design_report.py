@@ -2,6 +2,7 @@
 
 import csv
 import io
+import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
-from .._addresses import nearest, unit_of
+from .._addresses import leaves_by_address, nearest, require_address, unit_of
 from .._files import write_whole
 from ..design.judgement import Comparison
 from ..design.linear_covariance import LinearCovariance
@@ -45,34 +46,59 @@ def parse_scales(options: Iterable[str], in_plane: bool) -> ScaledMisses:
             raise ValueError(
                 f"--of {option}: no miss {name!r}; {nearest(name, _MISSES)}"
             )
-        scales[name] = parse_quantity(scale) if equals else km
-        if not scales[name] > 0.0:
+        unit = unit_of_output(None, name)
+        if name in scales:
+            raise ValueError(f"--of {name} is given twice: once")
+        if not equals and unit != "m":
+            raise ValueError(f"--of {option}: write {name}=SCALE")
+        try:
+            scales[name] = parse_quantity(scale, unit) if equals else km
+        except ValueError as error:
+            raise ValueError(f"--of {option}: {error}") from None
+        if not 0.0 < scales[name] < math.inf:
             raise ValueError(f"--of {option}: the scale must be greater than zero")
     if not scales:
         scales = {"downrange": km} if in_plane else {"downrange": km, "crossrange": km}
     return ScaledMisses(tuple(scales.items()))
 
 
-def parse_bounds(options: Iterable[str]) -> dict[str, tuple[float, float]]:
+def parse_bounds(
+    options: Iterable[str], scenario: Scenario
+) -> dict[str, tuple[float, float]]:
     """`ADDRESS=LOW:HIGH` of the command line."""
     bounds = {}
+    known = leaves_by_address(scenario)
     for option in options:
         address, equals, interval = option.partition("=")
         low, colon, high = interval.partition(":")
         if not equals or not colon:
             raise ValueError(f"--bounds {option}: write ADDRESS=LOW:HIGH")
-        bounds[address] = parse_quantity(low), parse_quantity(high)
+        require_address(known, address)
+        if address in bounds:
+            raise ValueError(f"--bounds {address} is given twice: once")
+        unit = unit_of(scenario, address)
+        try:
+            bounds[address] = parse_quantity(low, unit), parse_quantity(high, unit)
+        except ValueError as error:
+            raise ValueError(f"--bounds {option}: {error}") from None
     return bounds
 
 
-def parse_leaf_scales(options: Iterable[str]) -> dict[str, float]:
+def parse_leaf_scales(options: Iterable[str], scenario: Scenario) -> dict[str, float]:
     """`ADDRESS=VALUE` of the command line."""
     scales = {}
+    known = leaves_by_address(scenario)
     for option in options:
         address, equals, value = option.partition("=")
         if not equals:
             raise ValueError(f"--scale {option}: write ADDRESS=VALUE")
-        scales[address] = parse_quantity(value)
+        require_address(known, address)
+        if address in scales:
+            raise ValueError(f"--scale {address} is given twice: once")
+        try:
+            scales[address] = parse_quantity(value, unit_of(scenario, address))
+        except ValueError as error:
+            raise ValueError(f"--scale {option}: {error}") from None
     return scales
 
 

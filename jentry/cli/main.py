@@ -2,12 +2,14 @@
 
 import errno
 import gc
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from . import design as design
+from .ending import fail, forget_output, leaving_at_once, open_streams, rounding_off
 from .options import (
     Config,
     Dispersions,
@@ -20,7 +22,7 @@ from .options import (
     app,
     chosen_scenario,
     dispersion_table,
-    fail,
+    first_given,
     import_meanwhile,
     set_up,
 )
@@ -132,9 +134,9 @@ def monte_carlo(
     from .report import print_campaign, progress
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
-    variant = variant or overrides.variant or next(iter(chosen.variants))
-    reading, table = dispersion_table(chosen, scenario, overrides, dispersions)
-    if inputs is not None and (dispersions or overrides.dispersions is not None):
+    variant = first_given(variant, overrides.variant, *chosen.variants)
+    reading, table = dispersion_table(chosen, overrides, dispersions)
+    if inputs is not None and (dispersions is not None or overrides.disperses):
         raise ValueError("--inputs takes the place of dispersions: give one of them")
     as_published = (
         inputs is None
@@ -146,28 +148,32 @@ def monte_carlo(
     given = None if inputs is None else read_inputs(inputs)
     if given is not None:
         rows = len(next(iter(given.values())))
-        runs = rows if runs is None else min(runs, rows)
+        runs = rows if runs is None else runs
+        if runs > rows:
+            raise ValueError(f"--runs is {runs}, and {inputs} has {rows}: give no more")
     elif runs is None:
         runs = 1000
     folder = Path("results") / mission if out is None else out
     solver = FixedStep(step)
-    try:
-        with progress(runs) as report:
-            run_campaign(
-                folder,
-                scenario,
-                table if given is None else None,
-                seed,
-                runs,
-                inputs=given,
-                solver=solver,
-                history=history,
-                report=report,
-                mission=mission,
-                variant=variant,
-            )
-    except KeyboardInterrupt:
-        fail("interrupted; the same command resumes", 130)
+    with rounding_off("the same command resumes") as look, progress(runs) as told:
+
+        def report(stored: int) -> None:
+            told(stored)
+            look()
+
+        run_campaign(
+            folder,
+            scenario,
+            table if given is None else None,
+            seed,
+            runs,
+            inputs=given,
+            solver=solver,
+            history=history,
+            report=report,
+            mission=mission,
+            variant=variant,
+        )
     results = open_campaign(folder, runs)
     print_campaign(chosen, results, as_published)
     typer.echo(f"stored: {folder}")
@@ -179,22 +185,48 @@ def monte_carlo(
 def main() -> None:
     """Run the command; errors that a person can act on are one line, without a traceback.
 
-    Exit codes: 0 done, 2 wrong input, 3 results that cannot be used, 4 the disk (no
-    space, no permission), 130 interrupted.
+    Exit codes: 0 done, 1 whoever read the output has left, 2 wrong input, 3 results that
+    cannot be used, 4 the machine (no space, no permission, no memory), 130 interrupted.
     """
     # Tracing makes many objects and little rubbish: look for it less often.
     gc.set_threshold(100_000)
+    open_streams()
+    with leaving_at_once():
+        _run()
 
+
+def _run() -> None:
+    try:
+        try:
+            app()
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        forget_output()
+        sys.exit(1)
+    except Exception as error:
+        code, message = _explained(error)
+        if isinstance(error, OSError):
+            forget_output()
+        fail(message, code)
+
+
+def _explained(error: Exception) -> tuple[int, str]:
+    """Exit code and words for what a person can act on; raises all else again."""
+    less = "there is not enough memory: fly fewer runs, or keep less of them"
+    match error:
+        case ValueError():
+            return 2, str(error)
+        case OSError():
+            full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+            advice = "; free some space and run the same command, which resumes"
+            return 4, f"{error}{advice if full else ''}"
+        case MemoryError():
+            return 4, less
+        case RuntimeError() if "RESOURCE_EXHAUSTED" in str(error):
+            return 4, less
     from ..campaign.errors import CampaignError
 
-    try:
-        app()
-    except CampaignError as error:
-        fail(str(error), 3)
-    except ValueError as error:
-        fail(str(error), 2)
-    except OSError as error:
-        advice = ""
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            advice = "; free some space and run the same command, which resumes"
-        fail(f"{error}{advice}", 4)
+    if isinstance(error, CampaignError):
+        return 3, str(error)
+    raise error

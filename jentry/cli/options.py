@@ -1,10 +1,9 @@
 """The command line's application, and the options that several commands share."""
 
 import importlib
-import sys
 import threading
 from pathlib import Path
-from typing import Annotated, NoReturn
+from typing import Annotated
 
 import typer
 
@@ -36,7 +35,8 @@ Config = Annotated[
     typer.Option(
         exists=True,
         dir_okay=False,
-        help="TOML file with `variant`, `[set]` and `[dispersions]`.",
+        # What rich takes for markup it leaves out.
+        help="TOML file with `variant`, `\\[set]` and `\\[dispersions]`.",
     ),
 ]
 Step = Annotated[
@@ -59,9 +59,15 @@ Fast = Annotated[
 ]
 
 
+_MOST_WORKERS = 1024
+"""Each takes memory before it does anything."""
+
+
 def set_up(workers: int | None = None, fast: bool = False) -> None:
     from .._setup import setup
 
+    if workers is not None and workers > _MOST_WORKERS:
+        raise ValueError(f"workers is {workers}: it must be {_MOST_WORKERS} at most")
     setup(workers, fast=fast)
 
 
@@ -79,28 +85,28 @@ def chosen_scenario(name, variant, config, assignments):
     """Mission, its scenario with all overrides, and these."""
     from ..flight.scenario import check
     from ..missions import find_mission
-    from ..overrides import apply_values, read_overrides
+    from ..overrides import apply_values, in_si, read_overrides
 
     chosen = find_mission(name)
     overrides = read_overrides(config, assignments or ())
-    scenario = chosen.scenario(variant or overrides.variant)
+    name = first_given(variant, overrides.variant, *chosen.variants)
+    scenario = chosen.scenario(name)
+    overrides = in_si(overrides, scenario)
     scenario = apply_values(scenario, overrides.values)
     check(scenario)
     return chosen, scenario, overrides
 
 
-def dispersion_table(mission, scenario, overrides, reading):
+def dispersion_table(mission, overrides, reading):
     """Name of the reading, and the dispersions by it or by the configuration."""
-    from ..overrides import require_addresses
-
     if reading is not None and overrides.dispersions is not None:
         raise ValueError("dispersions are given by --dispersions and by --config: once")
-    reading = reading or overrides.reading or next(iter(mission.dispersions))
-    table = overrides.dispersions or mission.dispersion_table(reading)
-    require_addresses(scenario, table)
-    return reading, table
+    reading = first_given(reading, overrides.reading, *mission.dispersions)
+    if overrides.dispersions is not None:
+        return reading, overrides.dispersions
+    return reading, mission.dispersion_table(reading)
 
 
-def fail(message: str, code: int) -> NoReturn:
-    print(f"jentry: {message}", file=sys.stderr)
-    sys.exit(code)
+def first_given(*options: str | None) -> str:
+    """The first that is not none. An empty name is given, and is nobody's name."""
+    return next(option for option in options if option is not None)

@@ -16,10 +16,10 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from .._addresses import leaves_by_address, unit_of
+from .._addresses import field_metadata, leaves_by_address, unit_of
 from ..flight.fly import Flight
 from ..flight.misses import misses
-from ..flight.scenario import Scenario
+from ..flight.scenario import Scenario, allowed
 from ..flight.termination import Outcome
 from ..missions.mission import Mission
 from .tables import at_edge, new_console, new_table, print_under, unit_of_output
@@ -32,7 +32,8 @@ def print_missions(missions: Iterable[Mission]) -> None:
     """Name, title, source, variants and dispersions of each."""
     console = new_console()
     for mission in missions:
-        console.print(f"[bold]{mission.name}[/]: {mission.title}")
+        console.print(mission.name, style="bold", end="")
+        console.print(f": {mission.title}")
         console.print(f"  source       {mission.source}")
         console.print(f"  variants     {', '.join(mission.variants)}")
         console.print(f"  dispersions  {', '.join(mission.dispersions)}")
@@ -40,11 +41,12 @@ def print_missions(missions: Iterable[Mission]) -> None:
 
 def print_leaves(scenario: Scenario) -> None:
     """Address, value and unit of every leaf."""
-    table = new_table("address", "value", "unit")
+    table = new_table("address", "value", "unit", "allowed")
     for address, leaf in leaves_by_address(scenario).items():
         shape = " x ".join(str(n) for n in leaf.shape)
         value = f"{float(leaf):.10g}" if leaf.shape == () else f"table of {shape}"
-        table.add_row(address, value, unit_of(scenario, address))
+        described = field_metadata(scenario, address)
+        table.add_row(address, value, unit_of(scenario, address), allowed(described))
     console = new_console()
     console.width = max(console.width, 100)
     print_under(console, "scenario", table)

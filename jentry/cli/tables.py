@@ -15,7 +15,9 @@ _EDGE_UNITS |= {"W/m2": (1e4, "W/cm2")}
 
 
 def new_console() -> Console:
-    return Console(width=None if sys.stdout.isatty() else 130, highlight=False)
+    # A name with brackets or colons is not markup.
+    width = None if sys.stdout.isatty() else 130
+    return Console(width=width, highlight=False, markup=False, emoji=False)
 
 
 def new_table(*columns: str) -> Table:

@@ -46,6 +46,13 @@ _SAME_TIME = 1e-6
 """s; times differ by the rounding of some thousand cycles."""
 
 
+_MOST_KEPT = 1e7
+"""Entries of a history, which is some gigabytes for one flight."""
+
+_MOST_STEPS = 1e9
+"""Of a flight, which takes an hour or two."""
+
+
 class Plan(eqx.Module):
     """How the time of a flight is divided: into cycles, and these into steps."""
 
@@ -77,8 +84,21 @@ class Plan(eqx.Module):
         if isinstance(solver, FixedStep):
             solver = solver.or_step(period if period and varies(law) else _STEP)
             assert solver.step is not None
-        if history is not None and not history > 0.0:
-            raise ValueError(f"history is {history} s: the interval must be positive")
+        limit = scenario.termination.time_limit
+        if history is not None and not 0.0 < history < math.inf:
+            raise ValueError(
+                f"history is {history} s: the interval must be positive and finite"
+            )
+        if history is not None and limit / history > _MOST_KEPT:
+            raise ValueError(
+                f"history is {history} s: of a flight of {limit:g} s that is more than "
+                f"{_MOST_KEPT:.0e} entries to keep"
+            )
+        if isinstance(solver, FixedStep) and limit / (solver.step or 1.0) > _MOST_STEPS:
+            raise ValueError(
+                f"step is {solver.step} s: a flight of {limit:g} s would take more than "
+                f"{_MOST_STEPS:.0e} steps"
+            )
         given = [d for d in (period, history) if d is not None]
         default = 20 * (solver.step or _STEP) if isinstance(solver, FixedStep) else 1.0
         duration = min(given, default=default)
@@ -88,7 +108,6 @@ class Plan(eqx.Module):
                     f"history is {history} s and the guidance period {period} s: one "
                     "must be a multiple of the other"
                 )
-        limit = scenario.termination.time_limit
         scheduled = math.ceil(limit / duration - 1e-9)
         if varies(law):
             assert isinstance(law, AbstractSampledLaw)

@@ -7,7 +7,7 @@ import numpy as np
 from jax.core import Tracer
 
 from .._addresses import field_metadata, leaves_by_address
-from .._types import Scalar, optional_scalar, scalar
+from .._types import QUARTER, Scalar, optional_scalar, scalar
 from ..guidance.law import AbstractLaw
 from ..motion.state import EntryState
 from ..onboard.navigation import (
@@ -15,6 +15,7 @@ from ..onboard.navigation import (
     Accelerometers,
     PerfectAccelerometers,
 )
+from ..units import degree
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 from .termination import Termination
@@ -33,7 +34,7 @@ class Target(eqx.Module):
     velocity: Scalar = scalar(unit="m/s")
     downrange: Scalar = scalar(unit="m")
     crossrange: Scalar = scalar(0.0, unit="m")
-    flight_path_angle: Scalar | None = optional_scalar(unit="rad")
+    flight_path_angle: Scalar | None = optional_scalar(unit="rad", range=QUARTER)
     """None where any will do"""
     heading: Scalar | None = optional_scalar(unit="rad")
     """Likewise"""
@@ -106,12 +107,49 @@ def require_effect(scenario: Scenario, address: str) -> None:
 
 
 def check_values(address: str, values: np.ndarray, metadata: Mapping) -> None:
-    """Refuse values of the leaf at an address that cannot be flown; see `check`."""
+    """Refuse values of the leaf at an address that cannot be flown; see `check`.
+
+    Raises `ValueError` for one that is not finite, or not what its field allows.
+    """
+    flat = np.ravel(values)
+    refused = flat[~np.isfinite(flat)]
+    if refused.size:
+        raise ValueError(f"{address} is {refused[0]}: it must be a finite number")
+    least, largest = metadata.get("range") or (-np.inf, np.inf)
+    # A bound is one in float32 as well.
+    slack = 1e-6 * max(
+        (abs(x) for x in (least, largest) if np.isfinite(x)), default=0.0
+    )
+    refused = flat[(flat < least - slack) | (flat > largest + slack)]
+    if metadata.get("positive"):
+        refused = np.append(refused, flat[flat <= 0.0])
+    if refused.size:
+        unit = metadata.get("unit", "1")
+        words = "" if unit == "1" else f" {unit}"
+        forgotten = ""
+        if unit == "rad" and least <= refused[0] * degree <= largest:
+            forgotten = f"; did you mean {refused[0]:g}deg?"
+        raise ValueError(
+            f"{address} is {refused[0]:g}{words}: it must be {allowed(metadata)}"
+            f"{forgotten}"
+        )
+    if metadata.get("increasing") and not np.all(np.diff(flat) > 0.0):
+        raise ValueError(f"{address} must increase from each value to the next")
+
+
+def allowed(metadata: Mapping) -> str:
+    """In words, what the values of a field may be; nothing where they may be any."""
+    if metadata.get("positive"):
+        return "greater than zero"
+    least, largest = metadata.get("range") or (-np.inf, np.inf)
     unit = metadata.get("unit", "1")
+    if unit == "rad":
+        least, largest, unit = least / degree, largest / degree, "deg"
     unit = "" if unit == "1" else f" {unit}"
-    if not np.all(np.isfinite(values)):
-        bad = np.ravel(values)[~np.isfinite(np.ravel(values))][0]
-        raise ValueError(f"{address} is {bad}: it must be a finite number")
-    if metadata.get("positive") and not np.all(values > 0.0):
-        bad = np.ravel(values)[np.ravel(values) <= 0.0][0]
-        raise ValueError(f"{address} is {bad:g}{unit}: it must be greater than zero")
+    if np.isinf(least) and np.isinf(largest):
+        return ""
+    if np.isinf(largest):
+        return "zero or more" if least == 0.0 else f"{least:g}{unit} or more"
+    if np.isinf(least):
+        return f"{largest:g}{unit} or less"
+    return f"between {least:g} and {largest:g}{unit}"

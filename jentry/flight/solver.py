@@ -83,8 +83,8 @@ class FixedStep(AbstractSolver):
     method: diffrax.AbstractSolver = RungeKutta4()
 
     def __check_init__(self):
-        if self.step is not None and not self.step > 0.0:
-            raise ValueError(f"step is {self.step} s: it must be positive")
+        if self.step is not None and not 0.0 < self.step < math.inf:
+            raise ValueError(f"step is {self.step} s: it must be positive and finite")
 
     def or_step(self, step: float) -> "FixedStep":
         """This, with a step (s) if it has none."""
@@ -115,3 +115,9 @@ class Adaptive(AbstractSolver):
     method: diffrax.AbstractAdaptiveSolver = diffrax.Dopri8()
     max_steps: int = eqx.field(default=4096, static=True)
     """In one guidance cycle"""
+
+    def __check_init__(self):
+        if not 0.0 < self.tolerance < math.inf:
+            raise ValueError(f"tolerance is {self.tolerance}: it must be positive")
+        if self.max_steps < 1:
+            raise ValueError(f"max_steps is {self.max_steps}: it must be 1 or more")

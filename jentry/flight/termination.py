@@ -101,8 +101,10 @@ class Termination(eqx.Module):
     """s after the start; static, since it bounds the length of the loop"""
 
     def __check_init__(self):
-        if not self.time_limit > 0.0:
-            raise ValueError(f"time_limit is {self.time_limit} s: it must be positive")
+        if not 0.0 < self.time_limit < float("inf"):
+            raise ValueError(
+                f"time_limit is {self.time_limit} s: it must be positive and finite"
+            )
 
     def margins(self, flown: Scalar, state: EntryState) -> Float[Array, " conditions"]:
         """Of every condition, and last of the time limit; `flown` is in s."""

@@ -1,5 +1,7 @@
 """From the acceleration that a path asks for to angle of attack and bank, within limits."""
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 
@@ -18,7 +20,7 @@ class FlightLimits(eqx.Module):
 
     least_angle_of_attack: Scalar = scalar(unit="rad")
     largest_angle_of_attack: Scalar = scalar(unit="rad")
-    largest_bank: Scalar = scalar(unit="rad")
+    largest_bank: Scalar = scalar(unit="rad", range=(0.0, math.pi))
     """To either side"""
     load_factor: Scalar = scalar(positive=True)
     """In units of 9.80665 m/s2"""

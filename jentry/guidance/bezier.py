@@ -11,7 +11,7 @@ from typing import ClassVar
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._types import Scalar, scalar
+from .._types import QUARTER, Scalar, scalar
 from ..motion.forces import air_data
 from ..motion.state import Controls, EntryState
 from ..onboard.bezier import BezierParameters, BezierPath, PathPoint
@@ -32,7 +32,7 @@ class Arrival(eqx.Module):
     """How the target is to be reached."""
 
     altitude: Scalar = scalar(unit="m")
-    flight_path_angle: Scalar = scalar(unit="rad")
+    flight_path_angle: Scalar = scalar(unit="rad", range=QUARTER)
     heading: Scalar = scalar(unit="rad")
 
 

@@ -81,7 +81,7 @@ class PolynomialAdjustment(AbstractVelocityControl):
     it gets worse.
     """
 
-    to_go: Float[Array, "..."] = table(unit="rad")
+    to_go: Float[Array, "..."] = table(unit="rad", increasing=True)
     """(n,) angle to go at the places of the polynomials, increasing"""
     nominal_k2: Scalar = scalar()
     nominal_velocity: Float[Array, "..."] = table(unit="m/s")

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import safe_arccos
-from .._types import Scalar, scalar
+from .._types import ABOVE_GROUND, QUARTER, Scalar, scalar
 
 
 class EntryState(eqx.Module):
@@ -16,11 +16,11 @@ class EntryState(eqx.Module):
     vertical flight and over the poles.
     """
 
-    altitude: Scalar = scalar(unit="m")
+    altitude: Scalar = scalar(unit="m", range=ABOVE_GROUND)
     longitude: Scalar = scalar(unit="rad")
-    latitude: Scalar = scalar(unit="rad")
+    latitude: Scalar = scalar(unit="rad", range=QUARTER)
     velocity: Scalar = scalar(unit="m/s", positive=True)
-    flight_path_angle: Scalar = scalar(unit="rad")
+    flight_path_angle: Scalar = scalar(unit="rad", range=QUARTER)
     heading: Scalar = scalar(unit="rad")
 
 

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._types import Scalar, scalar
+from .._types import NOT_NEGATIVE, Scalar, scalar
 
 
 class Factors(eqx.Module):
@@ -35,7 +35,7 @@ class FactorEstimator(eqx.Module):
     exact with perfect accelerometers.
     """
 
-    time_constant: Scalar = scalar(0.0, unit="s")
+    time_constant: Scalar = scalar(0.0, unit="s", range=NOT_NEGATIVE)
 
     def start(self, like: Scalar) -> Estimate:
         """Before the first sample: the model is believed."""

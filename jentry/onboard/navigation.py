@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .._types import Scalar, scalar
+from .._types import NOT_NEGATIVE, Scalar, scalar
 from ..motion.forces import AirData, air_data
 from ..motion.state import EntryState
 from ..world.planet import Planet
@@ -51,7 +51,7 @@ class Accelerometers(AbstractAccelerometers):
     lift_scale_error: Scalar = scalar(0.0)
     """Share of the force"""
     drag_scale_error: Scalar = scalar(0.0)
-    noise: Scalar = scalar(0.0, unit="m/s2")
+    noise: Scalar = scalar(0.0, unit="m/s2", range=NOT_NEGATIVE)
     """Standard deviation of a sample; the samples are independent"""
     noise_seed: Scalar = scalar(0.0)
     """Between 0 and 1, which noise this flight has; disperse it with `Uniform(0, 1)`"""

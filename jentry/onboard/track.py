@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 
 from .._math import sincos
-from .._types import Scalar, scalar
+from .._types import QUARTER, Scalar, scalar
 from ..motion.state import EntryState
 
 
@@ -45,9 +45,9 @@ class Track(eqx.Module):
     """
 
     start_longitude: Scalar = scalar(unit="rad")
-    start_latitude: Scalar = scalar(unit="rad")
+    start_latitude: Scalar = scalar(unit="rad", range=QUARTER)
     target_longitude: Scalar = scalar(unit="rad")
-    target_latitude: Scalar = scalar(unit="rad")
+    target_latitude: Scalar = scalar(unit="rad", range=QUARTER)
 
     def __check_init__(self):
         angles = jax.tree.leaves(self)

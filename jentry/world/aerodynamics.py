@@ -128,9 +128,9 @@ class TabulatedAerodynamics(AbstractAerodynamics):
     the coefficients keep their value at the edge.
     """
 
-    angles_of_attack: Float[Array, "..."] = table(unit="rad")
+    angles_of_attack: Float[Array, "..."] = table(unit="rad", increasing=True)
     """(n,), increasing"""
-    mach_numbers: Float[Array, "..."] = table()
+    mach_numbers: Float[Array, "..."] = table(increasing=True)
     """(m,), increasing"""
     lift_coefficients: Float[Array, "..."] = table()
     """(n, m)"""

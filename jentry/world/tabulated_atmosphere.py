@@ -33,12 +33,14 @@ class TabulatedAtmosphere(AbstractAtmosphere):
         atmosphere = TabulatedAtmosphere.from_csv("mars.csv")
     """
 
-    altitudes: Float[Array, "..."] = table(unit="m")
+    altitudes: Float[Array, "..."] = table(unit="m", increasing=True)
     """(n,), increasing"""
-    densities: Float[Array, "..."] = table(unit="kg/m3")
+    densities: Float[Array, "..."] = table(unit="kg/m3", positive=True)
     """(n,), positive"""
     temperatures: Float[Array, "..."] | None = eqx.field(
-        default=None, converter=_as_float_array_or_none, metadata={"unit": "K"}
+        default=None,
+        converter=_as_float_array_or_none,
+        metadata={"unit": "K", "positive": True},
     )
     """(n,); None where the source gives density alone"""
     isothermal_temperature: Scalar = scalar(246.0, unit="K", positive=True)

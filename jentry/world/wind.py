@@ -45,7 +45,7 @@ class TabulatedWind(AbstractWind):
     Below the first and above the last altitude the wind keeps its value there.
     """
 
-    altitudes: Float[Array, "..."] = table(unit="m")
+    altitudes: Float[Array, "..."] = table(unit="m", increasing=True)
     """(n,), increasing"""
     east: Float[Array, "..."] = table(unit="m/s")
     """(n,), positive where the air moves to the east"""

@@ -1,0 +1,95 @@
+"""What a flight depends on: found in its equations, without flying."""
+
+import functools
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import equinox as eqx
+import jax
+from jax.interpreters import partial_eval
+
+from .._addresses import leaves_by_address
+from ..guidance.law import AbstractSampledLaw
+from ..motion.dynamics import entry_dynamics, equatorial_dynamics
+from ..motion.state import Controls
+from ..onboard.navigation import measure
+from .closed_loop import command, decide, path_constraints, start, vector_field
+from .scenario import Scenario
+
+
+def require_felt(scenario: Scenario, addresses: Iterable[str]) -> None:
+    """Refuse numbers that no equation of the flight uses, of a law's model for example.
+
+    What the law computes is looked at only for what motion and sensors do not use, since
+    that takes much longer.
+    """
+    # Targets count in the misses.
+    wanted = {a for a in addresses if not a.startswith("target.")}
+    for equations in (_motion_and_sensors, _guidance):
+        if wanted:
+            wanted -= _used(equations, scenario)
+    for address in sorted(wanted):
+        raise ValueError(
+            f"{address} has no effect in this scenario: no equation of its flight uses it"
+        )
+
+
+def _used(equations: Callable[[Scenario], Any], scenario: Scenario) -> set[str]:
+    """Addresses of the leaves that what is computed depends on."""
+    arrays, others = eqx.partition(scenario, eqx.is_array)
+    shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in jax.tree.leaves(arrays)]
+    rest = jax.tree.flatten(others)
+    of_shapes = (jax.tree.structure(arrays), tuple(shapes), rest[1], tuple(rest[0]))
+    used = _inputs_used(equations, *of_shapes)
+    return {
+        a
+        for a, is_used in zip(leaves_by_address(scenario), used, strict=True)
+        if is_used
+    }
+
+
+@functools.lru_cache(maxsize=64)
+def _inputs_used(equations, structure, shapes, other_structure, others) -> list[bool]:
+    """Of the arrays, in their order: the same for every scenario of a structure."""
+    others = jax.tree.unflatten(other_structure, others)
+
+    def computed(leaves):
+        scenario = eqx.combine(jax.tree.unflatten(structure, leaves), others)
+        found = jax.tree.leaves(equations(scenario))
+        return [x for x in found if eqx.is_array(x)]
+
+    jaxpr = jax.make_jaxpr(computed)(list(shapes)).jaxpr
+    return partial_eval.dce_jaxpr(jaxpr, [True] * len(jaxpr.outvars))[1]
+
+
+def _motion_and_sensors(scenario: Scenario) -> Any:
+    """Of the initial state and given controls."""
+    planet, vehicle, state = scenario.planet, scenario.vehicle, scenario.initial_state
+    time = 0.0 * state.altitude
+    sampled_at = time if isinstance(scenario.guidance, AbstractSampledLaw) else None
+    dynamics = equatorial_dynamics if scenario.in_plane else entry_dynamics
+
+    controls = Controls(0.1, 0.8, 0.6)
+    sensors, angle = scenario.accelerometers, controls.angle_of_attack
+    sensed = measure(planet, vehicle, state, angle, sensors, sampled_at)
+    return (
+        state,
+        dynamics(planet, vehicle, state, controls),
+        path_constraints(scenario, state, controls),
+        scenario.termination.margins(time, state),
+        sensed.lift,
+        sensed.drag,
+    )
+
+
+def _guidance(scenario: Scenario) -> Any:
+    """All that one cycle computes."""
+    lane = decide(scenario, start(scenario, 1.0), None)
+    law = scenario.guidance
+    controls, _ = command(scenario, lane.flown, lane.state, lane.memory, lane.held)
+    return (
+        lane,
+        law.cycle(lane.held) if isinstance(law, AbstractSampledLaw) else None,
+        vector_field(scenario, lane.held)(lane.flown, (lane.state, lane.memory)),
+        path_constraints(scenario, lane.state, controls),
+    )
