@@ -22,7 +22,7 @@ from ..campaign.monte_carlo import LANES, filled_up, fly_run, over_runs
 from ..flight.misses import misses
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
-from ..flight.termination import Outcome, Termination
+from ..flight.termination import Termination, has_end
 from .batch_gradient import Outputs
 from .sensitivity import named
 
@@ -147,7 +147,8 @@ def linear_covariance(
     codes, finite = np.asarray(codes), np.asarray(finite)
     if not finite[0]:
         raise ValueError(
-            "the flight at the mean of all draws is not finite: it has no derivatives"
+            "the flight at the mean of all draws is not finite or has no end: it has no "
+            "derivatives"
         )
 
     models, without_model = {}, {}
@@ -223,14 +224,13 @@ def _draws(pairs: Pairs, key: Key[Array, ""], runs: Array) -> Draws:
 
 @eqx.filter_jit
 def _fly_draws(scenario, pairs: Pairs, draws: Draws, outputs, solver, devices: int):
-    """Outputs, code of the end condition and whether finite, for each set of draws."""
+    """Outputs, code of the end condition and whether it has one, for all draws."""
 
     def one(shared, draws):
         scenario, pairs = shared
         inputs = disperse(scenario, dict(pairs), draws)
         flight, aimed = fly_run(scenario, inputs, solver)
-        finite = flight.outcome != Outcome.NOT_FINITE
-        return outputs(aimed, flight), flight.ended_by, finite
+        return outputs(aimed, flight), flight.ended_by, has_end(flight.outcome)
 
     return over_runs(one, (scenario, pairs), draws, devices)
 
@@ -258,7 +258,7 @@ def _linear_model(
     )
     slopes, values, outcome, ended_by = _linearize(alone, pairs, outputs, solver)
     met = alone.termination.names[int(ended_by)] == name
-    if not met or int(outcome) == Outcome.NOT_FINITE:
+    if not met or not has_end(int(outcome)):
         return None
     time, columns = values
     time_slope, slope_columns = slopes

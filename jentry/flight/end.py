@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from .._types import Count
-from .closed_loop import Lane, command, path_constraints, vector_field
+from .closed_loop import Lane, command, is_finite, path_constraints, vector_field
 from .scenario import Scenario
 from .termination import Outcome
 
@@ -39,6 +39,9 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
         (jnp.ones_like(lane.flown), rates),
     )
     seconds_left = jnp.where(margins <= 0.0, 0.0, jnp.abs(margins / margin_rates))
+    counting = conditions.counting(lane.flown, lane.state)
+    if counting is not None:
+        seconds_left = jnp.where(counting, seconds_left, jnp.inf)
     seconds_left = lax.stop_gradient(seconds_left)
     ended_by = jnp.argmin(seconds_left)
     met = seconds_left[ended_by] < _TIME_TOLERANCE
@@ -62,8 +65,13 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
         peaks,
         lane.bracket,
         jnp.zeros_like(lane.running),
+        lane.singular,
     )
-    outcome = jnp.where(
-        met, jnp.array(conditions.outcomes)[ended_by], Outcome.NOT_FINITE
-    )
+    outcome = jnp.array(conditions.outcomes)[ended_by]
+    beyond = ~began & (margins[ended_by] <= 0.0)
+    outcome = jnp.where(beyond, Outcome.BEGAN_BEYOND_END, outcome)
+    outcome = jnp.where(met, outcome, Outcome.NOT_FINITE)
+    outcome = jnp.where(lane.singular, Outcome.SINGULAR, outcome)
+    finite = is_finite((flown, state, lane.memory, peaks))
+    outcome = jnp.where(finite, outcome, Outcome.NOT_FINITE)
     return End(ended, outcome, ended_by)
