@@ -30,15 +30,14 @@ class _Polar(NamedTuple):
     approach: Scalar
     """Change of the distance"""
     turn: Scalar
-    """Change of the angle, rad"""
+    """By how much the angle changes, rad"""
 
     def is_too_long(self) -> Flag:
-        turn = jnp.abs(self.turn)
         # Away from a start close by, the turn is a small one that ends within the step.
         near = jnp.abs(self.approach) > _LARGEST_TURN * self.distance
         return (
-            (turn > _LARGEST_TURN)
-            | (near & (turn > _NO_TURN))
+            (self.turn > _LARGEST_TURN)
+            | (near & (self.turn > _NO_TURN))
             | (self.distance < -_PASSED)
         )
 
@@ -58,14 +57,17 @@ def step_is_too_long(before: EntryState, after: EntryState, in_plane: bool) -> F
         return getattr(after, name) - getattr(before, name)
 
     path = change("flight_path_angle")
-    too_long = _Polar(after.velocity, change("velocity"), path).is_too_long()
+    at_rest = _Polar(after.velocity, change("velocity"), jnp.abs(path))
     if in_plane:
-        return too_long
+        return at_rest.is_too_long()
     to_vertical = 0.5 * jnp.pi - jnp.abs(after.flight_path_angle)
     to_pole = 0.5 * jnp.pi - jnp.abs(after.latitude)
-    vertical = _Polar(to_vertical, path, change("heading"))
-    pole = _Polar(to_pole, change("latitude"), change("longitude"))
-    return too_long | vertical.is_too_long() | pole.is_too_long()
+    around_pole = jnp.abs(change("longitude"))
+    # Convergence of the meridians turns the heading by no more than the longitude.
+    around_vertical = jnp.abs(change("heading")) - around_pole
+    vertical = _Polar(to_vertical, path, around_vertical)
+    pole = _Polar(to_pole, change("latitude"), around_pole)
+    return at_rest.is_too_long() | vertical.is_too_long() | pole.is_too_long()
 
 
 def is_beyond(state: EntryState, in_plane: bool) -> Flag:
