@@ -186,6 +186,18 @@ def test_adaptive_steps_are_right_or_named(case):
         assert error < 1e-2
 
 
+def test_a_step_over_a_singular_point_behind_the_end_does_not_matter():
+    """Up to 5 cm/s before rest, which the next step of 37 cm/s would go through."""
+    case = with_leaf(
+        scenario(FOUND["through rest"]),
+        lambda s: s.termination.conditions["velocity"].velocity,
+        0.05,
+    )
+    flight = fly_compiled(case, FixedStep(STEP))
+    assert int(flight.outcome) == Outcome.REACHED
+    np.testing.assert_allclose(flight.state.velocity, 0.05, atol=1e-9)
+
+
 def test_vertical_fall_is_flown():
     """Nothing turns it: a ballistic fall over a planet at rest, at any heading."""
     starts = [
