@@ -25,7 +25,12 @@ NEVER = 1e9
 
 
 def scenario(
-    state, bank_angle=0.0, density_scale=1.0, rotation_rate=0.0, ground=-NEVER
+    state,
+    bank_angle=0.0,
+    density_scale=1.0,
+    rotation_rate=0.0,
+    ground=-NEVER,
+    lift_scale=1.0,
 ):
     """Of the structure of `free_scenario`, to share what is compiled for it."""
     planet = mars_planet(rotation_rate=rotation_rate, density_scale=density_scale)
@@ -33,6 +38,7 @@ def scenario(
     for where, value in (
         (lambda s: s.planet, planet),
         (lambda s: s.initial_state, state),
+        (lambda s: s.vehicle.lift_scale, lift_scale),
         (lambda s: s.termination.conditions["ceiling"].altitude, NEVER),
         (lambda s: s.termination.conditions["ground"].altitude, ground),
         (lambda s: s.termination.conditions["velocity"].velocity, -NEVER),
@@ -41,8 +47,19 @@ def scenario(
     return changed
 
 
+LANES = 48
+"""Of a batch, so that one compiled program serves all tests."""
+
+
 def fly_all(scenarios, step=STEP):
-    return fly_batch(jax.tree.map(lambda *x: jnp.stack(x), *scenarios), FixedStep(step))
+    flown = []
+    for first in range(0, len(scenarios), LANES):
+        some = scenarios[first : first + LANES]
+        filled = some + [some[-1]] * (LANES - len(some))
+        batch = jax.tree.map(lambda *x: jnp.stack(x), *filled)
+        flights = fly_batch(batch, FixedStep(step))
+        flown.append(jax.tree.map(lambda x, n=len(some): x[:n], flights))
+    return jax.tree.map(lambda *x: jnp.concatenate(x), *flown)
 
 
 def flight_of(flights, lane):
@@ -137,9 +154,11 @@ def test_passes_over_a_pole_are_right_or_named():
         time, state = flight_of(flights, lane)
         expected = great_circle(states[lane], time * CIRCULAR / (RADIUS + ALTITUDE))
         position, _ = cartesian.from_entry_state(RADIUS, state, np)
-        # 5e-5 of a step, 340 m, is 17 mm; up to where a flight is named it is right too.
+        # 5e-5 of a step, 340 m, is 17 mm. Where a flight is named, the step before may
+        # have been at half of the distance.
+        share = 5e-5 if outcome == Outcome.TIMED_OUT else 4e-4
         # Rounding of 3000 steps of an angle of 1.5 rad: 3000 * 2e-16 * 3.5e6 m = 2e-6 m.
-        assert np.linalg.norm(position - expected) < 5e-5 * ARC * RADIUS + 2e-6
+        assert np.linalg.norm(position - expected) < share * ARC * RADIUS + 2e-6
         if outcome == Outcome.SINGULAR:
             assert 4.0 < time < 6.5  # within 20 steps of the 60th
 
@@ -148,7 +167,7 @@ def test_passes_over_a_pole_are_right_or_named():
 
 
 def climb(path):
-    """Through rest after 54 s; the flight is over then."""
+    """Through rest after 54 s."""
     return EntryState(10 * km, 0.3, 0.2, 200.0, path, 70 * degree)
 
 
@@ -165,7 +184,7 @@ FOUND = {
 
 @pytest.mark.parametrize("case", FOUND)
 def test_flights_that_were_wrong_are_named(case):
-    flight = fly_compiled(scenario(FOUND[case]), FixedStep(STEP))
+    flight = fly_compiled(scenario(FOUND[case], lift_scale=0.0), FixedStep(STEP))
     assert int(flight.outcome) == Outcome.SINGULAR
     for leaf in jax.tree.leaves(flight):
         assert np.all(np.isfinite(leaf))
@@ -176,11 +195,11 @@ def test_flights_that_were_wrong_are_named(case):
 def test_adaptive_steps_are_right_or_named(case):
     """They are right past a pole, and exactly over it they cannot see it."""
     start = FOUND[case]
-    flight = fly_compiled(scenario(start), Adaptive())
+    flight = fly_compiled(scenario(start, lift_scale=0.0), Adaptive())
     right = case in ("past the pole", "nearly through rest")
     assert int(flight.outcome) == (Outcome.TIMED_OUT if right else Outcome.SINGULAR)
     if right:
-        error, _ = error_of(start, 0.0, 0.0, 1.0, float(flight.time), flight.state)
+        error, _ = error_of(start, None, 0.0, 1.0, float(flight.time), flight.state)
         # A tolerance of 1e-10 in each of some hundred steps, near a pole of radians that
         # count as metres do: it is 1 mm.
         assert error < 1e-2
@@ -189,7 +208,7 @@ def test_adaptive_steps_are_right_or_named(case):
 def test_a_step_over_a_singular_point_behind_the_end_does_not_matter():
     """Up to 5 cm/s before rest, which the next step of 37 cm/s would go through."""
     case = with_leaf(
-        scenario(FOUND["through rest"]),
+        scenario(FOUND["through rest"], lift_scale=0.0),
         lambda s: s.termination.conditions["velocity"].velocity,
         0.05,
     )
@@ -204,26 +223,24 @@ def test_vertical_fall_is_flown():
         EntryState(126 * km, 0.3, 0.2, 6000.0, -90 * degree, heading)
         for heading in (0.0, 1.0, 4.0)
     ]
-    flights = fly_all([scenario(start, ground=0.0) for start in starts])
+    flights = fly_all([scenario(s, ground=0.0, lift_scale=0.0) for s in starts])
     assert np.all(flights.outcome == Outcome.CRASHED)
     np.testing.assert_allclose(flights.state.longitude, 0.3, atol=1e-12)
     np.testing.assert_allclose(flights.state.latitude, 0.2, atol=1e-12)
 
 
-@pytest.mark.parametrize("heading", [0.0, 200.0, 270.0])
-def test_steep_flights_are_flown(heading):
-    """From entry to the ground at 60 to 89 degrees, with lift to a side, turning planet;
-    and thrown up at 30 to 88 degrees."""
-    steep = [
-        EntryState(126 * km, 0.1, 0.3, 6750.0, -path * degree, heading * degree)
-        for path in (40, 60, 80, 85, 89)
-    ]
-    thrown = [
-        EntryState(10 * km, 0.1, 0.3, 300.0, path * degree, heading * degree)
-        for path in (30, 60, 80, 88)
+def test_steep_flights_are_flown():
+    """From entry to the ground at 40 to 89 degrees, and thrown up at 30 to 88 degrees,
+    with lift to a side over a turning planet: they come close to no singular point."""
+    entries = [(126 * km, 6750.0, -path) for path in (40, 60, 80, 85, 89)]
+    throws = [(10 * km, 300.0, path) for path in (30, 60, 80, 88)]
+    starts = [
+        EntryState(altitude, 0.1, 0.3, velocity, path * degree, heading * degree)
+        for altitude, velocity, path in entries + throws
+        for heading in (0.0, 90.0, 200.0, 270.0)
     ]
     flights = fly_all(
-        [scenario(start, 1.0, 1.0, ROTATION, ground=0.0) for start in steep + thrown]
+        [scenario(start, 1.0, 1.0, ROTATION, ground=0.0) for start in starts]
     )
     assert np.all(flights.outcome == Outcome.CRASHED)
 
@@ -232,7 +249,10 @@ def test_steep_flights_are_flown(heading):
 
 
 def error_of(start, bank_angle, rotation_rate, density_scale, time, state):
-    """Of place (m) and velocity (m/s) at a time, against Newton's law in vectors."""
+    """Of place (m) and velocity (m/s) at a time, against Newton's law in vectors.
+
+    Without lift where the bank angle is none.
+    """
     start = jax.tree.map(float, start)
     position, velocity = cartesian.from_entry_state(RADIUS, start, np)
 
@@ -250,7 +270,7 @@ def error_of(start, bank_angle, rotation_rate, density_scale, time, state):
             rotation_rate=rotation_rate,
             wind=(0.0, 0.0, 0.0),
             drag=drag,
-            lift=lambda airspeed: 0.18 * drag(airspeed),
+            lift=None if bank_angle is None else lambda v: 0.18 * drag(v),
             bank_angle=bank_angle,
         )
         return np.concatenate([y[3:], change])
