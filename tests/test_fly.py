@@ -96,7 +96,10 @@ ENDS = {
         "ceiling",
     ),
     "over a pole": (
-        {"start": EntryState(126.1 * km, 0.0, 1.5, 6750.0, -14.4 * degree, 0.0)},
+        {
+            "start": EntryState(126.1 * km, 0.0, 1.5, 6750.0, -14.4 * degree, 0.0),
+            "bank_angle": 0.0,
+        },
         Outcome.SINGULAR,
         None,
     ),
