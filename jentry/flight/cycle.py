@@ -183,13 +183,13 @@ def _fixed_cycle(
         finite = is_finite(y)
         taken = lane.running & finite & (margin > 0.0)
         singular = taken & step_is_too_long(lane.state, state, scenario.in_plane)
-        taken = taken & ~singular
+        taken = taken & jnp.logical_not(singular)
         flown, state, memory, peaks = select(
             taken,
             (flown, state, memory, peaks),
             (lane.flown, lane.state, lane.memory, lane.peaks),
         )
-        running = lane.running & finite & ~singular
+        running = lane.running & finite & jnp.logical_not(singular)
         after = _next_trial(bracket, margin, taken, full_step)
         bracket = select(running, after, bracket)
         running = running & (bracket.trial >= _END_TOLERANCE)
@@ -266,7 +266,7 @@ def _adaptive_cycle(
     )
     going = lane.running & good & is_finite((state, memory))
     singular = going & is_beyond(state, scenario.in_plane)
-    going = going & ~singular
+    going = going & jnp.logical_not(singular)
     controls, _ = command(scenario, after, state, memory, lane.held)
     now = path_constraints(scenario, state, controls)
     peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
