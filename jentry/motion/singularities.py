@@ -32,14 +32,12 @@ class _Polar(NamedTuple):
     turn: Scalar
     """By how much the angle changes, rad"""
 
-    def is_too_long(self) -> Flag:
+    def excess(self) -> Scalar:
+        """Positive if the step is too long."""
         # Away from a start close by, the turn is a small one that ends within the step.
         near = jnp.abs(self.approach) > _LARGEST_TURN * self.distance
-        return (
-            (self.turn > _LARGEST_TURN)
-            | (near & (self.turn > _NO_TURN))
-            | (self.distance < -_PASSED)
-        )
+        allowed = jnp.where(near, _NO_TURN, _LARGEST_TURN)
+        return jnp.maximum(self.turn - allowed, -_PASSED - self.distance)
 
 
 def step_is_too_long(before: EntryState, after: EntryState, in_plane: bool) -> Flag:
@@ -57,9 +55,9 @@ def step_is_too_long(before: EntryState, after: EntryState, in_plane: bool) -> F
         return getattr(after, name) - getattr(before, name)
 
     path = change("flight_path_angle")
-    at_rest = _Polar(after.velocity, change("velocity"), jnp.abs(path))
+    excess = _Polar(after.velocity, change("velocity"), jnp.abs(path)).excess()
     if in_plane:
-        return at_rest.is_too_long()
+        return excess > 0.0
     to_vertical = 0.5 * jnp.pi - jnp.abs(after.flight_path_angle)
     to_pole = 0.5 * jnp.pi - jnp.abs(after.latitude)
     around_pole = jnp.abs(change("longitude"))
@@ -67,7 +65,9 @@ def step_is_too_long(before: EntryState, after: EntryState, in_plane: bool) -> F
     around_vertical = jnp.abs(change("heading")) - around_pole
     vertical = _Polar(to_vertical, path, around_vertical)
     pole = _Polar(to_pole, change("latitude"), around_pole)
-    return at_rest.is_too_long() | vertical.is_too_long() | pole.is_too_long()
+    for other in (vertical, pole):
+        excess = jnp.maximum(excess, other.excess())
+    return excess > 0.0
 
 
 def is_beyond(state: EntryState, in_plane: bool) -> Flag:
