@@ -30,6 +30,7 @@ from jentry.flight import (
     VelocityBelow,
     check,
     fly,
+    has_end,
 )
 from jentry.guidance import BankProfile, Sampled
 from jentry.motion import EntryState
@@ -53,6 +54,7 @@ def changed(**changes):
         "bank_angle": lambda s: s.guidance.bank_angle,
         "lift_scale": lambda s: s.vehicle.lift_scale,
         "density_scale": lambda s: s.planet.density_scale,
+        "mass": lambda s: s.vehicle.mass,
     }
     for name, value in changes.items():
         scenario = with_leaf(scenario, places[name], value)
@@ -73,6 +75,36 @@ ENDS = {
     ),
     "timed out": ({"start": entry(3500.0, 0.0)}, Outcome.TIMED_OUT, "time_limit"),
     "not finite": ({"lift_scale": 1e300}, Outcome.NOT_FINITE, None),
+    "not finite at the start": ({"mass": 1e-300}, Outcome.NOT_FINITE, None),
+    "too fast to be a number": (
+        {"start": entry(velocity=1e160)},
+        Outcome.NOT_FINITE,
+        None,
+    ),
+    "deep below": ({"start": entry(altitude=-1e7)}, Outcome.NOT_FINITE, None),
+    "began too slow": (
+        {"end_velocity": 7000.0},
+        Outcome.BEGAN_BEYOND_END,
+        "velocity",
+    ),
+    "began at the end": (
+        {"end_velocity": 6750.0},
+        Outcome.BEGAN_BEYOND_END,
+        "velocity",
+    ),
+    "began too high": (
+        {"start": entry(altitude=150 * km)},
+        Outcome.BEGAN_BEYOND_END,
+        "ceiling",
+    ),
+    "over a pole": (
+        {
+            "start": EntryState(126.1 * km, 0.0, 1.5, 6750.0, -14.4 * degree, 0.0),
+            "bank_angle": 0.0,
+        },
+        Outcome.SINGULAR,
+        None,
+    ),
 }
 
 
@@ -81,6 +113,11 @@ def assert_ends(flight, scenario, outcome, name):
     if name is not None:
         assert scenario.termination.names[int(flight.ended_by)] == name
         margins = scenario.termination.margins(flight.time, flight.state)
+        if outcome == Outcome.BEGAN_BEYOND_END:
+            assert margins[flight.ended_by] <= 0.0
+            assert flight.time == 0.0
+            assert eqx.tree_equal(flight.state, scenario.initial_state)
+            return
         # The condition that ended it is met: rounding of one altitude in metres.
         assert abs(margins[flight.ended_by]) < 1e-9
         others = jnp.delete(margins, int(flight.ended_by))
@@ -193,14 +230,33 @@ def test_solvers_agree_on_a_sampled_law(reference):
         np.testing.assert_allclose(one, other, rtol=1e-6)
 
 
-@pytest.mark.parametrize("solver", [STEP, Adaptive()], ids=["fixed", "adaptive"])
-def test_a_condition_met_at_the_start_ends_the_flight_there(solver):
-    scenario = changed(end_velocity=7000.0)
-    flight = fly_compiled(scenario, solver)
+WITHOUT_END = [case for case in ENDS if not has_end(ENDS[case][1])]
+
+
+@pytest.mark.parametrize("case", WITHOUT_END)
+def test_adaptive_steps_name_flights_without_an_end(case):
+    changes, outcome, name = ENDS[case]
+    scenario = changed(**changes)
+    assert_ends(fly_compiled(scenario, Adaptive()), scenario, outcome, name)
+
+
+def test_an_infinite_peak_on_the_way_is_not_finite():
+    """The state stays finite: only the heat rate is beyond all numbers."""
+    scenario = changed()
+    scenario = with_leaf(scenario, lambda s: s.planet.heating_coefficient, 1e308)
+    assert fly_compiled(scenario, STEP).outcome == Outcome.NOT_FINITE
+
+
+def test_a_flight_ends_right_after_its_start():
+    """Sooner than the search resolves: it began before the end, and reached it."""
+    scenario = changed(start=entry(path=-60 * degree, altitude=30 * km))
+    start = scenario.initial_state.velocity
+    scenario = changed(
+        start=entry(path=-60 * degree, altitude=30 * km), end_velocity=start - 1e-9
+    )
+    flight = fly_compiled(scenario, STEP)
     assert flight.outcome == Outcome.REACHED
-    assert scenario.termination.names[int(flight.ended_by)] == "velocity"
-    assert flight.time == 0.0
-    assert eqx.tree_equal(flight.state, scenario.initial_state)
+    assert 0.0 <= flight.time < 1e-9
 
 
 def test_flight_ends_at_the_first_of_two_conditions_that_are_close():
@@ -259,7 +315,7 @@ def test_vmap_equals_loop():
         alone = fly_compiled(scenario, STEP)
         together = jax.tree.map(lambda x, lane=lane: x[lane], batch)
         assert together.outcome == alone.outcome
-        if alone.outcome == Outcome.NOT_FINITE:
+        if not has_end(alone.outcome):
             continue
         assert together.ended_by == alone.ended_by
         ours, theirs = (

@@ -188,13 +188,16 @@ def test_runs_that_are_not_finite_are_left_out_and_counted(runs):
     errors = runs["downrange_error"].values.copy()
     errors[:3] = [np.nan, np.inf, np.nan]
     outcome = runs["outcome"].values.copy()
-    outcome[5] = Outcome.NOT_FINITE
+    outcome[5:8] = [Outcome.NOT_FINITE, Outcome.SINGULAR, Outcome.BEGAN_BEYOND_END]
     lost = runs.assign(downrange_error=("run", errors), outcome=("run", outcome))
     figures = campaign_figures(lost, lost)
     for figure in [*figures.values(), overview(lost, lost)]:
-        assert figure.get_supxlabel() == "4 of 40 runs not finite: left out"
-        assert figure.axes[0].get_title(loc="left").startswith("36 runs")
-    assert sum(counts(figures["downrange"].axes[0])) == 36
+        assert (
+            figure.get_supxlabel()
+            == "6 of 40 runs not finite or without an end: left out"
+        )
+        assert figure.axes[0].get_title(loc="left").startswith("34 runs")
+    assert sum(counts(figures["downrange"].axes[0])) == 34
     assert campaign_figures(runs)["downrange"].get_supxlabel() == ""
 
 

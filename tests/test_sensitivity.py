@@ -91,6 +91,20 @@ def distance(scenario, flight):
 
 
 @pytest.mark.parametrize(
+    ("where", "value", "message"),
+    [
+        (lambda s: s.initial_state.velocity, 400.0, "began where an end condition"),
+        (lambda s: s.initial_state.latitude, 0.5 * np.pi, "singular over the poles"),
+        (lambda s: s.vehicle.mass, 1e-300, "numbers were no longer finite"),
+    ],
+)
+def test_a_flight_without_an_end_has_no_derivatives(where, value, message):
+    scenario = with_leaf(cheap.scenario(), where, value)
+    with pytest.raises(ValueError, match=message):
+        sensitivity(scenario, misses, two, solver=cheap.SOLVER, mode="forward")
+
+
+@pytest.mark.parametrize(
     ("options", "message"),
     [
         ({"wrt": lambda s: ()}, "a lens reaches no leaf"),

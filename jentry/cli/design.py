@@ -129,8 +129,8 @@ def tune(
     import optax
     import optimistix
 
-    from ..design import surrogate
     from ..campaign.dispersions import key_of
+    from ..design import surrogate
     from ..design.losses import BY_NAME
     from ..design.tuning import tune as tune_scenario
     from ..flight.solver import FixedStep

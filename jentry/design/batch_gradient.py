@@ -22,7 +22,7 @@ from ..campaign.monte_carlo import LANES, fly_run, on_devices, over_runs
 from ..flight.fly import Flight
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
-from ..flight.termination import Outcome
+from ..flight.termination import has_end
 from .parameters import Free, Parameters
 
 
@@ -57,12 +57,12 @@ class Problem(eqx.Module):
     def __call__(
         self, free: Free, inputs: dict[str, Array]
     ) -> tuple[Any, Bool[Array, ""]]:
-        """Outputs of one run, and whether they are all finite."""
+        """Outputs of one run, and whether it has an end and all of them are finite."""
         # The tuned values are nominal ones: a tuned entry point moves the target along.
         tuned = replace_leaves(self.scenario, self.parameters.values(free))
         flight, aimed = fly_run(tuned, inputs, self.solver, self.history)
         outputs = jax.tree.map(jnp.asarray, self.outputs(aimed, flight))
-        finite = all_finite(outputs) & (flight.outcome != Outcome.NOT_FINITE)
+        finite = all_finite(outputs) & has_end(flight.outcome)
         return outputs, finite
 
 

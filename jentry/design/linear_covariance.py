@@ -145,7 +145,8 @@ def linear_covariance(
     codes, finite = np.asarray(codes), np.asarray(finite)
     if not finite[0]:
         raise ValueError(
-            "the flight at the mean of all draws is not finite: it has no derivatives"
+            "the flight at the mean of all draws is not finite or has no end: it has no "
+            "derivatives"
         )
 
     models, without_model = {}, {}

@@ -26,7 +26,7 @@ from .._addresses import leaves_by_address
 from ..campaign.dispersions import Dispersion, disperse, draw
 from ..campaign.monte_carlo import LANES, filled_up, fly_run, over_runs
 from ..flight.scenario import Scenario
-from ..flight.termination import Outcome, Termination
+from ..flight.termination import Termination, has_end
 from .batch_gradient import Outputs
 from .sensitivity import named
 
@@ -67,7 +67,7 @@ def fly_draws(scenario, pairs: Pairs, draws: Draws, outputs, solver, devices: in
         scenario, pairs = shared
         inputs = disperse(scenario, dict(pairs), draws)
         flight, aimed = fly_run(scenario, inputs, solver)
-        finite = flight.outcome != Outcome.NOT_FINITE
+        finite = has_end(flight.outcome)
         return outputs(aimed, flight), flight.time, flight.ended_by, finite
 
     return over_runs(one, (scenario, pairs), draws, devices)
@@ -121,7 +121,8 @@ def mean_model(
     both = np.all((code == 0) & finite, axis=1)
     if np.any(np.sum(both, axis=1) < 2):
         return None
-    columns = {named(n): x for n, x in leaves_by_address(values).items()} | {"": time}
+    by_address = leaves_by_address(jax.tree.map(jnp.asarray, values))
+    columns = {named(n): np.asarray(x) for n, x in by_address.items()} | {"": time}
     slopes = {n: dict.fromkeys(dict(pairs), 0.0) for n in columns}
     errors = {n: dict.fromkeys(dict(pairs), 0.0) for n in columns}
     for place, name in enumerate(moving):
@@ -147,7 +148,7 @@ def linear_model(
     """Of the flight that only this condition ends; none if it never meets it."""
     slopes, values, outcome, ended_by = _linearize(alone, pairs, outputs, solver)
     met = alone.termination.names[int(ended_by)] == name
-    if not met or int(outcome) == Outcome.NOT_FINITE:
+    if not met or not has_end(int(outcome)):
         return None
     time, columns = values
     time_slope, slope_columns = slopes

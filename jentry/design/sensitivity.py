@@ -15,7 +15,7 @@ from ..campaign.monte_carlo import fly_run
 from ..flight.misses import misses
 from ..flight.scenario import Scenario, check, require_effect, without_effect
 from ..flight.solver import AbstractSolver, FixedStep
-from ..flight.termination import Outcome
+from ..flight.termination import Outcome, has_end
 from .batch_gradient import FORWARD_UP_TO, Outputs
 
 
@@ -82,10 +82,10 @@ def sensitivity(
     jacobian, values, outcome, ended_by = _jacobian(
         leaves, scenario, outputs, solver, history, forward
     )
-    if int(outcome) == Outcome.NOT_FINITE:
+    if not has_end(int(outcome)):
         raise ValueError(
-            f"the flight {Outcome.NOT_FINITE.message}: it has no derivatives; fly it with "
-            "a history and see where it fails"
+            f"the flight {Outcome(int(outcome)).message}: it has no derivatives; fly it "
+            "with a history and see where it fails"
         )
     by_output = leaves_by_address(values)
     names = list(by_output)

@@ -7,8 +7,13 @@ from .solver import Adaptive as Adaptive, FixedStep as FixedStep
 from .termination import (
     AltitudeAbove as AltitudeAbove,
     AltitudeBelow as AltitudeBelow,
+    Apoapsis as Apoapsis,
+    Crossing as Crossing,
     Outcome as Outcome,
+    Periapsis as Periapsis,
     TargetPassed as TargetPassed,
     Termination as Termination,
+    VelocityAbove as VelocityAbove,
     VelocityBelow as VelocityBelow,
+    has_end as has_end,
 )

@@ -58,6 +58,8 @@ class Lane(eqx.Module):
     peaks: Peaks
     bracket: Bracket
     running: Flag
+    singular: Flag
+    """Stopped since a step came too close to a singular point of the equations of motion"""
 
     @property
     def on_schedule(self) -> Flag:
@@ -110,16 +112,20 @@ def start(scenario: Scenario, step: float) -> Lane:
         assert isinstance(law, AbstractContinuousLaw)
         memory, held = law.init(measurement), None
     flown = 0.0 * state.altitude
-    margin = scenario.termination.smallest_margin(flown, state)
+    conditions = scenario.termination
+    margin = conditions.smallest_margin(flown, state, conditions.always)
     controls, _ = command(scenario, flown, state, memory, held)
+    peaks = path_constraints(scenario, state, controls)
+    running = (margin > 0.0) & is_finite((state, memory, peaks))
     return Lane(
         flown=flown,
         state=state,
         memory=memory,
         held=held,
-        peaks=path_constraints(scenario, state, controls),
+        peaks=peaks,
         bracket=Bracket(flown + step, margin, flown + jnp.inf, flown, flown + jnp.inf),
-        running=margin > 0.0,
+        running=running,
+        singular=jnp.zeros_like(running),
     )
 
 
@@ -184,6 +190,13 @@ def path_constraints(
         ),
         load_factor=load_factor(air),
     )
+
+
+def is_finite(y: Any) -> Flag:
+    """Whether every number of a state is finite."""
+    # A reduction of a scalar would stand between operations that belong together.
+    leaves = [x if jnp.ndim(x) == 0 else jnp.sum(x) for x in jax.tree.leaves(y)]
+    return jnp.isfinite(sum(leaves))
 
 
 def select(condition: Flag, chosen: Any, otherwise: Any) -> Any:

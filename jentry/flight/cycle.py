@@ -2,7 +2,6 @@
 
 import functools
 import math
-from typing import Any
 
 import diffrax
 import equinox as eqx
@@ -14,12 +13,14 @@ from jax import lax
 from .._setup import fast_options_are_on
 from .._types import Flag, Scalar
 from ..guidance.law import AbstractLaw, AbstractSampledLaw
+from ..motion.singularities import is_beyond, step_is_too_long
 from .closed_loop import (
     Bracket,
     Lane,
     command,
     decide,
     guidance_period,
+    is_finite,
     path_constraints,
     select,
     vector_field,
@@ -201,19 +202,26 @@ def _fixed_cycle(
         now = path_constraints(scenario, state, controls)
         peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
 
-        margin = conditions.smallest_margin(flown, state)
+        counting = conditions.counting(lane.flown, lane.state)
+        margin = conditions.smallest_margin(flown, state, counting)
         finite = is_finite(y)
         taken = lane.running & finite & (margin > 0.0)
+        singular = taken & step_is_too_long(lane.state, state, scenario.in_plane)
+        taken = taken & jnp.logical_not(singular)
         flown, state, memory, peaks = select(
             taken,
             (flown, state, memory, peaks),
             (lane.flown, lane.state, lane.memory, lane.peaks),
         )
-        running = lane.running & finite
+        running = lane.running & finite & jnp.logical_not(singular)
         after = _next_trial(bracket, margin, taken, full_step)
         bracket = select(running, after, bracket)
         running = running & (bracket.trial > 0.0)
-        return Lane(flown, state, memory, lane.held, peaks, bracket, running), None
+        singular = lane.singular | singular
+        stepped = Lane(
+            flown, state, memory, lane.held, peaks, bracket, running, singular
+        )
+        return stepped, None
 
     return lax.scan(step, lane, None, length=steps)[0]
 
@@ -254,22 +262,19 @@ def _next_trial(
     return Bracket(trial, margin, far, far_margin, allowed)
 
 
-def is_finite(y: Any) -> Flag:
-    """Whether every number of a state is finite."""
-    # A reduction of a scalar would stand between operations that belong together.
-    leaves = [x if jnp.ndim(x) == 0 else jnp.sum(x) for x in jax.tree.leaves(y)]
-    return jnp.isfinite(sum(leaves))
-
-
 def _adaptive_cycle(
     scenario: Scenario, solver: Adaptive, duration: Scalar | float, lane: Lane
 ) -> Lane:
     """Integrate to the end of the cycle, or to the first end condition."""
     field = vector_field(scenario, lane.held)
-    flown = jnp.minimum(lane.flown + duration, scenario.termination.time_limit)
+    conditions = scenario.termination
+    flown = jnp.minimum(lane.flown + duration, conditions.time_limit)
+    counting = conditions.counting(lane.flown, lane.state)
 
     def smallest_margin(t, y, args, **kwargs):
-        margins = scenario.termination.margins(t, y[0])
+        margins = conditions.margins(t, y[0])
+        if counting is not None:
+            margins = jnp.where(counting, margins, jnp.inf)
         return jnp.min(margins[:-1], initial=jnp.inf)
 
     solution = diffrax.diffeqsolve(
@@ -297,6 +302,8 @@ def _adaptive_cycle(
         solution.result == diffrax.RESULTS.event_occurred
     )
     going = lane.running & good & is_finite((state, memory))
+    singular = going & is_beyond(state, scenario.in_plane)
+    going = going & jnp.logical_not(singular)
     controls, _ = command(scenario, after, state, memory, lane.held)
     now = path_constraints(scenario, state, controls)
     peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
@@ -305,4 +312,6 @@ def _adaptive_cycle(
         (after, state, memory, peaks),
         (lane.flown, lane.state, lane.memory, lane.peaks),
     )
-    return Lane(flown, state, memory, lane.held, peaks, lane.bracket, going & ~done)
+    running = going & ~done
+    singular = lane.singular | singular
+    return Lane(flown, state, memory, lane.held, peaks, lane.bracket, running, singular)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from .._types import Count
-from .closed_loop import Lane, command, path_constraints, vector_field
+from .closed_loop import Lane, command, is_finite, path_constraints, vector_field
 from .scenario import Scenario
 from .termination import Outcome
 
@@ -43,6 +43,7 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     """
     conditions = scenario.termination
     field = vector_field(scenario, lane.held)
+    counting = conditions.counting(lane.flown, lane.state)
 
     def land(landing, _):
         """One step, whose length is known after its first stage."""
@@ -62,6 +63,8 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
                 (jnp.ones_like(flown), slope),
             )
             seconds_left = jnp.where(margins <= 0.0, 0.0, jnp.abs(margins / closing))
+            if counting is not None:
+                seconds_left = jnp.where(counting, seconds_left, jnp.inf)
             seconds_left = lax.stop_gradient(seconds_left)
             unknown = ended_by < 0
             ended_by = jnp.where(unknown, jnp.argmin(seconds_left), ended_by)
@@ -97,8 +100,14 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
         peaks,
         lane.bracket,
         jnp.zeros_like(lane.running),
+        lane.singular,
     )
-    outcome = jnp.where(
-        met, jnp.array(conditions.outcomes)[ended_by], Outcome.NOT_FINITE
-    )
+    outcome = jnp.array(conditions.outcomes)[ended_by]
+    at_stop = conditions.margins(lane.flown, lane.state)
+    beyond = (lane.flown == 0.0) & (at_stop[ended_by] <= 0.0)
+    outcome = jnp.where(beyond, Outcome.BEGAN_BEYOND_END, outcome)
+    outcome = jnp.where(met, outcome, Outcome.NOT_FINITE)
+    outcome = jnp.where(lane.singular, Outcome.SINGULAR, outcome)
+    finite = is_finite((flown, state, memory, peaks))
+    outcome = jnp.where(finite, outcome, Outcome.NOT_FINITE)
     return End(ended, outcome, ended_by)

@@ -41,7 +41,8 @@ class Flight(eqx.Module):
     outcome: Count
     """Code of an `Outcome`"""
     ended_by: Count
-    """Place of the end condition in `scenario.termination.names`"""
+    """Place in `scenario.termination.names` of the end condition that was met, or beyond
+    which the flight began; without meaning for the other outcomes without an end"""
     peaks: Peaks
     """Largest values of the path constraints, over all steps; with the `Adaptive` solver
     over the ends of the guidance cycles only"""
@@ -75,8 +76,10 @@ def fly(
       a sampled law it must divide the guidance period or be a multiple of it.
 
     **Raises:** `ValueError` for numbers that cannot be flown. How the flight went is in
-    `Flight.outcome`; a flight never raises because it crashed or skipped out. Where it is
-    `NOT_FINITE`, derivatives are not finite either: leave that flight out of a sum before
+    `Flight.outcome`; a flight never raises because it crashed or skipped out. Where
+    `has_end(flight.outcome)` is false, since its numbers did not stay finite, it began
+    beyond an end condition or it came too close to a singular point of the equations of
+    motion, its end and derivatives say nothing: leave that flight out of a sum before
     differentiating it.
 
         flight = fly(scenario)

@@ -37,18 +37,31 @@ class Misses(eqx.Module):
 
 
 def misses(scenario: Scenario, flight: Flight) -> Misses:
-    """Misses of a flight of this scenario, along and across its entry direction."""
+    """Misses of a flight of this scenario, along and across its entry direction.
+
+    Downrange and heading are counted the nearer way around. Those of a flight that does
+    not have an end (`has_end(flight.outcome)`) say nothing.
+    """
     target, end = scenario.target, flight.state
     downrange, crossrange = ground_track(scenario.planet, scenario.initial_state, end)
+    circumference = 2.0 * jnp.pi * scenario.planet.radius
     return Misses(
-        downrange=downrange - target.downrange,
+        downrange=_nearest(downrange - target.downrange, circumference),
         crossrange=crossrange - target.crossrange,
         altitude=end.altitude - target.altitude,
         velocity=end.velocity - target.velocity,
         flight_path_angle=_difference(end.flight_path_angle, target.flight_path_angle),
-        heading=_difference(end.heading, target.heading),
+        heading=_turn(end.heading, target.heading),
     )
 
 
 def _difference(actual: Scalar, desired: Scalar | None) -> Scalar | None:
     return None if desired is None else actual - desired
+
+
+def _turn(actual: Scalar, desired: Scalar | None) -> Scalar | None:
+    return None if desired is None else _nearest(actual - desired, 2.0 * jnp.pi)
+
+
+def _nearest(difference: Scalar, period: Scalar | float) -> Scalar:
+    return difference - period * jnp.round(difference / period)

@@ -2,10 +2,11 @@
 
 import enum
 from abc import abstractmethod
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from .._types import Scalar, scalar
 from ..motion.state import EntryState
@@ -20,6 +21,8 @@ class Outcome(enum.IntEnum):
     CRASHED = 2
     TIMED_OUT = 3
     NOT_FINITE = 4
+    BEGAN_BEYOND_END = 5
+    SINGULAR = 6
 
     @property
     def message(self) -> str:
@@ -31,12 +34,38 @@ _MESSAGES = {
     Outcome.SKIPPED_OUT: "skipped out of the atmosphere",
     Outcome.CRASHED: "met the surface",
     Outcome.TIMED_OUT: "was still flying at the time limit",
-    Outcome.NOT_FINITE: "stopped where its state was no longer finite",
+    Outcome.NOT_FINITE: "stopped where its numbers were no longer finite",
+    Outcome.BEGAN_BEYOND_END: "began where an end condition was met already",
+    Outcome.SINGULAR: (
+        "stopped where its steps were too long for the equations of motion, which are "
+        "singular over the poles, in vertical flight and at rest"
+    ),
 }
+
+_WITHOUT_END = (Outcome.NOT_FINITE, Outcome.BEGAN_BEYOND_END, Outcome.SINGULAR)
+
+
+def has_end(outcome: Any) -> Any:
+    """Whether a flight flew to one of its end conditions or to the time limit.
+
+    Of one outcome or an array of their codes. The end state, misses and peaks of other
+    flights say nothing: statistics, losses and derivatives leave them out.
+    """
+    flown = outcome != _WITHOUT_END[0]
+    for other in _WITHOUT_END[1:]:
+        flown = flown & (outcome != other)
+    return flown
 
 
 class AbstractEndCondition(eqx.Module):
-    """Flight goes on while the margin is positive; zero is the end."""
+    """Flight goes on while the margin is positive; it ends where that falls through zero.
+
+    A flight that begins where the margin is zero or negative does not fly; see `Crossing`
+    for conditions that let it.
+    """
+
+    counts_from_start: ClassVar[bool] = True
+    """Else the condition counts where its margin has been positive, not before"""
 
     outcome: eqx.AbstractVar[Outcome]
 
@@ -75,6 +104,68 @@ class AltitudeAbove(AbstractEndCondition):
         return self.altitude - state.altitude
 
 
+class VelocityAbove(AbstractEndCondition):
+    """Ends when the velocity has risen to a value."""
+
+    velocity: Scalar = scalar(unit="m/s", positive=True)
+    outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
+
+    def margin(self, state: EntryState) -> Scalar:
+        return self.velocity - state.velocity
+
+
+class Apoapsis(AbstractEndCondition):
+    """Ends at a highest point: where the flight-path angle falls through zero.
+
+    A flight that begins on its way down first has to rise.
+    """
+
+    counts_from_start: ClassVar[bool] = False
+
+    outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
+
+    def margin(self, state: EntryState) -> Scalar:
+        return state.flight_path_angle
+
+
+class Periapsis(AbstractEndCondition):
+    """Ends at a lowest point: where the flight-path angle rises through zero.
+
+    That is where a flight begins to skip. One that begins on its way up first has to
+    descend.
+    """
+
+    counts_from_start: ClassVar[bool] = False
+
+    outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
+
+    def margin(self, state: EntryState) -> Scalar:
+        return -state.flight_path_angle
+
+
+class Crossing(AbstractEndCondition):
+    """Another condition, which counts where its margin has been positive, not before.
+
+    A flight may begin on the far side of it; it ends where it comes from the near side.
+    So each condition has a direction: `Crossing(AltitudeAbove(120 * km))` ends a flight
+    on its way up through 120 km, also one that begins at 125 km and first descends.
+
+    The margin is looked at where steps of the solver start (guidance cycles of the
+    `Adaptive` one): a crossing to the near side and back within one is not seen.
+    """
+
+    counts_from_start: ClassVar[bool] = False
+
+    condition: AbstractEndCondition
+
+    @property
+    def outcome(self) -> Outcome:
+        return self.condition.outcome
+
+    def margin(self, state: EntryState) -> Scalar:
+        return self.condition.margin(state)
+
+
 class TargetPassed(AbstractEndCondition):
     """Ends in the plane across a track through its target."""
 
@@ -85,6 +176,10 @@ class TargetPassed(AbstractEndCondition):
 
     def margin(self, state: EntryState) -> Scalar:
         return self.radius * self.track.to_go(state)
+
+
+Counting = Bool[Array, " conditions"] | None
+"""Of the end conditions and the time limit those that can end the flight now"""
 
 
 class Termination(eqx.Module):
@@ -111,9 +206,30 @@ class Termination(eqx.Module):
         values = [c.margin(state) for c in self.conditions.values()]
         return jnp.stack([*values, self.time_limit - flown])
 
-    def smallest_margin(self, flown: Scalar, state: EntryState) -> Scalar:
-        """Positive in flight; the flight ends where it is zero."""
-        return jnp.min(self.margins(flown, state))
+    @property
+    def always(self) -> Counting:
+        """Which conditions count from the start; none if all of them do."""
+        counts = [c.counts_from_start for c in self.conditions.values()]
+        return None if all(counts) else jnp.array([*counts, True])
+
+    def counting(self, flown: Scalar, state: EntryState) -> Counting:
+        """Which conditions count in a step from a state; none if all of them do."""
+        if self.always is None:
+            return None
+        return self.always | (self.margins(flown, state) > 0.0)
+
+    def smallest_margin(
+        self, flown: Scalar, state: EntryState, counting: Counting
+    ) -> Scalar:
+        """Positive in flight; the flight ends where it is zero.
+
+        `counting` is of the state before the step; a condition that has come to its near
+        side in it is looked at as well.
+        """
+        margins = self.margins(flown, state)
+        if counting is not None:
+            margins = jnp.where(counting | (margins > 0.0), margins, jnp.inf)
+        return jnp.min(margins)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ class EntryState(eqx.Module):
     Conventions, for the whole package: altitude above the sphere; longitude positive
     east; velocity relative to the rotating planet; flight-path angle positive up;
     heading clockwise from north, so that 90 degrees is east. The form is singular in
-    vertical flight and over the poles.
+    vertical flight, over the poles and at rest: `Outcome.SINGULAR`.
     """
 
     altitude: Scalar = scalar(unit="m", range=ABOVE_GROUND)

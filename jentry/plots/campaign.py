@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._files import write_whole
-from ..flight.termination import Outcome
+from ..flight.termination import has_end
 from .errors import draw_downrange, draw_footprint, footprint
 from .glide import CONSTRAINTS, CONTROLS, STATES, end_errors, over_time
 from .style import in_style, legend, note, panelled
@@ -128,10 +128,10 @@ def save_figures(
 
 
 def _finite_runs(runs: "xarray.Dataset") -> tuple["xarray.Dataset", int]:
-    """The runs that stayed finite to the end, and the number of others."""
+    """The runs that stayed finite and have an end, and the number of others."""
     good = np.ones(runs.sizes["run"], dtype=bool)
     if "outcome" in runs:
-        good &= runs["outcome"].values != int(Outcome.NOT_FINITE)
+        good &= has_end(runs["outcome"].values)
     for name in ("downrange_error", "crossrange_error", "altitude_error"):
         if name in runs:
             good &= np.isfinite(runs[name].values)

@@ -80,7 +80,7 @@ def note(
 ) -> None:
     """Says below the figure how many runs it is without."""
     if left_out:
-        text = f"{left_out} of {count(runs)} not finite: left out"
+        text = f"{left_out} of {count(runs)} not finite or without an end: left out"
         figure.supxlabel(text, x=0.99, ha="right", fontsize=8.0, color=MUTED)
 
 
