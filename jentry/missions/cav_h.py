@@ -323,4 +323,5 @@ MISSION = Mission(
     "standard deviation of 7.1 m or more",
     published_variant="newton",
     published_dispersions="normal-sensed",
+    published_runs=500,
 )

@@ -1,0 +1,94 @@
+"""How far a statistic of one set of runs can be believed: the same of many sets.
+
+Two sets of runs with other draws differ. What a source prints of its one set is compared
+with the population of sets of the same size: consecutive runs of one campaign, which
+share no draw.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import numpy as np
+
+from ..flight.termination import Outcome
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+NO_FLIGHT = (Outcome.NOT_FINITE,)
+"""Outcomes of runs whose end says nothing about the guidance"""
+
+_OUTPUTS = ("end_", "peak_", "miss_distance")
+
+
+def is_output(name: str) -> bool:
+    """Whether a variable of a result tells how the flight ended, or a peak of it."""
+    return "." not in name and (name.startswith(_OUTPUTS) or name.endswith("_error"))
+
+
+def finite_flights(results: "xarray.Dataset") -> "xarray.Dataset":
+    """The runs that statistics are taken of.
+
+    Left out are those with an outcome in `NO_FLIGHT`, and those of which an output is not
+    finite, whatever their outcome.
+    """
+    finite = ~np.isin(results["outcome"].values, [int(o) for o in NO_FLIGHT])
+    for name in map(str, results.data_vars):
+        if is_output(name):
+            finite &= np.isfinite(results[name].values)
+    return results.isel(run=np.flatnonzero(finite))
+
+
+def sets_of(results: "xarray.Dataset", size: int) -> "Iterator[xarray.Dataset]":
+    """The finite flights of each complete set: runs 0 to size - 1, and so on.
+
+    **Arguments:**
+
+    - `results`: a campaign as it was stored, in the order of its runs.
+    - `size`: runs in a set.
+
+    Raises `ValueError` for a set without two finite flights.
+    """
+    for begin in range(0, results.sizes["run"] - size + 1, size):
+        flown = finite_flights(results.isel(run=slice(begin, begin + size)))
+        if flown.sizes["run"] < 2:
+            raise ValueError(
+                f"of the runs {begin} to {begin + size - 1}, {flown.sizes['run']} are "
+                "finite: a statistic takes two or more"
+            )
+        yield flown
+
+
+class Population(eqx.Module):
+    """One statistic of many sets of runs."""
+
+    values: np.ndarray
+    """(sets,)"""
+
+    @property
+    def mean(self) -> float:
+        """Over the sets."""
+        return float(np.mean(self.values))
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation from set to set: how far one set may be off."""
+        return float(np.std(self.values, ddof=1))
+
+    def deviations(self, value: float) -> float:
+        """How many spreads a value lies above the mean; NaN where all sets are equal."""
+        return (value - self.mean) / self.spread if self.spread > 0.0 else np.nan
+
+    def below(self, value: float) -> int:
+        """In how many sets the statistic is below a value."""
+        return int(np.sum(self.values < value))
+
+
+def population(
+    statistic: Callable[[Any], float], results: "xarray.Dataset", size: int
+) -> Population:
+    """A statistic of each complete set of a campaign; it takes the variables by name."""
+    return Population(np.array([statistic(one) for one in sets_of(results, size)]))
