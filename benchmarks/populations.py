@@ -98,6 +98,7 @@ ROWS = {
         ("newton", "normal-sensed"),
         ("newton-network", "normal-sensed"),
         ("newton", "waves-sensed"),
+        ("us-1976", "normal-sensed"),
     ),
     "mars-range-tracking": (
         ("three-dimensional", "lift-to-drag-held"),

@@ -1,4 +1,10 @@
-"""The CAV-H mission as the paper flies it, against what its notes expect."""
+"""The CAV-H mission as the paper flies it, against what its notes expect.
+
+Bounds on dispersed flights hold for any seed. They are taken from 16 sets of 500 runs,
+`python benchmarks/populations.py cav-h`: means and medians as so many spreads of a set from
+the mean of the sets, outliers as so many as can be by chance where a share of all flights
+are. Where a few of the 8000 are, three more are reckoned with.
+"""
 
 import dataclasses
 
@@ -7,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import ahead, fly_compiled
+from helpers import SPREADS, ahead, fly_compiled, least_by_chance, most_by_chance
 
 from jentry._addresses import leaves_by_address
 from jentry.campaign.monte_carlo import drawn_inputs, monte_carlo
@@ -26,6 +32,8 @@ from jentry.units import degree
 
 MISSION = find_mission("cav-h")
 RUNS = 500
+ALL = 16 * RUNS
+"""That the bounds are taken from"""
 
 
 def flown(variant, reading="normal"):
@@ -59,10 +67,15 @@ def test_nominal_velocity_at_the_target(as_printed):
 def test_position_and_angles_at_the_target(as_printed):
     campaign, _ = as_printed
     missed = campaign.misses
-    assert np.max(np.asarray(missed.distance)) <= 0.01
+    # One of all 8000 passes the target by 62 m, and with it the heading is off.
+    far = np.asarray(missed.distance) > 0.01
+    assert np.sum(far) <= most_by_chance(RUNS, (1 + 3) / ALL)
+    turned = np.abs(missed.heading) > 0.004 * degree
+    assert np.sum(turned) <= most_by_chance(RUNS, (2 + 3) / ALL)
+    # The largest of a set is 0.00162 with a spread of 0.00007.
     assert np.max(np.abs(missed.flight_path_angle)) <= 0.002 * degree
-    assert np.max(np.abs(missed.heading)) <= 0.004 * degree
-    assert 131.0 <= np.mean(np.abs(missed.velocity)) <= 145.0
+    error = np.mean(np.abs(missed.velocity))
+    assert error == pytest.approx(140.8, abs=SPREADS * 5.1)
 
 
 def test_no_limit_is_exceeded(as_printed):
@@ -92,8 +105,10 @@ def test_adjusted_once():
     """Equation (38), with the velocity predicted by flying the model."""
     campaign, (flight, _) = flown("adjusted-once")
     error = np.abs(campaign.misses.velocity)
-    assert np.mean(error) <= 7.0
-    assert np.mean(error < 20.0) >= 0.95
+    assert np.mean(error) <= 6.24 + SPREADS * 0.50
+    assert np.median(error) <= 2.43 + SPREADS * 0.10
+    # Those that are beyond what k2 can do.
+    assert np.sum(error > 20.0) <= most_by_chance(RUNS, 326 / ALL)
     # The nominal flight is left as it is.
     assert float(flight.state.velocity) == pytest.approx(2630.0, abs=0.2)
 
@@ -112,12 +127,13 @@ def test_the_network_costs_little_and_the_papers_own_cannot_work(as_printed):
 
 @pytest.mark.slow
 def test_the_printed_inversion_loses_flights():
-    """An unknown lift factor of 10 % loses a third of them."""
+    """An unknown lift factor of 10 % loses more than a third of them: 2951 of 8000."""
     scenario = MISSION.scenario("model-inversion")
     table = MISSION.dispersion_table("normal")
     campaign = monte_carlo(scenario, table, jax.random.key(0), RUNS)
-    lost = np.mean(np.asarray(campaign.flights.outcome) != Outcome.REACHED)
-    assert 0.25 < lost < 0.45
+    lost = int(np.sum(np.asarray(campaign.flights.outcome) != Outcome.REACHED))
+    share = 2951 / ALL
+    assert least_by_chance(RUNS, share) <= lost <= most_by_chance(RUNS, share)
 
 
 @pytest.mark.slow

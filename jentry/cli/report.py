@@ -120,7 +120,7 @@ def _print_outcomes(console: Console, results, flown) -> None:
         left_out = int(np.sum(ended & ~kept))
         line = f"{np.sum(ended)} of {count} runs {Outcome(int(code)).message}"
         if left_out:
-            line += f"; {left_out} of them left out of the statistics, not finite"
+            line += f"; {left_out} of them left out of the statistics"
         console.print(line)
 
 
