@@ -1,5 +1,6 @@
 """The missions have the numbers that their papers print, as `tests/truths/` has them."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import truths
@@ -113,8 +114,8 @@ MARS_LAWS = {
 def unplanned(monkeypatch):
     """The references take seconds to plan, and none of their numbers are the paper's."""
     level = PolynomialProfile([1.0])
-    zero = np.zeros(2)
-    range_flown = quintic_profile(0.0, 1.0, zero, zero, zero)
+    zero = jnp.zeros(2)
+    range_flown = quintic_profile(zero[0], zero[0] + 1.0, zero, zero, zero)
 
     def reference(index, gate=0.0, curvature=0.0):
         assert curvature == 0.0  # cos(bank) linear in the velocity

@@ -103,7 +103,7 @@ def test_spread_of_a_mean_and_growth_of_a_maximum():
     """Against what is known of draws: the spread of a mean falls with the square root
     of the size of a set, and a maximum of uniform draws has the mean n / (n + 1).
     """
-    sets = 400
+    sets = 100
     draws = np.random.default_rng(5).uniform(size=sets * 40)
 
     def mean(flown):
