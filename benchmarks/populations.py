@@ -57,6 +57,7 @@ def deviation(variable: str) -> Callable[..., float]:
 
 
 VELOCITY, ANGLE = "velocity_error", "flight_path_angle_error"
+PRESSURE = "peak_dynamic_pressure"
 DOWNRANGE, CROSSRANGE = "downrange_error", "crossrange_error"
 
 COLUMNS = {
@@ -67,6 +68,8 @@ COLUMNS = {
         Column("miss, maximum, m", "miss_distance", 1.0, np.max),
         Column("path angle, maximum, deg", ANGLE, degree, np.max),
         Column("azimuth, maximum, deg", "heading_error", degree, np.max),
+        Column("dynamic pressure, mean peak, kPa", PRESSURE, 1e3, np.mean),
+        Column("maximum peak", PRESSURE, 1e3, np.max),
     ),
     "mars-range-tracking": (
         Column("downrange error, median, km", DOWNRANGE, km, np.median),
