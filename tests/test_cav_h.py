@@ -245,8 +245,12 @@ def test_map_and_polynomial_are_those_of_the_paper():
     some = slice(5, 13)  # 0.55 to 0.9
     assert k2[some][[0, -1]] == pytest.approx([0.55, 0.9])
     # As the function and the README say, to the digits there.
-    said = {some: (2.81e-7, -0.00240, 5.10), slice(None): (2.09e-7, -0.00204, 4.63)}
-    for where, expected in said.items():
+    said = (
+        (some, (2.81e-7, -0.00240, 5.10)),
+        (slice(2, None), (2.53e-7, -0.00226, 4.92)),
+        (slice(None), (2.10e-7, -0.00204, 4.63)),
+    )
+    for where, expected in said:
         found = k2_polynomial(flown.velocity[1][where], k2[where])
         assert found == pytest.approx(expected, rel=3e-3)
         assert found == pytest.approx(list(printed.values()), rel=0.25)
