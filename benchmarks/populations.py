@@ -22,7 +22,7 @@ jentry.setup()
 import numpy as np  # noqa: E402
 
 from jentry.campaign import open_campaign, run_campaign  # noqa: E402
-from jentry.campaign.populations import finite_flights, population  # noqa: E402
+from jentry.campaign.populations import finite_flights, population, sets_of  # noqa: E402
 from jentry.flight import Outcome  # noqa: E402
 from jentry.missions import find_mission  # noqa: E402
 from jentry.units import degree, km  # noqa: E402
@@ -144,8 +144,9 @@ def main() -> None:
         runs = options.sets * size
         results = flown(mission, variant, reading, runs, options.seed, options.out)
         cells = [variant, reading]
+        sets = sets_of(results, size)
         for heading, statistic in statistics.items():
-            ours = population(statistic, results, size)
+            ours = population(statistic, sets)
             cell = f"{ours.mean:.3g} ± {ours.spread:.2g}"
             if "maximum" in heading:
                 middle, largest = np.median(ours.values), np.max(ours.values)

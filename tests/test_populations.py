@@ -57,6 +57,8 @@ def test_a_history_that_ends_is_no_reason_to_leave_a_flight_out():
     kept = results([1.0, 2.0])
     kept["altitude"] = ("run", "time"), np.array([[1.0, np.nan], [1.0, 2.0]])
     assert finite_flights(kept).sizes["run"] == 2
+    (one,) = sets_of(kept, 2)
+    assert "altitude" not in one and "downrange_error" in one
 
 
 def test_outputs_are_told_from_inputs_by_their_names():
@@ -79,7 +81,10 @@ def test_a_flight_that_does_not_count_leaves_the_sets_where_they_are():
     errors = [1.0, np.nan, 3.0, 4.0, 5.0, 6.0]
     runs = [one["run"].values.tolist() for one in sets_of(results(errors), 3)]
     assert runs == [[0, 2], [3, 4, 5]]
-    assert population(largest, results(errors), 3).values.tolist() == [3.0, 6.0]
+    assert population(largest, sets_of(results(errors), 3)).values.tolist() == [
+        3.0,
+        6.0,
+    ]
 
 
 def test_a_set_without_flights_is_refused():
@@ -114,7 +119,9 @@ def test_spread_of_a_mean_and_growth_of_a_maximum():
         # The standard error of a spread is a share 1 / sqrt(2 n) of it: five of these.
         close = 5.0 / np.sqrt(2.0 * sets)
         expected = np.sqrt(1.0 / 12.0 / size)
-        assert population(mean, of, size).spread == pytest.approx(expected, rel=close)
-        top = population(largest, of, size)
+        assert population(mean, sets_of(of, size)).spread == pytest.approx(
+            expected, rel=close
+        )
+        top = population(largest, sets_of(of, size))
         close = 5.0 * top.spread / np.sqrt(sets)
         assert top.mean == pytest.approx(size / (size + 1.0), abs=close)

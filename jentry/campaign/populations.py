@@ -5,7 +5,7 @@ with the population of sets of the same size: consecutive runs of one campaign, 
 share no draw.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
@@ -42,24 +42,27 @@ def finite_flights(results: "xarray.Dataset") -> "xarray.Dataset":
     return results.isel(run=np.flatnonzero(finite))
 
 
-def sets_of(results: "xarray.Dataset", size: int) -> "Iterator[xarray.Dataset]":
-    """The finite flights of each complete set: runs 0 to size - 1, and so on.
+def sets_of(results: "xarray.Dataset", size: int) -> "list[xarray.Dataset]":
+    """The finite flights of each complete set, without their histories.
 
     **Arguments:**
 
     - `results`: a campaign as it was stored, in the order of its runs.
-    - `size`: runs in a set.
+    - `size`: runs in a set; the first is of the runs 0 to size - 1, and so on.
 
     Raises `ValueError` for a set without two finite flights.
     """
-    for begin in range(0, results.sizes["run"] - size + 1, size):
-        flown = finite_flights(results.isel(run=slice(begin, begin + size)))
+    ends = results.drop_dims("time", errors="ignore")
+    sets = []
+    for begin in range(0, ends.sizes["run"] - size + 1, size):
+        flown = finite_flights(ends.isel(run=slice(begin, begin + size)))
         if flown.sizes["run"] < 2:
             raise ValueError(
                 f"of the runs {begin} to {begin + size - 1}, {flown.sizes['run']} are "
                 "finite: a statistic takes two or more"
             )
-        yield flown
+        sets.append(flown)
+    return sets
 
 
 class Population(eqx.Module):
@@ -88,7 +91,7 @@ class Population(eqx.Module):
 
 
 def population(
-    statistic: Callable[[Any], float], results: "xarray.Dataset", size: int
+    statistic: Callable[[Any], float], sets: "Iterable[xarray.Dataset]"
 ) -> Population:
-    """A statistic of each complete set of a campaign; it takes the variables by name."""
-    return Population(np.array([statistic(one) for one in sets_of(results, size)]))
+    """A statistic of each set; it takes the variables by name."""
+    return Population(np.array([statistic(one) for one in sets]))

@@ -17,7 +17,7 @@ from rich.progress import (
 from rich.table import Table
 
 from .._addresses import leaves_by_address, unit_of
-from ..campaign.populations import finite_flights, is_output, population
+from ..campaign.populations import finite_flights, is_output, population, sets_of
 from ..flight.fly import Flight
 from ..flight.misses import misses
 from ..flight.scenario import Scenario
@@ -157,11 +157,11 @@ def _shown(number: float, sign: str = "") -> str:
 
 def _print_published(console: Console, mission: Mission, results) -> None:
     size = mission.published_runs
-    sets = results.sizes["run"] // size
+    sets = sets_of(results, size)
     columns = "published", "mean of sets", "std of a set", "deviations", "sets below"
     table = new_table("", "unit", *columns)
     for published in mission.published:
-        ours = population(published.statistic, results, size)
+        ours = population(published.statistic, sets)
         deviations = ours.deviations(published.value)
         table.add_row(
             published.name,
@@ -170,9 +170,9 @@ def _print_published(console: Console, mission: Mission, results) -> None:
             _shown(ours.mean),
             _shown(ours.spread),
             "-" if np.isnan(deviations) else f"{deviations:+.1f}",
-            f"{ours.below(published.value)} of {sets}",
+            f"{ours.below(published.value)} of {len(sets)}",
         )
-    title = f"{sets} sets of {size} runs against {mission.published_note}"
+    title = f"{len(sets)} sets of {size} runs against {mission.published_note}"
     print_under(console, title, table)
     console.print(
         "deviations: how many of the standard deviations of a set the published value "
