@@ -62,4 +62,5 @@ MISSION = Mission(
     published_note="A note",
     published_variant="right",
     published_dispersions="all",
+    published_runs=3,
 )

@@ -12,6 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import stats
 
 from jentry._types import Scalar, scalar
 from jentry.flight import (
@@ -97,6 +98,23 @@ def truths(name: str) -> dict[str, dict[str, float]]:
     for row in csv.DictReader(lines):
         found.setdefault(row["case"], {})[row["quantity"]] = float(row["value"])
     return found
+
+
+CHANCE = 1e-6
+"""That a bound on what is drawn is broken by one seed among all"""
+
+SPREADS = 5.0
+"""Of a mean from set to set, by as many its bounds are off: a chance of 6e-7"""
+
+
+def most_by_chance(runs: int, share: float) -> int:
+    """Of so many runs, at most, what a share of all flights is."""
+    return int(stats.binom.ppf(1.0 - CHANCE, runs, share))
+
+
+def least_by_chance(runs: int, share: float) -> int:
+    """Of so many runs, at least, what a share of all flights is."""
+    return int(stats.binom.ppf(CHANCE, runs, share))
 
 
 def mars_planet(**changes) -> Planet:

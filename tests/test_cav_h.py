@@ -1,4 +1,10 @@
-"""The CAV-H mission as the paper flies it, against what its notes expect."""
+"""The CAV-H mission as the paper flies it, against what its notes expect.
+
+Bounds on dispersed flights hold for any seed. They are taken from 16 sets of 500 runs,
+`python benchmarks/populations.py cav-h`: means and medians as so many spreads of a set from
+the mean of the sets, outliers as so many as can be by chance where a share of all flights
+are. Where a few of the 8000 are, three more are reckoned with.
+"""
 
 import dataclasses
 
@@ -7,7 +13,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import ahead, fly_compiled
+from helpers import (
+    SPREADS,
+    ahead,
+    fly_compiled,
+    least_by_chance,
+    most_by_chance,
+    truths,
+)
 
 from jentry._addresses import leaves_by_address
 from jentry.campaign.monte_carlo import drawn_inputs, monte_carlo
@@ -26,6 +39,8 @@ from jentry.units import degree
 
 MISSION = find_mission("cav-h")
 RUNS = 500
+ALL = 16 * RUNS
+"""That the bounds are taken from"""
 
 
 def flown(variant, reading="normal"):
@@ -59,17 +74,24 @@ def test_nominal_velocity_at_the_target(as_printed):
 def test_position_and_angles_at_the_target(as_printed):
     campaign, _ = as_printed
     missed = campaign.misses
-    assert np.max(np.asarray(missed.distance)) <= 0.01
+    # One of all 8000 passes the target by 62 m, and with it the heading is off.
+    far = np.asarray(missed.distance) > 0.01
+    assert np.sum(far) <= most_by_chance(RUNS, (1 + 3) / ALL)
+    turned = np.abs(missed.heading) > 0.004 * degree
+    assert np.sum(turned) <= most_by_chance(RUNS, (2 + 3) / ALL)
+    # The largest of a set is 0.00162 with a spread of 0.00007.
     assert np.max(np.abs(missed.flight_path_angle)) <= 0.002 * degree
-    assert np.max(np.abs(missed.heading)) <= 0.004 * degree
-    assert 131.0 <= np.mean(np.abs(missed.velocity)) <= 145.0
+    error = np.mean(np.abs(missed.velocity))
+    assert error == pytest.approx(140.8, abs=SPREADS * 5.1)
 
 
 def test_no_limit_is_exceeded(as_printed):
     campaign, _ = as_printed
     peaks = campaign.flights.peaks
     assert np.max(peaks.heat_rate) < 2e6
-    assert np.max(peaks.dynamic_pressure) < 200e3
+    # 198 kPa in all 8000, and 192.5 in a set, with a spread of 3.7.
+    dense = np.asarray(peaks.dynamic_pressure) >= 200e3
+    assert np.sum(dense) <= most_by_chance(RUNS, 3 / ALL)
     assert np.max(peaks.load_factor) < 2.0
 
 
@@ -92,8 +114,10 @@ def test_adjusted_once():
     """Equation (38), with the velocity predicted by flying the model."""
     campaign, (flight, _) = flown("adjusted-once")
     error = np.abs(campaign.misses.velocity)
-    assert np.mean(error) <= 7.0
-    assert np.mean(error < 20.0) >= 0.95
+    assert np.mean(error) <= 6.24 + SPREADS * 0.50
+    assert np.median(error) <= 2.43 + SPREADS * 0.10
+    # Those that are beyond what k2 can do.
+    assert np.sum(error > 20.0) <= most_by_chance(RUNS, 326 / ALL)
     # The nominal flight is left as it is.
     assert float(flight.state.velocity) == pytest.approx(2630.0, abs=0.2)
 
@@ -151,12 +175,13 @@ def test_the_network_costs_little_and_the_papers_own_cannot_work(as_printed):
 
 @pytest.mark.slow
 def test_the_printed_inversion_loses_flights():
-    """An unknown lift factor of 10 % loses a third of them."""
+    """An unknown lift factor of 10 % loses more than a third of them: 2951 of 8000."""
     scenario = MISSION.scenario("model-inversion")
     table = MISSION.dispersion_table("normal")
     campaign = monte_carlo(scenario, table, jax.random.key(0), RUNS)
-    lost = np.mean(np.asarray(campaign.flights.outcome) != Outcome.REACHED)
-    assert 0.25 < lost < 0.45
+    lost = int(np.sum(np.asarray(campaign.flights.outcome) != Outcome.REACHED))
+    share = 2951 / ALL
+    assert least_by_chance(RUNS, share) <= lost <= most_by_chance(RUNS, share)
 
 
 @pytest.mark.slow
@@ -249,14 +274,27 @@ def test_no_parameters_for_a_velocity_out_of_reach():
 
 @pytest.mark.slow
 def test_map_and_polynomial_are_those_of_the_paper():
-    """Figure 10 and (37): a = 2.32e-7, b = -0.0024, c = 5.46."""
-    k2 = np.linspace(0.55, 0.9, 8)
+    """Figure 10, and (37) as far as its own dependence on the grid of k2 goes."""
+    k2 = np.linspace(0.3, 1.0, 15)
     flown = velocity_map(stored(), np.array([0.8, 0.848]), k2)
     # The velocity rises with k1 and falls with k2.
     assert np.all(np.diff(flown.velocity, axis=0) > 0.0)
     assert np.all(np.diff(flown.velocity, axis=1) < 0.0)
-    a, b, c = k2_polynomial(flown.velocity[1], k2)
-    assert (a, b, c) == pytest.approx((2.32e-7, -0.0024, 5.46), rel=0.25)
+    printed = truths("zhou.csv")["polynomial"]
+    some = slice(5, 13)  # 0.55 to 0.9
+    assert k2[some][[0, -1]] == pytest.approx([0.55, 0.9])
+    # As the function and the README say, to the digits there.
+    said = (
+        (some, (2.81e-7, -0.00240, 5.10)),
+        (slice(2, None), (2.53e-7, -0.00226, 4.92)),
+        (slice(None), (2.10e-7, -0.00204, 4.63)),
+    )
+    for where, expected in said:
+        found = k2_polynomial(flown.velocity[1][where], k2[where])
+        assert found == pytest.approx(expected, rel=3e-3)
+        assert found == pytest.approx(list(printed.values()), rel=0.25)
+    # The narrower one goes through the nominal flight.
+    a, b, c = k2_polynomial(flown.velocity[1][some], k2[some])
     assert a * 2630.0**2 + b * 2630.0 + c == pytest.approx(0.717, abs=2e-3)
 
 

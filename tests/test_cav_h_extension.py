@@ -1,8 +1,13 @@
-"""Beyond the paper: re-planned by Newton's method, with what the vehicle senses."""
+"""Beyond the paper: re-planned by Newton's method, with what the vehicle senses.
+
+Bounds hold for any seed: see `test_cav_h`. Newton's method fails in about one flight of
+4000; such a flight may end metres per second and a tenth of a degree off.
+"""
 
 import jax
 import numpy as np
 import pytest
+from helpers import SPREADS, most_by_chance
 
 from jentry.campaign.monte_carlo import drawn_inputs, monte_carlo
 from jentry.flight import Outcome
@@ -11,9 +16,16 @@ from jentry.units import degree
 
 
 MISSION = find_mission("cav-h")
+RUNS = 500
+ALL = 16 * RUNS
 
 
-def errors(variant, reading, runs=500):
+def few(off, found):
+    """Where so many of all 8000 were off, and three more are reckoned with."""
+    return np.sum(np.asarray(off)) <= most_by_chance(RUNS, (found + 3) / ALL)
+
+
+def errors(variant, reading, runs=RUNS):
     """Magnitudes of the velocity errors, and the campaign.
 
     The errors of the accelerometers are inputs of all, zero where a reading has none, so
@@ -33,33 +45,39 @@ def errors(variant, reading, runs=500):
 
 
 def test_with_known_factors():
-    """All of 500 within 1 m/s, and within 20 m/s where the factors are uniform."""
-    assert np.max(errors("newton", "normal")[0]) < 1.0
-    assert np.max(errors("newton", "uniform")[0]) < 20.0
+    """Within millimetres per second, but for the few where Newton's method fails."""
+    error, _ = errors("newton", "normal")
+    assert np.median(error) < 0.00151 + SPREADS * 0.00004
+    assert few(error > 0.01, 2)
+    error, _ = errors("newton", "uniform")
+    assert np.median(error) < 0.00144 + SPREADS * 0.00007
+    assert few(error > 0.01, 20) and few(error > 20.0, 1)
 
 
 def test_with_accelerometers():
     """Better than the paper's table, with errors of sensors that it does not have."""
     error, campaign = errors("newton", "normal-sensed")
     assert np.mean(error) < 5.01
-    assert np.max(error) < 19.8
+    assert np.median(error) < 0.0447 + SPREADS * 0.0030
+    assert few(error > 1.0, 1) and few(error > 19.8, 0)
     missed = campaign.misses
-    assert np.max(np.asarray(missed.distance)) < 1.0
-    assert np.max(np.abs(missed.flight_path_angle)) < 0.002 * degree
-    assert np.max(np.abs(missed.heading)) < 0.02 * degree
+    assert few(missed.distance > 1.0, 0)
+    assert few(np.abs(missed.flight_path_angle) > 0.002 * degree, 2)
+    assert few(np.abs(missed.heading) > 0.02 * degree, 2)
 
 
 @pytest.mark.slow
 def test_with_the_network():
     error, _ = errors("newton-network", "normal-sensed")
     assert np.mean(error) < 5.01
-    assert np.max(error) < 19.8
+    assert few(error > 19.8, 1)
 
 
 @pytest.mark.slow
 def test_through_the_standard_atmosphere():
     error, _ = errors("us-1976", "normal-sensed")
-    assert np.max(error) < 19.8
+    assert np.mean(error) < 5.01
+    assert few(error > 19.8, 1)
 
 
 @pytest.mark.slow
@@ -69,9 +87,11 @@ def test_what_a_density_wave_leaves():
         MISSION.scenario("newton"),
         MISSION.dispersion_table("waves-sensed"),
         jax.random.key(0),
-        500,
+        RUNS,
     )
     error = np.abs(campaign.misses.velocity)
-    assert np.max(np.asarray(campaign.misses.distance)) < 1.0
-    assert np.max(np.abs(campaign.misses.flight_path_angle)) < 0.1 * degree
-    assert 30.0 < np.mean(error) < 100.0
+    assert few(campaign.misses.distance > 1.0, 0)
+    # The largest of a set.
+    angle = np.max(np.abs(campaign.misses.flight_path_angle))
+    assert angle < (0.0790 + SPREADS * 0.0053) * degree
+    assert np.mean(error) == pytest.approx(63.5, abs=SPREADS * 1.8)

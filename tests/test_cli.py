@@ -143,8 +143,11 @@ def test_monte_carlo(command, tmp_path):
     xarray.testing.assert_equal(results, same)
     assert "5 of 5 runs reached the end of guided flight" in printed
     assert f"stored: {out}" in printed
-    assert "A note" in printed and f"{results['end_time'].mean().item():.4f}" in printed
-    # Published values stand beside what they are of, not beside anything else.
+    assert f"{results['end_time'].mean().item():.4f}" in printed
+    # Published values stand beside sets of what they are of, not beside anything else.
+    assert "A note" not in printed and "--runs 48 compares" in printed
+    sets = monte_carlo(command, "--runs", 48, "--out", tmp_path / "sets")[1]
+    assert "16 sets of 3 runs against A note" in sets
     _, other, _ = monte_carlo(
         command, "--runs", 5, "--dispersions", "mass-only", "--out", tmp_path / "other"
     )

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import fly_compiled, with_leaf
+from helpers import fly_compiled, most_by_chance, with_leaf
 
 from jentry.campaign import monte_carlo
 from jentry.flight import FixedStep, Outcome, fly
@@ -486,23 +486,33 @@ def test_gradient_matches_differences():
 # Campaigns.
 
 
+def few(off, found):
+    """As many of these runs as are by chance where so many of 16 000 were off, and three
+    more are reckoned with: for any seed. `python benchmarks/populations.py` flies them.
+    """
+    return np.sum(off) <= most_by_chance(len(off), (found + 3) / 16_000)
+
+
 def check_campaigns(runs):
     """The promise of the mission, in m."""
     held, free = (campaign(reading, runs) for reading in READINGS)
     for flown in (held, free):
         assert np.all(flown.flights.outcome == Outcome.REACHED)
-        assert np.std(flown.misses.crossrange) < 0.7 * km
 
+    # The largest of all 16 000 are 0.24 and 0.62 km.
     error = held.misses.downrange
     assert np.std(error) < 0.1 * km
-    assert np.max(abs(error)) < 0.5 * km
+    assert few(abs(error) > 0.2 * km, 6) and few(abs(error) > 0.5 * km, 0)
+    assert few(abs(held.misses.crossrange) > 0.7 * km, 0)
 
     # Of independent coefficients some five in a hundred do not reach the range with any
-    # bank, which is beyond the law; the 95th percentile is that of the others.
+    # bank, which is beyond the law.
     error = abs(free.misses.downrange)
+    there = reaches(runs)
+    assert few(~there, 817)
     assert np.median(error) < 0.1 * km
-    assert np.percentile(error[reaches(runs)], 95) < 2 * km
-    assert np.mean(reaches(runs)) > 0.9
+    assert few((error > 2 * km) & there, 124)
+    assert few(abs(free.misses.crossrange) > 1 * km, 354)
 
 
 def test_campaigns_of_64_runs_keep_the_promise():

@@ -17,15 +17,23 @@ from rich.progress import (
 from rich.table import Table
 
 from .._addresses import field_metadata, leaves_by_address, unit_of
+from ..campaign.populations import finite_flights, is_output, population, sets_of
 from ..flight.fly import Flight
 from ..flight.misses import misses
 from ..flight.scenario import Scenario, allowed
 from ..flight.termination import Outcome
 from ..missions.mission import Mission
+from ..motion.state import EntryState
 from .tables import at_edge, new_console, new_table, print_under, unit_of_output
 
 
 _PERCENTILES = (1, 5, 50, 95, 99)
+
+SETS = 16
+"""Of the size of the paper's, at least, beside a published value"""
+
+_END_STATE = {f"end_{name}" for name in EntryState.__dataclass_fields__}
+"""Its errors are shown instead"""
 
 
 def print_missions(missions: Iterable[Mission]) -> None:
@@ -76,45 +84,61 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
 
 
 def print_campaign(mission: Mission, results, as_published: bool) -> None:
-    """Outcomes, statistics, and the published values beside ours.
+    """Outcomes, statistics of the finite flights, and the published values beside ours.
 
-    These are shown where the campaign is as published; else it is said what they are of.
+    These are shown where the campaign is as published and has enough sets of their size;
+    else it is said what they are of.
     """
     console = new_console()
-    count = results.sizes["run"]
-    codes, numbers = np.unique(results["outcome"], return_counts=True)
-    for code, number in zip(codes, numbers, strict=True):
-        console.print(f"{number} of {count} runs {Outcome(int(code)).message}")
-    finite = results["outcome"] != Outcome.NOT_FINITE
-    flown = results.isel(run=np.flatnonzero(finite))
-    if flown.sizes["run"] < count:
-        console.print(f"statistics are of the {flown.sizes['run']} that are finite")
+    flown = finite_flights(results)
+    _print_outcomes(console, results, flown)
     if flown.sizes["run"] == 0:
         return
     _print_statistics(console, mission, flown)
-    if mission.published and as_published:
-        _print_published(console, mission, flown)
-    elif mission.published:
+    if not mission.published:
+        return
+    size = mission.published_runs
+    if not as_published:
         console.print(
             f"published values are of the variant {mission.published_variant} with the "
             f"dispersions {mission.published_dispersions}, unchanged"
         )
+    elif results.sizes["run"] < SETS * size:
+        console.print(
+            f"published values are of {size} runs, and other {size} have other "
+            f"statistics: --runs {SETS * size} compares them with {SETS} sets"
+        )
+    else:
+        _print_published(console, mission, results)
+
+
+def _print_outcomes(console: Console, results, flown) -> None:
+    """How many runs ended how, and how many of these are left out of the statistics."""
+    count = results.sizes["run"]
+    kept = np.isin(results["run"].values, flown["run"].values)
+    outcomes = results["outcome"].values
+    for code in np.unique(outcomes):
+        ended = outcomes == code
+        left_out = int(np.sum(ended & ~kept))
+        line = f"{np.sum(ended)} of {count} runs {Outcome(int(code)).message}"
+        if left_out:
+            line += f"; {left_out} of them left out of the statistics"
+        console.print(line)
 
 
 def _print_statistics(console: Console, mission: Mission, results) -> None:
     percentiles = [f"{p} %" for p in _PERCENTILES]
     table = new_table("", "unit", "minimum", "maximum", "mean", "std", *percentiles)
     for name in map(str, results.data_vars):
-        error = name.endswith("_error") and "." not in name
-        shown = ("end_time", "peak_", "miss_distance")
-        if not (error or name.startswith(shown)):
+        if not is_output(name) or name in _END_STATE:
             continue
         values, unit = at_edge(results[name], results[name].attrs["units"])
         words = name.replace("_", " ")
         _add_statistics(table, words, unit, values)
-        if error:
+        if name.endswith("_error"):
             _add_statistics(table, f"|{words}|", unit, np.abs(values))
-    title = f"{mission.name}: errors are actual minus desired"
+    count = results.sizes["run"]
+    title = f"{mission.name}: {count} finite flights, errors are actual minus desired"
     print_under(console, title, table)
 
 
@@ -126,23 +150,36 @@ def _add_statistics(table: Table, words: str, unit: str, values: np.ndarray) -> 
 
 
 def _shown(number: float, sign: str = "") -> str:
-    """To four decimals, or in powers of ten where these are all zero."""
+    """To four decimals, or in powers of ten where these are all zero; - for no number."""
+    if np.isnan(number):
+        return "-"
     small = 0.0 < abs(number) < 5e-5
     return f"{number:{sign}.1e}" if small else f"{number:{sign}z.4f}"
 
 
 def _print_published(console: Console, mission: Mission, results) -> None:
-    table = new_table("", "unit", "published", "jentry", "difference")
+    size = mission.published_runs
+    sets = sets_of(results, size)
+    columns = "published", "mean of sets", "std of a set", "deviations", "sets below"
+    table = new_table("", "unit", *columns)
     for published in mission.published:
-        ours = published.statistic(results)
+        ours = population(published.statistic, sets)
+        deviations = ours.deviations(published.value)
         table.add_row(
             published.name,
             published.unit,
             _shown(published.value),
-            _shown(ours),
-            _shown(ours - published.value, "+"),
+            _shown(ours.mean),
+            _shown(ours.spread),
+            "-" if np.isnan(deviations) else f"{deviations:+.1f}",
+            f"{ours.below(published.value)} of {len(sets)}",
         )
-    print_under(console, mission.published_note, table)
+    title = f"{len(sets)} sets of {size} runs against {mission.published_note}"
+    print_under(console, title, table)
+    console.print(
+        "deviations: how many of the standard deviations of a set the published value "
+        "lies above the mean of the sets"
+    )
 
 
 class _Rate(ProgressColumn):

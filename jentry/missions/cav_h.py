@@ -321,6 +321,7 @@ MISSION = Mission(
     ),
     published_note="Table 3, which contradicts itself: one miss of 159 m in 500 makes a "
     "standard deviation of 7.1 m or more",
-    published_variant="newton",
-    published_dispersions="normal-sensed",
+    published_variant="adjusted-once",
+    published_dispersions="normal",
+    published_runs=500,
 )

@@ -281,4 +281,5 @@ MISSION = Mission(
     published_note="Table 3; downrange error desired minus actual, as the paper has it",
     published_variant="table-3",
     published_dispersions="lift-to-drag-held",
+    published_runs=1000,
 )

@@ -12,7 +12,7 @@ from ..flight.scenario import Scenario
 
 @dataclasses.dataclass(frozen=True)
 class PublishedValue:
-    """A number that a paper prints, and how the same is taken from our runs."""
+    """A number that a paper prints of its runs, and how the same is taken from ours."""
 
     name: str
     value: float
@@ -43,6 +43,8 @@ class Mission:
     published_variant: str = ""
     published_dispersions: str = ""
     """What the published values belong to"""
+    published_runs: int = 1000
+    """Of which the published statistics are: the size of the sets they are compared with"""
 
     def scenario(self, variant: str | None = None) -> Scenario:
         """The nominal scenario. Raises `ValueError` for an unknown variant."""

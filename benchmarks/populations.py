@@ -1,0 +1,163 @@
+"""How far does a statistic of one Monte Carlo set go from one set to another?
+
+Flies 16 sets of 500 runs of each law of the CAV-H mission, and 16 of 1000 of the Mars
+range tracking: consecutive runs of one seed, which share no draw. Prints the mean of each
+statistic over the sets and its standard deviation from set to set: the tables of the
+README. Campaigns are stored below --out, and are resumed or read again from there.
+
+    python benchmarks/populations.py cav-h
+    python benchmarks/populations.py mars-range-tracking
+"""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import jentry
+
+
+jentry.setup()
+
+import numpy as np  # noqa: E402
+
+from jentry.campaign import open_campaign, run_campaign  # noqa: E402
+from jentry.campaign.populations import finite_flights, population, sets_of  # noqa: E402
+from jentry.flight import Outcome  # noqa: E402
+from jentry.missions import find_mission  # noqa: E402
+from jentry.units import degree, km  # noqa: E402
+
+
+SETS = 16
+
+
+class Column(NamedTuple):
+    """A statistic of a set, over magnitudes in a unit."""
+
+    heading: str
+    variable: str
+    size: float
+    """SI units in the unit that is shown"""
+    statistic: Callable[[np.ndarray], float]
+
+    def of(self, results) -> float:
+        return float(self.statistic(np.abs(results[self.variable].values) / self.size))
+
+
+def percentile(percent: float) -> Callable[[np.ndarray], float]:
+    return lambda magnitudes: np.percentile(magnitudes, percent)
+
+
+def within_20(magnitudes: np.ndarray) -> float:
+    return 100.0 * np.mean(magnitudes <= 20.0)
+
+
+def deviation(variable: str) -> Callable[..., float]:
+    return lambda results: float(np.std(results[variable].values, ddof=1) / km)
+
+
+VELOCITY, ANGLE = "velocity_error", "flight_path_angle_error"
+PRESSURE = "peak_dynamic_pressure"
+DOWNRANGE, CROSSRANGE = "downrange_error", "crossrange_error"
+
+COLUMNS = {
+    "cav-h": (
+        Column("velocity error, mean, m/s", VELOCITY, 1.0, np.mean),
+        Column("maximum", VELOCITY, 1.0, np.max),
+        Column("within 20 m/s, %", VELOCITY, 1.0, within_20),
+        Column("miss, maximum, m", "miss_distance", 1.0, np.max),
+        Column("path angle, maximum, deg", ANGLE, degree, np.max),
+        Column("azimuth, maximum, deg", "heading_error", degree, np.max),
+        Column("dynamic pressure, mean peak, kPa", PRESSURE, 1e3, np.mean),
+        Column("maximum peak", PRESSURE, 1e3, np.max),
+    ),
+    "mars-range-tracking": (
+        Column("downrange error, median, km", DOWNRANGE, km, np.median),
+        Column("95th percentile", DOWNRANGE, km, percentile(95)),
+        Column("maximum", DOWNRANGE, km, np.max),
+        Column("crossrange error, 95th percentile", CROSSRANGE, km, percentile(95)),
+    ),
+}
+
+DEVIATIONS = {
+    "cav-h": {},
+    "mars-range-tracking": {
+        "downrange std, km": deviation(DOWNRANGE),
+        "crossrange std": deviation(CROSSRANGE),
+        "altitude std": deviation("altitude_error"),
+    },
+}
+
+ROWS = {
+    "cav-h": (
+        ("stored", "normal"),
+        ("model-inversion", "normal"),
+        ("adjusted-once", "normal"),
+        ("network-once", "normal"),
+        ("state-network-once", "normal"),
+        ("adjusted-at-epochs", "normal"),
+        ("newton", "normal"),
+        ("newton", "uniform"),
+        ("newton", "normal-sensed"),
+        ("newton-network", "normal-sensed"),
+        ("newton", "waves-sensed"),
+        ("us-1976", "normal-sensed"),
+    ),
+    "mars-range-tracking": (
+        ("three-dimensional", "lift-to-drag-held"),
+        ("three-dimensional", "independent"),
+    ),
+}
+
+RUNS = {"cav-h": 500, "mars-range-tracking": 1000}
+"""In a set"""
+
+
+def flown(mission: str, variant: str, reading: str, runs: int, seed: int, out: Path):
+    """The stored campaign, of which what is missing is flown."""
+    chosen = find_mission(mission)
+    folder = out / f"{mission}-{variant}-{reading}-{seed}"
+    labels = {"mission": mission, "variant": variant}
+    table = chosen.dispersion_table(reading)
+    run_campaign(folder, chosen.scenario(variant), table, seed, runs, **labels)
+    return open_campaign(folder, runs)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("mission", choices=ROWS)
+    parser.add_argument("--only", nargs="*", help="variants; all if not given")
+    parser.add_argument("--sets", type=int, default=SETS)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, default=Path("results/populations"))
+    options = parser.parse_args()
+    mission, size = options.mission, RUNS[options.mission]
+    statistics = {c.heading: c.of for c in COLUMNS[mission]} | DEVIATIONS[mission]
+    print(f"{mission}: {options.sets} sets of {size} runs, seed {options.seed}; mean")
+    print("over the sets ± standard deviation of a set; of maxima also median, largest")
+    headings = ["variant", "dispersions", *statistics, "reached", "left out"]
+    print("| " + " | ".join(headings) + " |")
+    print("|" + "---|" * len(headings))
+    for variant, reading in ROWS[mission]:
+        if options.only and variant not in options.only:
+            continue
+        runs = options.sets * size
+        results = flown(mission, variant, reading, runs, options.seed, options.out)
+        cells = [variant, reading]
+        sets = sets_of(results, size)
+        for heading, statistic in statistics.items():
+            ours = population(statistic, sets)
+            cell = f"{ours.mean:.3g} ± {ours.spread:.2g}"
+            if "maximum" in heading:
+                middle, largest = np.median(ours.values), np.max(ours.values)
+                cell += f"; {middle:.3g}, {largest:.3g}"
+            cells.append(cell)
+        reached = int(np.sum(results["outcome"].values == Outcome.REACHED))
+        left_out = runs - finite_flights(results).sizes["run"]
+        print(
+            "| " + " | ".join([*cells, f"{reached}", f"{left_out}"]) + " |", flush=True
+        )
+
+
+if __name__ == "__main__":
+    main()

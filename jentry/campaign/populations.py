@@ -1,0 +1,94 @@
+"""How far a statistic of one set of runs can be believed: the same of many sets.
+
+Two sets of runs with other draws differ. What a source prints of its one set is compared
+with the population of sets of the same size: consecutive runs of one campaign, which
+share no draw.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Any
+
+import equinox as eqx
+import numpy as np
+
+from ..flight.termination import has_end
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+_OUTPUTS = ("end_", "peak_", "miss_distance")
+
+
+def is_output(name: str) -> bool:
+    """Whether a variable of a result tells how the flight ended, or a peak of it."""
+    return "." not in name and (name.startswith(_OUTPUTS) or name.endswith("_error"))
+
+
+def finite_flights(results: "xarray.Dataset") -> "xarray.Dataset":
+    """The runs that statistics are taken of.
+
+    Left out are those without an end, see `has_end`, and those of which an output is not
+    finite, whatever their outcome.
+    """
+    finite = np.array(has_end(results["outcome"].values))
+    for name in map(str, results.data_vars):
+        if is_output(name):
+            finite &= np.isfinite(results[name].values)
+    return results.isel(run=np.flatnonzero(finite))
+
+
+def sets_of(results: "xarray.Dataset", size: int) -> "list[xarray.Dataset]":
+    """The finite flights of each complete set, without their histories.
+
+    **Arguments:**
+
+    - `results`: a campaign as it was stored, in the order of its runs.
+    - `size`: runs in a set; the first is of the runs 0 to size - 1, and so on.
+
+    Raises `ValueError` for a set without two finite flights.
+    """
+    ends = results.drop_dims("time", errors="ignore")
+    sets = []
+    for begin in range(0, ends.sizes["run"] - size + 1, size):
+        flown = finite_flights(ends.isel(run=slice(begin, begin + size)))
+        if flown.sizes["run"] < 2:
+            raise ValueError(
+                f"of the runs {begin} to {begin + size - 1}, {flown.sizes['run']} are "
+                "finite: a statistic takes two or more"
+            )
+        sets.append(flown)
+    return sets
+
+
+class Population(eqx.Module):
+    """One statistic of many sets of runs."""
+
+    values: np.ndarray
+    """(sets,)"""
+
+    @property
+    def mean(self) -> float:
+        """Over the sets."""
+        return float(np.mean(self.values))
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation from set to set: how far one set may be off."""
+        return float(np.std(self.values, ddof=1))
+
+    def deviations(self, value: float) -> float:
+        """How many spreads a value lies above the mean; NaN where all sets are equal."""
+        return (value - self.mean) / self.spread if self.spread > 0.0 else np.nan
+
+    def below(self, value: float) -> int:
+        """In how many sets the statistic is below a value."""
+        return int(np.sum(self.values < value))
+
+
+def population(
+    statistic: Callable[[Any], float], sets: "Iterable[xarray.Dataset]"
+) -> Population:
+    """A statistic of each set; it takes the variables by name."""
+    return Population(np.array([statistic(one) for one in sets]))
