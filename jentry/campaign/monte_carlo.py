@@ -18,7 +18,7 @@ from .._addresses import (
     replace_leaves,
     require_address,
 )
-from ..flight.fly import Flight, fly
+from ..flight.fly import Flight, fly, warn_of
 from ..flight.misses import Misses, misses
 from ..flight.scenario import Scenario, check, check_values, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
@@ -74,13 +74,17 @@ def monte_carlo(
     **Raises:** `ValueError` for an empty batch, a dispersion or an address that reaches no
     leaf, inputs of unequal length, and inputs that cannot be flown.
 
+    Warns where a law has caveats (see `Flight.caveats`).
+
         campaign = monte_carlo(scenario, dispersions, jax.random.key(0))
         np.std(campaign.misses.downrange)
     """
     blocks = fly_in_blocks(
         scenario, dispersions, key, runs, inputs=inputs, solver=solver, history=history
     )
-    return jax.tree.map(lambda *parts: np.concatenate(parts), *blocks)
+    campaign = jax.tree.map(lambda *parts: np.concatenate(parts), *blocks)
+    warn_of(campaign.flights.caveats)
+    return campaign
 
 
 def fly_in_blocks(

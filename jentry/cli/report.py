@@ -17,7 +17,7 @@ from rich.progress import (
 from rich.table import Table
 
 from .._addresses import leaves_by_address, unit_of
-from ..flight.fly import Flight
+from ..flight.fly import Flight, caveat_sentence
 from ..flight.misses import misses
 from ..flight.scenario import Scenario
 from ..flight.termination import Outcome
@@ -70,7 +70,11 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
             words = label + words if label.endswith(" ") else words + label
             table.add_row(words, f"{float(value):z.6f}", unit)
     title = f"{mission.name}: {outcome.message} ({ended_by})"
-    print_under(new_console(), title, table)
+    console = new_console()
+    print_under(console, title, table)
+    for name, share in flight.caveats.items():
+        if share > 0.0:
+            console.print(f"caveat: {caveat_sentence(name, share)}")
 
 
 def print_campaign(mission: Mission, results, as_published: bool) -> None:
@@ -83,6 +87,9 @@ def print_campaign(mission: Mission, results, as_published: bool) -> None:
     codes, numbers = np.unique(results["outcome"], return_counts=True)
     for code, number in zip(codes, numbers, strict=True):
         console.print(f"{number} of {count} runs {Outcome(int(code)).message}")
+    for name, shares in results.data_vars.items():
+        if shares.attrs.get("caveat") and np.any(shares > 0.0):
+            console.print(f"caveat: {caveat_sentence(str(name), shares)}")
     finite = results["outcome"] != Outcome.NOT_FINITE
     flown = results.isel(run=np.flatnonzero(finite))
     if flown.sizes["run"] < count:
