@@ -6,7 +6,7 @@ import pytest
 
 from jentry.cli.design_report import print_cards
 from jentry.design import fly_samples, train_predictor
-from jentry.design.network_training import Samples
+from jentry.design.network_samples import Samples
 from jentry.guidance.anchoring import Shape
 from jentry.guidance.velocity_prediction import Inputs, Situation
 from jentry.missions import find_mission

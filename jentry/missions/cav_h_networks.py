@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import jax
 
-from ..design.network_training import VELOCITIES, fly_samples, train_predictor
+from ..design.network_samples import fly_samples
+from ..design.network_training import VELOCITIES, train_predictor
 from ..flight.scenario import Scenario
 from ..guidance.velocity_prediction import Inputs, NetworkPredictor
 from ..onboard.network import card_ranges, load_network, save_network
