@@ -110,10 +110,9 @@ def made_up(vehicles=40, each=6):
     factors = Factors(many(1.0), drag)
     situations = Situation(point, velocity, Shape(k1, many(0.717)), target, factors)
     vehicle = np.repeat(np.arange(vehicles), each)
-    at_entry = to_go == length
-    return Samples(
-        situations, final, vehicle, vehicle, at_entry, {"do not reach the target": 7}
-    )
+    flight = vehicle + vehicles * (np.arange(count) % 2)  # every vehicle flies twice
+    left_out = {"do not reach the target": 7}
+    return Samples(situations, final, flight, vehicle, to_go == length, left_out)
 
 
 def test_card_of_a_training(capsys):
