@@ -233,12 +233,16 @@ def test_a_network_that_comes_with_the_package(name):
     assert predictor.velocities.tolist() == card[VELOCITIES]
     reasons = card["left out"]
     assert "do not reach the target" in reasons
-    # Whether it has learnt anything that the median does not tell.
+    # Beside what the median of all flights would miss by.
     at_entry = card["held out mean error at the entry, m/s"]
     by_chance = card["mean deviation at the entry from the median, m/s"]
     if name == "state-only":
-        assert len(reasons) == 1
-        assert 0.8 * by_chance < at_entry < 1.02 * by_chance
+        assert list(reasons.values()) == [0]
+        # What no state tells. The notes: 10 % of C_D, or of density, move the velocity by
+        # 320 m/s; each has 3.3 % of one sigma, and a normal error a mean of 0.8 sigma.
+        unknown = np.sqrt(2.0 / np.pi) * np.sqrt(2.0) * 320.0 / 3.0
+        assert at_entry == pytest.approx(unknown, rel=0.1)
+        assert at_entry < by_chance  # the entry itself is known
     else:
         assert len(reasons) == 3
         assert card["held out mean error, m/s"] < 1.0
