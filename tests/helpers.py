@@ -27,6 +27,7 @@ from jentry.flight import (
 )
 from jentry.guidance import (
     AbstractContinuousLaw,
+    AbstractSampledLaw,
     Aim,
     BankProfile,
     ErrorGains,
@@ -88,6 +89,28 @@ class ConstantBank(AbstractContinuousLaw[None]):
         angle_of_attack = jnp.zeros_like(self.bank_angle)
         bank = self.bank_angle
         return Controls(angle_of_attack, jnp.cos(bank), jnp.sin(bank)), None
+
+
+class Doubting(AbstractSampledLaw[tuple[()], Scalar]):
+    """Full lift, with a caveat: the share of its cycles that began below an altitude."""
+
+    altitude: Scalar = scalar(unit="m")
+    period: float = eqx.field(default=1.0, static=True)
+
+    def init(self, measurement):
+        nothing = 0.0 * measurement.drag
+        return (), (nothing, nothing)
+
+    def update(self, time, measurement, memory, held):
+        below = measurement.state.altitude < self.altitude
+        return (), (held[0] + 1.0, held[1] + jnp.where(below, 1.0, 0.0))
+
+    def __call__(self, time, measurement, memory, held):
+        one = jnp.ones_like(measurement.drag)
+        return Controls(0.0 * one, one, 0.0 * one), ()
+
+    def caveats(self, held):
+        return {"low_cycles": held[1] / held[0]}
 
 
 def truths(name: str) -> dict[str, dict[str, float]]:

@@ -4,12 +4,16 @@ import jax
 import numpy as np
 import pytest
 
+from jentry.cli.design_report import print_cards
 from jentry.design import fly_samples, train_predictor
-from jentry.guidance.velocity_prediction import Inputs
+from jentry.design.network_samples import Samples
+from jentry.guidance.anchoring import Shape
+from jentry.guidance.velocity_prediction import Inputs, Situation
 from jentry.missions import find_mission
-from jentry.missions.cav_h import subdivided
+from jentry.missions.cav_h import stored, subdivided
 from jentry.missions.cav_h_dispersions import training_dispersions
 from jentry.missions.cav_h_networks import BETWEEN
+from jentry.onboard import Factors, PathPoint
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +31,22 @@ def samples():
 @pytest.mark.slow
 def test_samples_are_situations_of_flights(samples):
     assert len(samples) > 2000
+    # Every flight from the entry that counts has its first sample there.
+    first = np.unique(samples.flights[samples.flights < 200])
+    np.testing.assert_array_equal(samples.flights[samples.at_entry], first)
+    assert np.all(samples.situations.point.along[samples.at_entry] < 0.01)
+    # Flown again it is the same vehicle, with the same factors.
+    again = np.flatnonzero(samples.flights >= 200)
+    for index in again[:: len(again) // 20]:
+        same = (samples.vehicles == samples.vehicles[index]) & (samples.flights < 200)
+        drag = samples.situations.factors.drag
+        np.testing.assert_allclose(drag[same], drag[index], rtol=1e-6)
+    assert list(samples.left_out) == [
+        "do not reach the target",
+        "leave the curve at a limit of the angle of attack",
+        "end outside of 1950 to 3350 m/s",
+    ]
+    assert samples.left_out["end outside of 1950 to 3350 m/s"] > 0
     assert np.all(samples.final_velocity > BETWEEN[0])
     assert np.all(samples.final_velocity < BETWEEN[1])
     # Every flight has one end, and the vehicle slows down on its way there.
@@ -67,6 +87,78 @@ def test_training_predicts_what_it_has_not_seen(samples):
     card = trained[Inputs.ALL].card
     assert list(card["inputs"]) == list(Inputs.ALL.names)
     assert card["samples"] + card["held out samples"] == len(samples)
+
+
+def made_up(vehicles=40, each=6):
+    """Samples of flights that nobody flew: the velocity falls as a known function."""
+    rng = np.random.default_rng(5)
+    law = stored().guidance
+    length = float(law.track.length())
+    drag = np.repeat(rng.uniform(0.8, 1.2, vehicles), each)
+    to_go = np.tile(np.linspace(length, 0.1, each), vehicles)
+    velocity = rng.uniform(7400.0, 7600.0, drag.shape)
+    final = velocity * np.exp(-to_go * drag)
+    count = len(drag)
+
+    def many(value):
+        return np.full(count, float(value))
+
+    # As it comes out of the curve: the same but for rounding.
+    k1 = 0.848 + rng.uniform(-1e-12, 1e-12, count)
+    point = PathPoint(length - to_go, many(5e4), many(0), many(0), many(0))
+    target = jax.tree.map(many, law.target())
+    factors = Factors(many(1.0), drag)
+    situations = Situation(point, velocity, Shape(k1, many(0.717)), target, factors)
+    vehicle = np.repeat(np.arange(vehicles), each)
+    flight = vehicle + vehicles * (np.arange(count) % 2)  # every vehicle flies twice
+    left_out = {"do not reach the target": 7}
+    return Samples(situations, final, flight, vehicle, to_go == length, left_out)
+
+
+def test_card_of_a_training(capsys):
+    """What was left out, and the error at the entry, from the predictor itself."""
+    samples = made_up()
+    trained = train_predictor(
+        stored(),
+        samples,
+        Inputs.ALL,
+        jax.random.key(0),
+        hidden=(4,),
+        warm_up=200,
+        iterations=20,
+        held_out=0.3,
+    )
+    card, glide = trained.card, stored().guidance.glide
+    predict = jax.jit(jax.vmap(lambda s: trained.predictor.predict(glide, s)))
+    error = np.abs(predict(samples.situations) - samples.final_velocity)
+    answered = np.isfinite(error)
+    draws = jax.random.uniform(jax.random.split(jax.random.key(0), 4)[1], (40,))
+    held = np.asarray(draws < 0.3)[samples.vehicles]  # whole vehicles
+    assert card["left out"] == {"do not reach the target": 7}
+    assert (card["samples"], card["held out samples"]) == (np.sum(~held), np.sum(held))
+    # Only what is held out can be outside of the ranges.
+    assert card["held out samples outside of the ranges"] == np.sum(~answered)
+    assert np.all(answered[~held])
+    held &= answered
+    means = {
+        "held out mean error, m/s": error[held].mean(),
+        "held out mean error at the entry, m/s": error[held & samples.at_entry].mean(),
+    }
+    for key, mean in means.items():
+        assert card[key] == pytest.approx(mean, rel=1e-9)
+    assert card["held out samples at the entry"] == np.sum(held & samples.at_entry)
+    ends = samples.final_velocity[held & samples.at_entry]
+    assert card["mean deviation at the entry from the median, m/s"] == pytest.approx(
+        np.mean(np.abs(ends - np.median(ends))), rel=1e-12
+    )
+    network = trained.predictor.network
+    assert network.input_scale[6] == 0.0 and network.input_scale[7] == 0.0
+    assert network.input_scale[9] > 0.0
+    print_cards(find_mission("cav-h"), {"made-up": card})
+    printed = capsys.readouterr().out
+    at_entry = card["held out mean error at the entry, m/s"]
+    for shown in (f"{at_entry:.3f}", "left out: 7 of flights that do not reach"):
+        assert shown in printed
 
 
 def test_only_the_law_can_be_learnt():

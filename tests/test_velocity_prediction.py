@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jentry.flight.closed_loop import sense
 from jentry.guidance import (
     CycleSchedule,
     Epochs,
@@ -19,7 +20,12 @@ from jentry.guidance import (
     Subdivision,
 )
 from jentry.guidance.anchoring import Shape, parameters_of
-from jentry.guidance.velocity_prediction import Inputs, Situation, features
+from jentry.guidance.velocity_prediction import (
+    AbstractVelocityPredictor,
+    Inputs,
+    Situation,
+    features,
+)
 from jentry.missions.cav_h import glide, stored, subdivided
 from jentry.missions.cav_h_networks import network_predictor
 from jentry.onboard import BezierParameters, Factors, PathPoint
@@ -122,14 +128,16 @@ def test_newton_brings_the_prediction_to_the_wanted_velocity():
     here = situation(law)
     first = jnp.asarray(0.0)
     adjusted = eqx.filter_jit(control.adjusted)
-    moved = adjusted(law.glide, here, first, jnp.asarray(800.0))
+    moved, made = adjusted(law.glide, here, first, jnp.asarray(800.0))
+    assert (float(made.asked), float(made.unanswered)) == (1.0, 0.0)
     there = eqx.tree_at(lambda s: s.shape, here, moved)
     found = predict(FlownModel(), law.glide, there)
     assert float(found) == pytest.approx(2700.0, abs=1e-6)
     # Between epochs, and near the target, it is left.
     for cycle, seconds in ((7.0, 800.0), (10.0, 30.0)):
-        same = adjusted(law.glide, here, jnp.asarray(cycle), jnp.asarray(seconds))
+        same, made = adjusted(law.glide, here, jnp.asarray(cycle), jnp.asarray(seconds))
         assert float(same.second) == float(here.shape.second)
+        assert (float(made.asked), float(made.unanswered)) == (0.0, 0.0)
 
 
 def test_newton_stays_within_the_bounds():
@@ -137,7 +145,7 @@ def test_newton_stays_within_the_bounds():
     control = NewtonAdjustment(500.0, FlownModel(8), Epochs(every=1), iterations=6)
     here = situation(law)
     adjusted = eqx.filter_jit(control.adjusted)
-    moved = adjusted(law.glide, here, jnp.asarray(0.0), jnp.asarray(800.0))
+    moved, _ = adjusted(law.glide, here, jnp.asarray(0.0), jnp.asarray(800.0))
     lower, upper = law.anchoring.bounds(here.point, here.target)
     assert float(lower) <= float(moved.second) <= float(upper)
 
@@ -166,7 +174,7 @@ def test_network_reads_what_it_is_told():
     assert float(read[5]) == pytest.approx(7.5)
     np.testing.assert_allclose(read[-2:], [1.03, 0.98], rtol=1e-15)
     state = features(law.glide, here, Inputs.STATE)
-    np.testing.assert_array_equal(state, read[:6])
+    np.testing.assert_array_equal(state, read[:8])
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -182,8 +190,109 @@ def test_network_agrees_with_the_flown_model(name):
 
 def test_network_of_other_inputs_is_refused():
     network = network_predictor("stored").network
-    with pytest.raises(ValueError, match="has 10 inputs: the state are 6"):
-        NetworkPredictor(network, Inputs.STATE)
+    with pytest.raises(ValueError, match=r"has 10 inputs \(.*\): the state, .* are 8"):
+        NetworkPredictor(network, jnp.array([2000.0, 3000.0]), Inputs.STATE)
+    with pytest.raises(ValueError, match=r"velocities has shape \(1,\)"):
+        NetworkPredictor(network, jnp.array([2000.0]))
+
+
+K2 = 0.717
+
+
+def at_k1(k1, **changes):
+    """At the entry, with the paper's k2 and another k1."""
+    law = glide(BezierParameters(k1, K2)).guidance
+    return law.glide, situation(law, **changes)
+
+
+@pytest.mark.parametrize("name", ["stored", "state-only"])
+def test_a_network_answers_for_the_curve_that_it_was_trained_on(name):
+    """k1 was 0.848 in all training, to rounding: other values have no answer.
+
+    Scaled by that rounding, 0.848 + 1e-12 gave another velocity by 1200 m/s.
+    """
+    predictor = network_predictor(name)
+    here, near = (float(predictor.predict(*at_k1(k1))) for k1 in (0.848, 0.848 + 1e-12))
+    assert near == pytest.approx(here, abs=1e-6)  # no influence: rounding elsewhere
+    for k1, said in ((0.849, "first number of the shape is 0.849"), (0.6, "is 0.6,")):
+        with pytest.warns(UserWarning, match=f"{said}.*trained from 0.848 to 0.848"):
+            assert np.isnan(predictor.predict(*at_k1(k1)))
+
+
+@pytest.mark.parametrize(
+    "changes, said",
+    [
+        ({"velocity": 9000.0}, "velocity, km/s is 9, trained from"),
+        ({"drag": 1.5}, "drag factor is 1.5, trained from"),
+        ({"lift": 0.5}, "lift factor is 0.5, trained from"),
+        ({"lift": np.nan}, "lift factor is nan, trained from"),
+        ({"second": 0.1}, "second number of the shape is 0.1, trained from"),
+        ({"second": 1.04, "drag": 1.2}, "velocity at the target is"),
+    ],
+)
+def test_outside_of_its_ranges_a_network_does_not_answer(changes, said):
+    predictor = network_predictor("stored")
+    here = at_k1(0.848, **changes)
+    with pytest.warns(UserWarning, match=f"no answer outside of its ranges: .*{said}"):
+        assert np.isnan(predictor.predict(*here))
+    assert np.isnan(predict(predictor, *here))  # as inside of `jit`, without a word
+
+
+class Silent(AbstractVelocityPredictor):
+    """Has no answer, and a derivative that is not finite either."""
+
+    def predict(self, glide, situation):
+        return jnp.nan * situation.velocity * situation.shape.second
+
+
+def test_without_an_answer_the_curve_is_left_as_it_is():
+    """Also where it is beyond the bounds; and the derivative of that is exact."""
+    table = [jnp.linspace(0.1, 1.0, 3), 0.9, jnp.full(3, 2630.0), jnp.zeros((3, 3))]
+    controls = (
+        NewtonAdjustment(2630.0, Silent(), iterations=2),
+        PolynomialAdjustment(*table, predictor=Silent()),
+    )
+    for control in controls:
+
+        @eqx.filter_jit
+        def second(value, velocity, control=control):
+            law = LAWS["stored"]
+            here = situation(law, velocity=velocity, second=value)
+            shape, made = control.adjusted(
+                law.glide, here, jnp.asarray(0.0), jnp.asarray(800.0)
+            )
+            return shape.second, made
+
+        for value in (0.717, 1.5):
+            after, made = second(jnp.asarray(value), jnp.asarray(7500.0))
+            assert float(after) == value
+            assert (float(made.asked), float(made.unanswered)) == (1.0, 1.0)
+        slopes = eqx.filter_jit(jax.grad(lambda *x: second(*x)[0], argnums=(0, 1)))(
+            jnp.asarray(0.717), jnp.asarray(7500.0)
+        )
+        assert [float(slope) for slope in slopes] == [1.0, 0.0]
+
+
+def test_the_law_counts_predictions_without_an_answer():
+    """One guidance cycle with the curve of the training, and one with another."""
+
+    @eqx.filter_jit
+    def decided(k1):
+        control = NewtonAdjustment(2630.0, network_predictor("stored"))
+        scenario = glide(BezierParameters(k1, K2), velocity_control=control)
+        law, measured = scenario.guidance, sense(scenario, scenario.initial_state)
+        memory, held = law.init(measured)
+        _, held = law.update(jnp.asarray(0.0), measured, memory, held)
+        # Between epochs nothing is asked.
+        _, held = law.update(jnp.asarray(1.0), measured, memory, held)
+        return held.shape.second, law.caveats(held)
+
+    second, caveats = decided(jnp.asarray(0.848))
+    assert caveats == {"unanswered_predictions": 0.0}
+    assert float(second) != K2
+    second, caveats = decided(jnp.asarray(0.849))
+    assert caveats == {"unanswered_predictions": 1.0}
+    assert float(second) == K2
 
 
 def test_schedule_refuses_cycles_that_do_not_divide():

@@ -21,7 +21,7 @@ from .._addresses import (
     require_address,
 )
 from ..flight.cycle import Plan
-from ..flight.fly import Flight, fly
+from ..flight.fly import Flight, fly, warn_of
 from ..flight.misses import Misses, misses
 from ..flight.scenario import Scenario, check, check_values, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
@@ -83,13 +83,17 @@ def monte_carlo(
     leaf, inputs of unequal length, and inputs that cannot be flown: all draws are looked
     at before the first flight.
 
+    Warns where a law has caveats (see `Flight.caveats`).
+
         campaign = monte_carlo(scenario, dispersions, jax.random.key(0))
         np.std(campaign.misses.downrange)
     """
     blocks = fly_in_blocks(
         scenario, dispersions, key, runs, inputs=inputs, solver=solver, history=history
     )
-    return jax.tree.map(lambda *parts: np.concatenate(parts), *blocks)
+    campaign = jax.tree.map(lambda *parts: np.concatenate(parts), *blocks)
+    warn_of(campaign.flights.caveats)
+    return campaign
 
 
 def fly_in_blocks(

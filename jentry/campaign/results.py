@@ -54,6 +54,9 @@ def dataset(
 ) -> "xarray.Dataset":
     """Inputs by address, outcome, final state, misses, peaks and, if kept, histories.
 
+    And the caveats of the law: a variable with the attribute `caveat` is a share, and
+    where it is not zero the run did not go as the law is meant to.
+
     Dimensions: run, and time for histories, whose interval is `history` (s). Errors are
     actual minus desired.
     """
@@ -99,6 +102,8 @@ def dataset(
         put("miss_distance", distance, "m", "distance from the target at the end")
     for name, unit in _CONSTRAINTS.items():
         put(f"peak_{name}", getattr(flights.peaks, name), unit, f"peak {_words(name)}")
+    for name, shares in flights.caveats.items():
+        put(name, shares, "1", f"{_words(name)}, share", caveat=1)
 
     coordinates: dict[str, Any] = {"run": campaign.runs}
     kept = flights.history

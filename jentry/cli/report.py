@@ -18,10 +18,10 @@ from rich.table import Table
 
 from .._addresses import field_metadata, leaves_by_address, unit_of
 from ..campaign.populations import finite_flights, is_output, population, sets_of
-from ..flight.fly import Flight
+from ..flight.fly import Flight, caveat_sentence
 from ..flight.misses import misses
 from ..flight.scenario import Scenario, allowed
-from ..flight.termination import Outcome
+from ..flight.termination import Outcome, has_end
 from ..missions.mission import Mission
 from ..motion.state import EntryState
 from .tables import at_edge, new_console, new_table, print_under, unit_of_output
@@ -63,6 +63,8 @@ def print_leaves(scenario: Scenario) -> None:
 def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     """Outcome, final state, misses and peaks of one flight."""
     outcome = Outcome(int(flight.outcome))
+    # Of a flight that stopped elsewhere no condition was met.
+    met = has_end(outcome) or outcome == Outcome.BEGAN_BEYOND_END
     ended_by = scenario.termination.names[int(flight.ended_by)]
     table = new_table("", "value", "unit")
     table.add_row("time", f"{float(flight.time):.4f}", "s")
@@ -79,8 +81,12 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
             words = name.replace("_", " ")
             words = label + words if label.endswith(" ") else words + label
             table.add_row(words, f"{float(value):z.6f}", unit)
-    title = f"{mission.name}: {outcome.message} ({ended_by})"
-    print_under(new_console(), title, table)
+    title = f"{mission.name}: {outcome.message}" + (f" ({ended_by})" if met else "")
+    console = new_console()
+    print_under(console, title, table)
+    for name, share in flight.caveats.items():
+        if share > 0.0:
+            console.print(f"caveat: {caveat_sentence(name, share)}")
 
 
 def print_campaign(mission: Mission, results, as_published: bool) -> None:
@@ -92,6 +98,9 @@ def print_campaign(mission: Mission, results, as_published: bool) -> None:
     console = new_console()
     flown = finite_flights(results)
     _print_outcomes(console, results, flown)
+    for name, shares in results.data_vars.items():
+        if shares.attrs.get("caveat") and np.any(shares > 0.0):
+            console.print(f"caveat: {caveat_sentence(str(name), shares)}")
     if flown.sizes["run"] == 0:
         return
     _print_statistics(console, mission, flown)

@@ -15,10 +15,8 @@ from .losses import (
     probability_outside as probability_outside,
     smooth_maximum as smooth_maximum,
 )
-from .network_training import (
-    fly_samples as fly_samples,
-    train_predictor as train_predictor,
-)
+from .network_samples import fly_samples as fly_samples
+from .network_training import train_predictor as train_predictor
 from .planning import (
     ReferenceFlight as ReferenceFlight,
     open_loop as open_loop,

@@ -1,11 +1,7 @@
-"""Training of a network that predicts the velocity at the target, on flights of its own.
-
-The data are flown by the simulator: from the entry, and again from places along those
-flights with another curve, so that the network also knows what a re-planned flight meets.
-"""
+"""Training of a network that predicts the velocity at the target, on flown samples."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -15,164 +11,18 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 from jax import lax
-from jaxtyping import Array, Float, Key
+from jaxtyping import Array, Key
 
-from .._types import Scalar
-from ..campaign.dispersions import Dispersion
-from ..campaign.monte_carlo import Campaign, monte_carlo
 from ..flight.scenario import Scenario
-from ..flight.solver import AbstractSolver, FixedStep
-from ..flight.termination import Outcome
-from ..guidance.anchoring import Shape, parameters_of
-from ..guidance.bezier import Decision
 from ..guidance.velocity_prediction import (
-    FlownModel,
     Inputs,
     NetworkPredictor,
     Situation,
     features,
 )
-from ..motion.state import EntryState
 from ..onboard.network import Network
-from .velocity_planning import K1, K2, bezier_law
-
-
-INTERVAL = 20.0
-"""s between the samples of a flight"""
-
-
-class Samples(eqx.Module):
-    """Situations on the way, and how the flights ended; every array has them in front."""
-
-    situations: Situation
-    final_velocity: Float[np.ndarray, " n"]
-    """m/s"""
-    flights: np.ndarray
-    """Number of the flight that each is of"""
-
-    def __len__(self) -> int:
-        return len(self.flights)
-
-    def of(self, chosen: np.ndarray) -> "Samples":
-        """Some of them, by index or by a mask."""
-        return jax.tree.map(lambda x: np.asarray(x)[chosen], self)
-
-
-def fly_samples(
-    scenario: Scenario,
-    dispersions: Mapping[str, Dispersion],
-    flights: int,
-    key: Key[Array, ""],
-    *,
-    again: int,
-    between: tuple[float, float],
-    solver: AbstractSolver = FixedStep(),
-) -> Samples:
-    """Fly the law without velocity control, dispersed, and sample the flights.
-
-    **Arguments:**
-
-    - `dispersions`: of what the network is to know, wider than it will meet; those of
-      lift and drag as factors of the vehicle.
-    - `flights`: from the entry.
-    - `again`: from places along those, with the third control point moved at random.
-    - `between`: velocities at the target (m/s) of the flights that count.
-    - `solver`: as for `fly`.
-    """
-    first_key, second_key = jax.random.split(key)
-    first = monte_carlo(
-        scenario, dispersions, first_key, flights, solver=solver, history=INTERVAL
-    )
-    samples = _samples(scenario, first, 0)
-    inputs = _moved_inputs(scenario, first, samples, again, second_key)
-    second = monte_carlo(scenario, inputs=inputs, solver=solver, history=INTERVAL)
-    more = _samples(scenario, second, flights)
-    both = jax.tree.map(lambda *parts: np.concatenate(parts), samples, more)
-    final = both.final_velocity
-    return both.of((final > between[0]) & (final < between[1]))
-
-
-def _samples(scenario: Scenario, campaign: Campaign, before: int) -> Samples:
-    """Of all flights that reached the target, at all times before."""
-    law = bezier_law(scenario)
-    history = campaign.flights.history
-    assert history is not None
-    flight, place = _usable(scenario, campaign)
-    states, decisions = jax.tree.map(
-        lambda x: jnp.asarray(x[flight, place]), (history.states, history.decisions)
-    )
-
-    def situation(state: EntryState, decision: Decision) -> Situation:
-        return law.situation(state, decision)
-
-    situations = eqx.filter_jit(jax.vmap(situation))(states, decisions)
-    final = np.asarray(campaign.flights.state.velocity)[flight]
-    situations = jax.tree.map(np.asarray, situations)
-    return Samples(situations, final, before + flight)
-
-
-def _moved_inputs(
-    scenario: Scenario,
-    campaign: Campaign,
-    samples: Samples,
-    count: int,
-    key: Key[Array, ""],
-) -> dict[str, np.ndarray]:
-    """Starts on the way of flights, with another third control point, by address."""
-    law = bezier_law(scenario)
-    history = campaign.flights.history
-    assert history is not None
-    keys = jax.random.split(key, 2)
-    flight, place = _usable(scenario, campaign)
-    chosen = np.asarray(jax.random.choice(keys[0], len(samples), (count,)))
-    situations = jax.tree.map(jnp.asarray, samples.of(chosen).situations)
-    share = jax.random.uniform(keys[1], (count,), minval=-1.0, maxval=1.0, dtype=float)
-
-    def moved(situation: Situation, share: Array):
-        lower, upper = law.anchoring.bounds(situation.point, situation.target)
-        second = situation.shape.second + 0.2 * share * (upper - lower)
-        shape = Shape(situation.shape.first, jnp.clip(second, lower, upper))
-        return parameters_of(law.anchoring, shape, situation.point, situation.target)
-
-    parameters = eqx.filter_jit(jax.vmap(moved))(situations, share)
-    states = jax.tree.map(
-        lambda x: np.asarray(x)[flight[chosen], place[chosen]], history.states
-    )
-    inputs = {a: np.asarray(v)[flight[chosen]] for a, v in campaign.inputs.items()}
-    inputs |= {f"initial_state.{name}": v for name, v in vars(states).items()}
-    inputs |= {K1: np.asarray(parameters.k1), K2: np.asarray(parameters.k2)}
-    return {address: np.asarray(values) for address, values in inputs.items()}
-
-
-def _usable(scenario: Scenario, campaign: Campaign) -> tuple[np.ndarray, np.ndarray]:
-    """Flight and place in the history of all that a network can learn from.
-
-    Those of flights that kept to the curve. At a limit of the angle of attack they leave
-    it, and their end is another function of where they began; the velocity is then far
-    from that of the curve, from which holding the command through the guidance cycles
-    takes it by 12 m/s at most.
-    """
-    law = bezier_law(scenario)
-    history = campaign.flights.history
-    assert history is not None
-
-    def on_curve(state: EntryState, decision: Decision) -> Scalar:
-        return FlownModel().predict(law.glide, law.situation(state, decision))
-
-    first = jax.tree.map(
-        lambda x: jnp.asarray(x[:, 0]), (history.states, history.decisions)
-    )
-    predicted = np.asarray(eqx.filter_jit(jax.vmap(on_curve))(*first))
-    reached = np.asarray(campaign.flights.outcome) == Outcome.REACHED
-    final = np.asarray(campaign.flights.state.velocity)
-    kept = reached & (np.abs(predicted - final) < _OFF_CURVE)
-    usable = np.isfinite(np.asarray(history.time)) & kept[:, None]
-    flight, place = np.nonzero(usable)
-    return flight, place
-
-
-_OFF_CURVE = 20.0
-"""m/s"""
+from .network_samples import Samples
+from .velocity_planning import bezier_law
 
 
 class Trained(eqx.Module):
@@ -199,7 +49,7 @@ def train_predictor(
 
     The loss is the mean of sqrt(1 + e^2) - 1 for an error of e m/s: quadratic below 1 m/s
     and linear above, so that the few flights near a limit do not rule the others. One
-    share of the flights, with all their samples, is held out and tells the error.
+    share of the vehicles, with all their samples, is held out and tells the error.
 
     **Arguments:**
 
@@ -207,15 +57,15 @@ def train_predictor(
     - `warm_up`: steps of Adam, on 2048 samples each.
     - `iterations`: of L-BFGS, on `fitted` samples. This is what the last digits take:
       Adam alone stays ten times as far off.
-    - `held_out`: share of the flights.
+    - `held_out`: share of the vehicles.
     - `report`: is told how it goes.
     """
     began = time.perf_counter()
     glide = bezier_law(scenario).glide
     network_key, split_key, batch_key, fitted_key = jax.random.split(key, 4)
-    flights = int(np.max(samples.flights)) + 1
-    out = np.asarray(jax.random.uniform(split_key, (flights,))) < held_out
-    out = out[samples.flights]
+    vehicles = int(np.max(samples.vehicles)) + 1
+    out = np.asarray(jax.random.uniform(split_key, (vehicles,))) < held_out
+    out = out[samples.vehicles]
     inside = np.flatnonzero(~out)
 
     @eqx.filter_jit
@@ -228,7 +78,7 @@ def train_predictor(
     final = jnp.asarray(samples.final_velocity)
     outputs = np.asarray(jnp.log(velocity / final) / to_go)
     network = Network.untrained(
-        np.asarray(read)[inside], outputs[inside], hidden, network_key
+        inputs.names, np.asarray(read)[inside], outputs[inside], hidden, network_key
     )
 
     given = read, to_go, velocity, final
@@ -254,32 +104,45 @@ def train_predictor(
         layers = moved
     network = _with_layers(network, layers)
 
-    aside = jnp.asarray(np.flatnonzero(out))
-    error = np.abs(np.asarray(eqx.filter_jit(errors)(network, aside)))
+    slowest, fastest = (f(samples.final_velocity[inside]) for f in (np.min, np.max))
+    predictor = NetworkPredictor(network, jnp.stack([slowest, fastest]), inputs)
     held = samples.of(out)
-    at_start = np.asarray(to_go)[out] > 0.97 * float(jnp.max(to_go))
-    ranges = {
-        name: [float(x) for x in (values.min(), values.max())]
-        for name, values in zip(inputs.names, np.asarray(read)[inside].T, strict=True)
-    }
+
+    @eqx.filter_jit
+    def predicted(situations: Situation):
+        return jax.vmap(lambda s: predictor.predict(glide, s))(situations)
+
+    answers = predicted(jax.tree.map(jnp.asarray, held.situations))
+    error = np.abs(np.asarray(answers) - held.final_velocity)
+    answered = np.isfinite(error)
+    entry = held.at_entry & answered
+    at_entry = held.final_velocity[entry]
     card = {
         "purpose": f"final velocity from {inputs.value}",
         "anchoring": type(glide.anchoring).__name__,
-        "inputs": ranges,
         "output": "ln(v / v_f) / X: velocity v, velocity at the target v_f, "
         "angle to go X in rad",
-        "hidden": list(hidden),
+        VELOCITIES: [float(slowest), float(fastest)],
         "samples": len(samples) - len(held),
         "flights": int(len(np.unique(samples.flights))),
+        "left out": samples.left_out,
         "held out samples": len(held),
-        "held out mean error, m/s": float(error.mean()),
-        "held out 95 % error, m/s": float(np.percentile(error, 95)),
-        "held out mean error at the start, m/s": float(error[at_start].mean()),
+        "held out samples outside of the ranges": int(np.sum(~answered)),
+        "held out mean error, m/s": float(error[answered].mean()),
+        "held out 95 % error, m/s": float(np.percentile(error[answered], 95)),
+        "held out samples at the entry": int(entry.sum()),
+        "held out mean error at the entry, m/s": float(error[entry].mean()),
+        "mean deviation at the entry from the median, m/s": float(
+            np.abs(at_entry - np.median(at_entry)).mean()
+        ),
         "steps of Adam, iterations of L-BFGS": [warm_up, iterations],
         "training, s": round(time.perf_counter() - began, 1),
     }
-    return Trained(NetworkPredictor(network, inputs), card)
+    return Trained(predictor, card)
 
+
+VELOCITIES = "velocity at the target, m/s"
+"""Of a model card: smallest and largest in training"""
 
 Layers = tuple[tuple[Array, ...], tuple[Array, ...]]
 """Weights and biases of a network: what is trained of it"""

@@ -159,6 +159,12 @@ def command(
     return law(flown, measurement, memory)
 
 
+def caveats(scenario: Scenario, held: Any) -> dict[str, Scalar]:
+    """What a sampled law says of how it decided."""
+    law = scenario.guidance
+    return law.caveats(held) if isinstance(law, AbstractSampledLaw) else {}
+
+
 def vector_field(scenario: Scenario, held: Any):
     """Time derivative of motion and memory within a cycle, `field(flown, y)`."""
     dynamics = equatorial_dynamics if scenario.in_plane else entry_dynamics

@@ -1,16 +1,18 @@
 """Fly one scenario to its end: the pure function that everything else calls."""
 
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .._types import Count, Flag, Scalar
 from ..motion.state import Controls, EntryState
-from .closed_loop import Lane, Peaks, command, path_constraints, start
+from .closed_loop import Lane, Peaks, caveats, command, path_constraints, start
 from .cycle import Plan
 from .end import end_of_flight
 from .loop import while_running, while_running_with_history
@@ -46,6 +48,9 @@ class Flight(eqx.Module):
     peaks: Peaks
     """Largest values of the path constraints, over all steps; with the `Adaptive` solver
     over the ends of the guidance cycles only"""
+    caveats: dict[str, Scalar]
+    """What a reader of the results must know of how the law decided, by name: shares from
+    0 to 1 (see `AbstractSampledLaw.caveats`)"""
     history: History | None
 
 
@@ -104,13 +109,35 @@ def fly(
         lanes = plan.kept(scenario, lanes)
         kept = jax.vmap(lambda lane: _observe(scenario, plan, lane))(lanes)
     end = end_of_flight(scenario, lane)
+    told = caveats(scenario, end.lane.held)
+    warn_of(told)
     return Flight(
         time=end.lane.flown,
         state=end.lane.state,
         outcome=end.outcome,
         ended_by=end.ended_by,
         peaks=end.lane.peaks,
+        caveats=told,
         history=kept,
+    )
+
+
+def warn_of(caveats: Mapping[str, Any], stacklevel: int = 3) -> None:
+    """Warn of caveats that are not zero, of one flight or of many.
+
+    Says nothing of numbers that are not known yet, as under `jit`.
+    """
+    for name, shares in caveats.items():
+        if not isinstance(shares, jax.core.Tracer) and np.any(np.asarray(shares) > 0.0):
+            warnings.warn(caveat_sentence(name, shares), stacklevel=stacklevel)
+
+
+def caveat_sentence(name: str, shares: Any) -> str:
+    """How many of the flights have a caveat, and the largest share."""
+    shares = np.atleast_1d(np.asarray(shares))
+    return (
+        f"{np.sum(shares > 0.0)} of {shares.size} flights have {name.replace('_', ' ')}, "
+        f"up to {np.max(shares):.0%} in one flight"
     )
 
 

@@ -9,6 +9,7 @@ import math
 from typing import ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from .._types import QUARTER, Scalar, scalar
@@ -24,7 +25,7 @@ from .anchoring import AbstractAnchoring, Shape, StoredParameters
 from .attitude import FlightLimits, attitude
 from .inverse_dynamics import path_point, required_acceleration
 from .law import AbstractSampledLaw
-from .velocity_control import AbstractVelocityControl, NoVelocityControl
+from .velocity_control import AbstractVelocityControl, NoVelocityControl, Predictions
 from .velocity_prediction import Glide, Situation
 
 
@@ -86,6 +87,8 @@ class Decision(eqx.Module):
     """Of this cycle, s"""
     count: Scalar
     """Of the cycles decided so far"""
+    predictions: Predictions
+    """Of the velocity at the target, so far"""
 
 
 class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
@@ -162,6 +165,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
             estimate=self.estimator.start(nothing),
             duration=nothing + self.period,
             count=nothing,
+            predictions=Predictions.none(nothing),
         )
         return (), before
 
@@ -183,7 +187,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
         seconds_to_go = distance / state.velocity
         factors = estimate.factors
         shape = self.anchoring.carried(held.shape, held.along, start, target)
-        shape = self.velocity_control.adjusted(
+        shape, predictions = self.velocity_control.adjusted(
             self.glide,
             Situation(start, state.velocity, shape, target, factors),
             held.count,
@@ -213,12 +217,19 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
             estimate=estimate,
             duration=self.schedule.duration(seconds_to_go, held.duration),
             count=held.count + 1.0,
+            predictions=jax.tree.map(jnp.add, held.predictions, predictions),
         )
 
     def __call__(
         self, time: Scalar, measurement: Measurement, memory: tuple[()], held: Decision
     ) -> tuple[Controls, tuple[()]]:
         return held.controls, ()
+
+    def caveats(self, held: Decision) -> dict[str, Scalar]:
+        """Share of the predictions of the velocity at the target without an answer."""
+        made = held.predictions
+        share = made.unanswered / jnp.maximum(made.asked, 1.0)
+        return {"unanswered_predictions": share}
 
     def situation(self, state: EntryState, decision: Decision) -> Situation:
         """What a prediction of the velocity at the target starts from."""

@@ -71,6 +71,15 @@ class AbstractSampledLaw(AbstractLaw, Generic[Memory, Held]):
         """
         return None
 
+    def caveats(self, held: Held) -> dict[str, Scalar]:
+        """What a reader of the results must know of how the law decided; by name.
+
+        Each is a share from 0 to 1, such as of the decisions that lacked what the law
+        decides by. They stand in `Flight.caveats` and in the results of a campaign, and
+        it is said where one is not zero.
+        """
+        return {}
+
     @abstractmethod
     def init(self, measurement: Measurement) -> tuple[Memory, Held]:
         """Memory, and what is held before the first cycle."""

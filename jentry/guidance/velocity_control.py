@@ -18,6 +18,21 @@ from .velocity_prediction import (
 )
 
 
+class Predictions(eqx.Module):
+    """How many predictions a control has asked for, and how many had no answer."""
+
+    asked: Scalar
+    unanswered: Scalar
+    """Not finite: a network was asked outside of its ranges, or a flown model ended in
+    nothing. The curve was then left as it was"""
+
+    @classmethod
+    def none(cls, like: Scalar) -> "Predictions":
+        """Of a control that has not asked yet."""
+        nothing = 0.0 * jnp.asarray(like)
+        return cls(nothing, nothing)
+
+
 class AbstractVelocityControl(eqx.Module):
     """Moves the third control point of the curve, or leaves it."""
 
@@ -28,8 +43,12 @@ class AbstractVelocityControl(eqx.Module):
     @abstractmethod
     def adjusted(
         self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
-    ) -> Shape:
-        """The shape after the decision of a guidance cycle, counted from 0."""
+    ) -> tuple[Shape, Predictions]:
+        """The shape after the decision of a guidance cycle, counted from 0.
+
+        And the predictions of this cycle. Without an answer the shape is left as it is:
+        a command is not made of what nobody knows.
+        """
 
 
 class NoVelocityControl(AbstractVelocityControl):
@@ -40,8 +59,8 @@ class NoVelocityControl(AbstractVelocityControl):
 
     def adjusted(
         self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
-    ) -> Shape:
-        return situation.shape
+    ) -> tuple[Shape, Predictions]:
+        return situation.shape, Predictions.none(cycle)
 
 
 class Epochs(eqx.Module):
@@ -112,8 +131,9 @@ class PolynomialAdjustment(AbstractVelocityControl):
 
     def adjusted(
         self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
-    ) -> Shape:
-        def act(shape: Shape) -> Shape:
+    ) -> tuple[Shape, Predictions]:
+        def act(before: tuple[Shape, Predictions]) -> tuple[Shape, Predictions]:
+            shape, _ = before
             as_nominal = Shape(shape.first, self.nominal_k2)
             predicted = self.predictor.predict(
                 glide, eqx.tree_at(lambda s: s.shape, situation, as_nominal)
@@ -123,18 +143,21 @@ class PolynomialAdjustment(AbstractVelocityControl):
                 jnp.interp(to_go, self.to_go, column)
                 for column in (self.nominal_velocity, *self.polynomials.T)
             )
-            x = 1e-2 * (nominal - predicted)
+            known = jnp.isfinite(nominal - predicted)
+            x = jnp.where(known, 1e-2 * (nominal - predicted), 0.0)
             lower, upper = glide.anchoring.bounds(situation.point, situation.target)
-            return Shape(shape.first, jnp.clip(p0 + x * (p1 + x * p2), lower, upper))
+            second = jnp.clip(p0 + x * (p1 + x * p2), lower, upper)
+            second = jnp.where(known, second, shape.second)
+            return Shape(shape.first, second), _one(known)
 
-        return where_due(self.epochs.due(cycle, seconds_to_go), act, situation.shape)
+        before = situation.shape, Predictions.none(cycle)
+        return where_due(self.epochs.due(cycle, seconds_to_go), act, before)
 
 
 class NewtonAdjustment(AbstractVelocityControl):
     """Beyond the paper: Newton's method on the predicted velocity at the target.
 
     With any predictor, since all are differentiable: the flown model, or the network.
-    Where a prediction is not finite the curve is left as it is until the next epoch.
     """
 
     wanted_velocity: Scalar = scalar(unit="m/s", positive=True)
@@ -149,23 +172,37 @@ class NewtonAdjustment(AbstractVelocityControl):
 
     def adjusted(
         self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
-    ) -> Shape:
+    ) -> tuple[Shape, Predictions]:
         lower, upper = glide.anchoring.bounds(situation.point, situation.target)
 
         def miss(second: Scalar, first: Scalar) -> Scalar:
             moved = eqx.tree_at(lambda s: s.shape, situation, Shape(first, second))
             return self.predictor.predict(glide, moved) - self.wanted_velocity
 
-        def act(shape: Shape) -> Shape:
+        def act(before: tuple[Shape, Predictions]) -> tuple[Shape, Predictions]:
+            shape, _ = before
             second = shape.second
             most = self.largest_step * (upper - lower)
+            answered = jnp.isfinite(second)
             for _ in range(self.iterations):
                 value, slope = jax.jvp(
                     lambda x: miss(x, shape.first), (second,), (jnp.ones_like(second),)
                 )
-                move = jnp.clip(-value / slope, -most, most)
-                move = jnp.where(jnp.isfinite(move), move, 0.0)
-                second = jnp.clip(second + move, lower, upper)
-            return Shape(shape.first, second)
+                known = jnp.isfinite(value) & jnp.isfinite(slope) & (slope != 0.0)
+                value, slope = (
+                    jnp.where(known, value, 0.0),
+                    jnp.where(known, slope, 1.0),
+                )
+                moved = second + jnp.clip(-value / slope, -most, most)
+                second = jnp.where(known, jnp.clip(moved, lower, upper), second)
+                answered = answered & known
+            return Shape(shape.first, second), _one(answered)
 
-        return where_due(self.epochs.due(cycle, seconds_to_go), act, situation.shape)
+        before = situation.shape, Predictions.none(cycle)
+        return where_due(self.epochs.due(cycle, seconds_to_go), act, before)
+
+
+def _one(answered: Flag) -> Predictions:
+    """One prediction."""
+    asked = jnp.ones_like(answered, dtype=float)
+    return Predictions(asked, jnp.where(answered, 0.0, asked))

@@ -1,13 +1,15 @@
 """The velocity at the target, predicted on board by flying the model along the curve."""
 
 import enum
+import warnings
 from abc import abstractmethod
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .._types import Scalar
+from .._types import Scalar, table
 from ..onboard.bezier import PathPoint
 from ..onboard.estimation import Factors
 from ..onboard.model import WorldModel
@@ -41,7 +43,7 @@ class AbstractVelocityPredictor(eqx.Module):
 
     @abstractmethod
     def predict(self, glide: Glide, situation: Situation) -> Scalar:
-        """m/s; differentiable in the shape."""
+        """m/s; differentiable in the shape. NaN where there is no answer."""
 
 
 class FlownModel(AbstractVelocityPredictor):
@@ -105,26 +107,22 @@ STATE_FEATURES = (
     "cross-track slope, 1e-3",
     "velocity, km/s",
 )
-CURVE_AND_FACTOR_FEATURES = (
-    "first number of the shape",
-    "second number of the shape",
-    "lift factor",
-    "drag factor",
-)
+CURVE_FEATURES = "first number of the shape", "second number of the shape"
+FACTOR_FEATURES = "lift factor", "drag factor"
 
 
 class Inputs(enum.Enum):
     """What a network is told."""
 
-    STATE = "the state"
+    STATE = "the state, on one curve"
     ALL = "the state, the curve and the estimated factors"
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the features, with their units."""
         if self is Inputs.STATE:
-            return STATE_FEATURES
-        return STATE_FEATURES + CURVE_AND_FACTOR_FEATURES
+            return STATE_FEATURES + CURVE_FEATURES
+        return STATE_FEATURES + CURVE_FEATURES + FACTOR_FEATURES
 
 
 def features(glide: Glide, situation: Situation, inputs: Inputs) -> Float[Array, " n"]:
@@ -138,8 +136,8 @@ def features(glide: Glide, situation: Situation, inputs: Inputs) -> Float[Array,
         1e3 * point.cross_slope,
         1e-3 * situation.velocity,
     ]
-    if inputs is not Inputs.STATE:
-        numbers += glide.anchoring.features(situation.shape, point, target)
+    numbers += glide.anchoring.features(situation.shape, point, target)
+    if inputs is Inputs.ALL:
         numbers += [situation.factors.lift, situation.factors.drag]
     return jnp.stack(numbers)
 
@@ -149,26 +147,60 @@ class NetworkPredictor(AbstractVelocityPredictor):
 
     It gives ln(v / v_f) / X for the velocity v and the angle to go X, so that
     its error vanishes as the target comes near.
+
+    It answers within the ranges of its training only. Where an input is outside of its
+    range, or the velocity at the target would be, the prediction is NaN: the laws then
+    leave the curve as it is. A warning says so where the numbers are known when it is
+    called, which they are not under `jit`: see `Flight.caveats`.
     """
 
     network: Network
+    velocities: Float[Array, "..."] = table(unit="m/s")
+    """(2,) smallest and largest velocity at the target in training"""
     inputs: Inputs = eqx.field(default=Inputs.ALL, static=True)
 
     def __check_init__(self):
-        expected = len(self.inputs.names)
-        (given,) = self.network.input_mean.shape
+        expected, given = self.inputs.names, self.network.names
         if given != expected:
             raise ValueError(
-                f"the network has {given} inputs: {self.inputs.value} are {expected}"
+                f"the network has {len(given)} inputs ({', '.join(given)}): "
+                f"{self.inputs.value} are {len(expected)} ({', '.join(expected)})"
+            )
+        if self.velocities.shape != (2,):
+            raise ValueError(
+                f"velocities has shape {self.velocities.shape}: expected (2,)"
             )
 
     def predict(self, glide: Glide, situation: Situation) -> Scalar:
+        read = features(glide, situation, self.inputs)
+        known = self.network.knows(read)
+        # On both sides of the `where`, so that no derivative comes from out there.
+        inside = jnp.where(known, read, self.network.input_mean)
         to_go = situation.target.along - situation.point.along
-        rate = self.network(features(glide, situation, self.inputs))
-        return situation.velocity * jnp.exp(-to_go * rate)
+        velocity = situation.velocity * jnp.exp(-to_go * self.network(inside))
+        slowest, fastest = self.velocities
+        answers = known & (velocity >= slowest) & (velocity <= fastest)
+        if not isinstance(answers, jax.core.Tracer) and not answers:
+            warnings.warn(self._refusal(read, velocity), stacklevel=2)
+        return jnp.where(answers, velocity, jnp.nan)
 
-
-def learnt_from(situation: Situation, final_velocity: Scalar) -> Scalar:
-    """The output of the network that predicts a velocity at the target."""
-    to_go = situation.target.along - situation.point.along
-    return jnp.log(situation.velocity / final_velocity) / to_go
+    def _refusal(self, read: Array, velocity: Scalar) -> str:
+        """Why there is no answer."""
+        beyond = [
+            f"{name} is {float(value):.6g}, trained from {low:.6g} to {high:.6g}"
+            for name, value, (low, high), outside in zip(
+                self.network.names,
+                read,
+                self.network.input_ranges.tolist(),
+                self.network.outside(read),
+                strict=True,
+            )
+            if outside
+        ]
+        if not beyond:
+            slowest, fastest = self.velocities.tolist()
+            beyond = [
+                f"velocity at the target is {float(velocity):.6g} m/s, trained from "
+                f"{slowest:.6g} to {fastest:.6g}"
+            ]
+        return "a network has no answer outside of its ranges: " + "; ".join(beyond)

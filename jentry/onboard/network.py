@@ -17,10 +17,17 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from .._files import write_arrays
-from .._types import Scalar, table
+from .._types import Flag, Scalar, table
 
 
-_FORMAT = "jentry network 1"
+_FORMAT = "jentry network 2"
+
+_CONSTANT = 1e-6
+"""An input that deviates by less than this share of its size is constant: what it does
+vary by may be rounding, and nothing can be learnt from that."""
+
+_ROUNDING = 1e-9
+"""Share of a bound by which an input may be beyond it."""
 
 _UNREADABLE = ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile
 """What numpy may raise of a file that it has not written"""
@@ -29,8 +36,10 @@ _UNREADABLE = ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZip
 class Network(eqx.Module):
     """Fully connected layers with tanh between them; normalisation is inside.
 
-    Takes and gives physical numbers: the inputs are shifted and scaled to a mean of 0 and
-    a deviation of 1, and the output back.
+    Takes and gives physical numbers, the inputs in units in which they are of the order
+    of 1. They are shifted and scaled to a mean of 0 and a deviation of 1, and the output
+    back. An input that was constant in training has a scale of 0: it has no influence,
+    and its range is one value.
     """
 
     weights: tuple[Float[Array, "..."], ...]
@@ -39,25 +48,49 @@ class Network(eqx.Module):
     """Of each layer, (outputs,)"""
     input_mean: Float[Array, "..."] = table()
     """(n,)"""
-    input_deviation: Float[Array, "..."] = table()
-    """(n,)"""
+    input_scale: Float[Array, "..."] = table()
+    """(n,) one over the deviation; zero of an input that was constant in training"""
+    input_ranges: Float[Array, "..."] = table()
+    """(n, 2) smallest and largest value in training"""
     output_mean: Float[Array, "..."] = table()
     """()"""
     output_deviation: Float[Array, "..."] = table()
     """()"""
+    names: tuple[str, ...] = eqx.field(static=True)
+    """(n,) of the inputs, with their units"""
+
+    def __check_init__(self):
+        sizes = [len(self.names), *(len(biases) for biases in self.biases)]
+        layers = list(zip(sizes[1:], sizes, strict=False))
+        found = [weights.shape for weights in self.weights]
+        if not layers or found != layers or sizes[-1] != 1:
+            raise ValueError(
+                f"weights of shapes {found} do not lead from {len(self.names)} inputs to "
+                f"one output: with these biases they would be {layers}"
+            )
+        count = (len(self.names),)
+        for name, shape in (
+            ("input_mean", count),
+            ("input_scale", count),
+            ("input_ranges", (*count, 2)),
+            ("output_mean", ()),
+            ("output_deviation", ()),
+        ):
+            if getattr(self, name).shape != shape:
+                raise ValueError(
+                    f"{name} has shape {getattr(self, name).shape}: expected {shape}"
+                )
 
     @classmethod
     def untrained(
         cls,
+        names: tuple[str, ...],
         inputs: np.ndarray,
         outputs: np.ndarray,
         hidden: tuple[int, ...],
         key: Key[Array, ""],
     ) -> "Network":
-        """With random weights, and the normalisation of samples: (m, n) and (m,).
-
-        Inputs that are the same in all samples are shifted only.
-        """
+        """With random weights; ranges and normalisation are of samples: (m, n) and (m,)."""
         sizes = (inputs.shape[1], *hidden, 1)
         keys = jax.random.split(key, len(sizes) - 1)
         weights = tuple(
@@ -65,31 +98,65 @@ class Network(eqx.Module):
             for k, before, after in zip(keys, sizes, sizes[1:], strict=False)
         )
         spread = inputs.std(axis=0)
+        size = np.maximum(np.abs(inputs).max(axis=0), 1.0)
+        varies = spread > _CONSTANT * size
+        ranges = np.stack([inputs.min(axis=0), inputs.max(axis=0)], axis=1)
         return cls(
             weights=weights,
             biases=tuple(jnp.zeros(after) for after in sizes[1:]),
             input_mean=jnp.asarray(inputs.mean(axis=0)),
-            input_deviation=jnp.asarray(np.where(spread > 0.0, spread, 1.0)),
+            input_scale=jnp.asarray(varies / np.where(varies, spread, 1.0)),
+            input_ranges=jnp.asarray(ranges),
             output_mean=jnp.asarray(outputs.mean()),
             output_deviation=jnp.asarray(outputs.std()),
+            names=names,
         )
 
     def __call__(self, inputs: Float[Array, " n"]) -> Scalar:
-        x = (inputs - self.input_mean) / self.input_deviation
+        x = (inputs - self.input_mean) * self.input_scale
         for weights, biases in zip(self.weights[:-1], self.biases[:-1], strict=True):
             x = jnp.tanh(weights @ x + biases)
         (y,) = self.weights[-1] @ x + self.biases[-1]
         return self.output_mean + self.output_deviation * y
 
+    def outside(self, inputs: Float[Array, " n"]) -> Array:
+        """Which inputs are beyond the range that they had in training, (n,).
+
+        Each is judged by itself: inputs that are all within their ranges may still be a
+        combination that was never flown. NaN is outside.
+        """
+        lower, upper = self.input_ranges[:, 0], self.input_ranges[:, 1]
+        slack = _ROUNDING * jnp.maximum(jnp.maximum(-lower, upper), 1.0)
+        return ~((inputs >= lower - slack) & (inputs <= upper + slack))
+
+    def knows(self, inputs: Float[Array, " n"]) -> Flag:
+        """Whether every input is within the range that it had in training."""
+        return ~jnp.any(self.outside(inputs))
+
+
+_SINGLE = "input_mean", "input_scale", "output_mean", "output_deviation"
+"""Arrays of a file that a network has one of; of weights and biases it has one a layer.
+The names and ranges of the inputs are on its card."""
+
 
 def save_network(path: Path | str, network: Network, card: dict[str, Any]) -> None:
-    """Store a network with its model card, at once or not at all."""
+    """Store a network with its model card, at once or not at all.
+
+    Names and ranges of the inputs, and the sizes of the hidden layers, are added to the
+    card as they are in the network.
+    """
     path = Path(path)
-    arrays = {
-        f"leaf{number}": np.asarray(leaf)
-        for number, leaf in enumerate(jax.tree.leaves(network))
+    ranges = np.asarray(network.input_ranges).tolist()
+    card = card | {
+        "inputs": dict(zip(network.names, ranges, strict=True)),
+        "hidden": [len(biases) for biases in network.biases[:-1]],
     }
-    arrays["layers"] = np.array(len(network.weights))
+    arrays = {name: np.asarray(getattr(network, name)) for name in _SINGLE}
+    for number, (weights, biases) in enumerate(
+        zip(network.weights, network.biases, strict=True)
+    ):
+        arrays[f"weights{number}"] = np.asarray(weights)
+        arrays[f"biases{number}"] = np.asarray(biases)
     arrays["card"] = np.array(json.dumps(card))
     arrays["digest"] = np.array(_digest(arrays))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -105,8 +172,9 @@ def load_network(
 
     - `purpose`: that the card must name.
 
-    **Raises:** `ValueError` for a file that is no network, is damaged, or has another
-    purpose; `FileNotFoundError` where there is none. Nothing in a file is executed.
+    **Raises:** `ValueError` for a file that is no network, is damaged, contradicts itself
+    or has another purpose; `FileNotFoundError` where there is none. Nothing in a file is
+    executed.
     """
     path = Path(path)
     if not path.exists():
@@ -117,9 +185,16 @@ def load_network(
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         digest = str(arrays.pop("digest"))
-        layers = int(arrays["layers"])
         card = json.loads(str(arrays["card"]))
-        leaves = [arrays[f"leaf{number}"] for number in range(2 * layers + 4)]
+        layers = sum(name.startswith("weights") for name in arrays)
+        numbers = {n: _numbers(n, array) for n, array in arrays.items() if n != "card"}
+        weights, biases = (
+            tuple(numbers.pop(f"{kind}{n}") for n in range(layers))
+            for kind in ("weights", "biases")
+        )
+        single = {name: numbers.pop(name) for name in _SINGLE}
+        if numbers:
+            raise ValueError(f"a network has no {', '.join(numbers)}")
     except _UNREADABLE as error:
         raise ValueError(f"{path} is no stored network: {error}") from None
     if digest != _digest(arrays):
@@ -127,19 +202,59 @@ def load_network(
             f"{path} is damaged: its numbers are not those of its digest; train it again "
             "with `jentry train`, or restore the file"
         )
-    if not all(np.all(np.isfinite(leaf)) for leaf in leaves):
-        raise ValueError(f"{path} holds weights that are not finite: train it again")
+    if not isinstance(card, dict) or not isinstance(card.get("inputs"), dict):
+        raise ValueError(f"{path} has no ranges of inputs on its card: train it again")
     if purpose is not None and card.get("purpose") != purpose:
         raise ValueError(
             f"{path} is a network for {card.get('purpose')!r}: expected {purpose!r}"
         )
-    numbers = [jnp.asarray(leaf, dtype=float) for leaf in leaves]
-    network = Network(
-        tuple(numbers[:layers]),
-        tuple(numbers[layers : 2 * layers]),
-        *numbers[2 * layers :],
-    )
+    try:
+        ranges = card_ranges(card["inputs"])
+        network = Network(
+            weights, biases, input_ranges=ranges, names=tuple(card["inputs"]), **single
+        )
+        _check_values(network)
+    except (ValueError, TypeError) as error:
+        raise ValueError(
+            f"{path} contradicts itself: {error}; train it again"
+        ) from None
     return network, card
+
+
+def _numbers(name: str, array: np.ndarray) -> Array:
+    if array.dtype != np.float64 or array.ndim > 2:
+        raise ValueError(f"{name} is an array of {array.dtype} and shape {array.shape}")
+    return jnp.asarray(array, dtype=float)
+
+
+def card_ranges(ranges: dict[str, Any]) -> np.ndarray:
+    """Ranges by name as an array, (n, 2). Raises `ValueError` for what is no range."""
+    for name, given in ranges.items():
+        try:
+            lower, upper = np.asarray(given, dtype=float)
+        except (ValueError, TypeError):
+            lower = upper = np.nan
+        if not (np.isfinite(lower) and np.isfinite(upper) and lower <= upper):
+            raise ValueError(
+                f"the range of {name!r} on its card is {given}: expected two finite "
+                "numbers, the smaller first"
+            )
+    return np.array([ranges[name] for name in ranges], dtype=float).reshape(-1, 2)
+
+
+def _check_values(network: Network) -> None:
+    """Refuse numbers that cannot be those of a trained network."""
+    for name in ("weights", "biases", *_SINGLE):
+        if not all(
+            np.all(np.isfinite(x)) for x in jax.tree.leaves(getattr(network, name))
+        ):
+            raise ValueError(f"its {name} are not finite")
+    if np.any(np.asarray(network.input_scale) < 0.0):
+        raise ValueError(f"a scale of its inputs is negative: {network.input_scale}")
+    beyond = np.asarray(network.outside(network.input_mean))
+    if np.any(beyond):
+        name = network.names[int(np.argmax(beyond))]
+        raise ValueError(f"the mean of {name!r} is outside its range on the card")
 
 
 def _digest(arrays: dict[str, np.ndarray]) -> str:
