@@ -17,6 +17,7 @@ FLOORS = {
     "units": 0,
     "_math": 0,
     "_batching": 0,
+    "_dependence": 0,
     "_addresses": 0,
     "_interpolation": 0,
     "_tables": 0,

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from jentry.guidance import (
-    CycleSchedule,
     Epochs,
     FlownModel,
     NetworkPredictor,
     NewtonAdjustment,
     PolynomialAdjustment,
+    ShorteningCycle,
     StoredParameters,
     Subdivision,
 )
@@ -193,11 +193,11 @@ def test_schedule_refuses_cycles_that_do_not_divide():
         (((10.0, 0.0),), "must divide"),
     ):
         with pytest.raises(ValueError, match=message):
-            glide(BezierParameters(0.8, 0.7), schedule=CycleSchedule(shorter))
+            ShorteningCycle(shorter=shorter)
 
 
 def test_schedule_becomes_shorter_and_stays_so():
-    schedule = CycleSchedule()
+    schedule = ShorteningCycle()
 
     def duration(to_go, before):
         return float(schedule.duration(jnp.asarray(to_go), jnp.asarray(before)))

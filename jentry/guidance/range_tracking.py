@@ -16,6 +16,7 @@ from ..onboard.model import OnboardModel
 from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
 from ..onboard.reference import DragReference, EnergyIndex
+from .cycle import FixedCycle
 from .drag_tracking import (
     ErrorGains,
     ObserverGains,
@@ -167,13 +168,17 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
     period: float = eqx.field(default=1.0, static=True)
 
     def __check_init__(self):
-        if not self.period > 0.0:
-            raise ValueError(f"period is {self.period} s: it must be positive")
+        FixedCycle(self.period)
         if not isinstance(self.reference.index, EnergyIndex):
             raise ValueError(
                 f"the reference is over {type(self.reference.index).__name__}: range "
                 "is scaled by the drag over energy, so it must be an EnergyIndex"
             )
+
+    @property
+    def cycle(self) -> FixedCycle:
+        """Of the period."""
+        return FixedCycle(self.period)
 
     def init(self, measurement: Measurement) -> tuple[ObserverState, Decision]:
         zero = 0.0 * measurement.drag
@@ -207,6 +212,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
             jnp.where(scales, range_to_go, aim.downrange),
             measurement.drag / believed.drag,
         )
+        scales = scales & jnp.isfinite(scale)
         scale = clamp(scale, self.limits.lower, self.limits.upper)
         lift_factor = (measurement.lift / measurement.drag) / (
             believed.lift / believed.drag

@@ -78,7 +78,7 @@ class PolynomialAdjustment(AbstractVelocityControl):
 
     One polynomial belongs to one place on the nominal flight: there is a table of them,
     interpolated (`design.k2_polynomials`). With the first one at every epoch, as printed,
-    it gets worse.
+    it gets worse. Where the prediction is not finite k2 is left as it is.
     """
 
     to_go: Float[Array, "..."] = table(unit="rad")
@@ -125,7 +125,9 @@ class PolynomialAdjustment(AbstractVelocityControl):
             )
             x = 1e-2 * (nominal - predicted)
             lower, upper = glide.anchoring.bounds(situation.point, situation.target)
-            return Shape(shape.first, jnp.clip(p0 + x * (p1 + x * p2), lower, upper))
+            second = jnp.clip(p0 + x * (p1 + x * p2), lower, upper)
+            second = jnp.where(jnp.isfinite(predicted), second, shape.second)
+            return Shape(shape.first, second)
 
         return where_due(self.epochs.due(cycle, seconds_to_go), act, situation.shape)
 
