@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .._dependence import value_without
+from .._dependence import Traced
 from .._types import Flag, Scalar
 from ..guidance.law import AbstractSampledLaw, begun, commanded
 from ..motion.dynamics import entry_dynamics, equatorial_dynamics
@@ -83,15 +83,31 @@ def sense(
     **Raises:** `ValueError` for a law whose angle of attack depends on the forces that are
     sensed at the same instant: these are those of the angle of attack.
     """
-    law = scenario.guidance
+    acting = _acting(scenario, flown, state, memory, held)
+    return _sensed(scenario, state, acting, sampled_at)
 
-    def angle_of_attack(lift: Scalar, drag: Scalar) -> Scalar:
+
+def _acting(
+    scenario: Scenario, flown: Scalar, state: EntryState, memory: Any, held: Any
+) -> Traced:
+    """The command of the law, and the rate of its memory, over the sensed forces."""
+
+    def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
         measurement = Measurement(state, lift, drag)
-        controls, _ = commanded(law, flown, measurement, memory, held)
-        return controls.angle_of_attack
+        return commanded(scenario.guidance, flown, measurement, memory, held)
 
-    angle = value_without(angle_of_attack, state.altitude, state.altitude)
+    return Traced(act, state.altitude, state.altitude)
+
+
+def _sensed(
+    scenario: Scenario,
+    state: EntryState,
+    acting: Traced,
+    sampled_at: Scalar | None = None,
+) -> Measurement:
+    angle = acting.independent(lambda out: out[0].angle_of_attack)
     if angle is None:
+        law = scenario.guidance
         hold = (
             "decide it at the guidance cycle, in `update`, and hold it"
             if isinstance(law, AbstractSampledLaw)
@@ -130,13 +146,13 @@ def first_measurement(scenario: Scenario) -> Measurement:
     """
     law, state = scenario.guidance, scenario.initial_state
 
-    def angle_of_attack(lift: Scalar, drag: Scalar) -> Scalar:
+    def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
         measurement = Measurement(state, lift, drag)
         begin = begun(law, measurement)
-        controls, _ = commanded(law, 0.0 * state.altitude, measurement, *begin)
-        return controls.angle_of_attack
+        return commanded(law, 0.0 * state.altitude, measurement, *begin)
 
-    angle = value_without(angle_of_attack, state.altitude, state.altitude)
+    acting = Traced(act, state.altitude, state.altitude)
+    angle = acting.independent(lambda out: out[0].angle_of_attack)
     if angle is None:
         angle = scenario.vehicle.trim_angle_of_attack
     return _measured(scenario, state, angle)
@@ -182,8 +198,9 @@ def command(
     scenario: Scenario, flown: Scalar, state: EntryState, memory: Any, held: Any
 ) -> tuple[Controls, Any]:
     """What the law commands, and the rate of its memory."""
-    measurement = sense(scenario, flown, state, memory, held)
-    return commanded(scenario.guidance, flown, measurement, memory, held)
+    acting = _acting(scenario, flown, state, memory, held)
+    measurement = _sensed(scenario, state, acting)
+    return acting(measurement.lift, measurement.drag)
 
 
 def vector_field(scenario: Scenario, held: Any):

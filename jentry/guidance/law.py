@@ -5,7 +5,7 @@ from typing import Any, Generic, TypeVar
 
 import equinox as eqx
 
-from .._dependence import depends_on
+from .._dependence import Traced
 from .._types import Scalar
 from ..motion.state import Controls, EntryState
 from ..onboard.navigation import Measurement
@@ -137,4 +137,4 @@ def reads_forces_between_cycles(law: AbstractLaw, state: EntryState) -> bool:
     def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
         return commanded(law, force, Measurement(state, lift, drag), *before)
 
-    return depends_on(act, force, force)
+    return Traced(act, force, force).depends()
