@@ -272,6 +272,22 @@ def test_mirrored_scenario_flies_the_mirrored_flight():
         np.testing.assert_allclose(end[1], aimed_at.target.crossrange, atol=1 * km)
 
 
+def test_a_scale_that_is_not_finite_leaves_the_one_before():
+    law = scenario().guidance
+    state = state_at(nominal(), 100)
+    measurement = sensed(scenario(), state)
+    memory, held = law.init(measurement)
+    held = eqx.tree_at(lambda d: d.scale, held, jnp.asarray(1.1))
+    broken = eqx.tree_at(
+        lambda law: law.range_flown,
+        law,
+        jax.tree.map(lambda x: jnp.nan * x, law.range_flown),
+    )
+    update = eqx.filter_jit(lambda law: law.update(100.0, measurement, memory, held)[1])
+    assert float(update(broken).scale) == 1.1
+    assert float(update(law).scale) != 1.1
+
+
 def test_period_and_index_are_checked():
     law = scenario().guidance
     fields = {field.name: getattr(law, field.name) for field in dataclasses.fields(law)}

@@ -137,6 +137,10 @@ class NewtonAdjustment(AbstractVelocityControl):
 
     With any predictor, since all are differentiable: the flown model, or the network.
     Where a prediction is not finite the curve is left as it is until the next epoch.
+
+    What it can do has an end. With little drag the third control point moves towards the
+    target, where its lower bound is 1 % of the way to go: then the vehicle is too fast
+    at the target, and the path bends in its last second more than gravity bends it.
     """
 
     wanted_velocity: Scalar = scalar(unit="m/s", positive=True)
