@@ -12,7 +12,8 @@ from helpers import fly_compiled
 
 from jentry._addresses import replace_leaves
 from jentry.campaign import monte_carlo
-from jentry.campaign.monte_carlo import LANES, fly_in_blocks
+from jentry.campaign.monte_carlo import LANES, drawn_inputs, fly_in_blocks
+from jentry.missions import find_mission
 
 
 def fly(key, runs, **options):
@@ -61,6 +62,48 @@ def test_a_run_alone_is_the_run_in_a_batch(many, run):
 
 def test_a_run_in_a_batch_of_seven_is_the_run_in_a_larger_batch(many):
     assert_same(fly(jax.random.key(3), 7), runs_of(many, range(7)))
+
+
+def in_every_lane(scenario, table, run, **options):
+    """One run as often as flights are flown side by side, on every device."""
+    drawn = drawn_inputs(scenario, table, jax.random.key(0), np.array([run]))
+    count = LANES * len(jax.devices())
+    inputs = {a: np.full(count, float(values[0])) for a, values in drawn.items()}
+    return monte_carlo(scenario, inputs=inputs, **options)
+
+
+def assert_all_lanes_alike(campaign):
+    """Bit by bit."""
+    flown = campaign.flights, campaign.misses
+    for path, values in jax.tree_util.tree_flatten_with_path(flown)[0]:
+        values = np.asarray(values)
+        other = np.flatnonzero(values != values[0])
+        assert other.size == 0, (jax.tree_util.keystr(path), other)
+
+
+def test_a_run_is_the_same_in_every_lane():
+    campaign = in_every_lane(
+        cheap.scenario(), cheap.dispersions(), 3, solver=cheap.SOLVER
+    )
+    assert_all_lanes_alike(campaign)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("mission", "variant"),
+    [
+        ("mars-drag-tracking", "table-3"),
+        ("mars-range-tracking", "three-dimensional"),
+        ("cav-h", "newton"),
+        ("cav-h", "adjusted-once"),
+    ],
+)
+def test_a_run_of_a_mission_is_the_same_in_every_lane(mission, variant):
+    """With the noise of its accelerometers, which once was other in the last eight."""
+    mission = find_mission(mission)
+    scenario, table = mission.scenario(variant), mission.dispersion_table()
+    for run in (0, 1):
+        assert_all_lanes_alike(in_every_lane(scenario, table, run))
 
 
 def test_runs_are_flown_in_the_order_that_is_asked_for(many):

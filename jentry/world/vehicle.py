@@ -18,7 +18,7 @@ class Vehicle(eqx.Module):
     """Factor on the drag coefficient: the usual dispersion."""
     trim_angle_of_attack: Scalar = scalar(0.0, unit="rad")
     """The angle of attack before guidance begins. Every law commands one of its own, which
-    the vehicle then flies: moving this moves a law's model only where it is the model's."""
+    the vehicle then flies."""
     nose_radius: Scalar = scalar(1.0, unit="m", positive=True)
     """For the heat rate at the stagnation point."""
 
