@@ -53,7 +53,8 @@ class Traced:
                 wanted.update(filter(_is_variable, equation.invars))
         lean = jaxpr.replace(eqns=needed[::-1], outvars=[jaxpr.outvars[place]])
         nothing = (jnp.zeros(v.aval.shape, v.aval.dtype) for v in jaxpr.invars)
-        return jaxpr_as_fun(ClosedJaxpr(lean, self._closed.consts))(*nothing)[0]
+        value = jaxpr_as_fun(ClosedJaxpr(lean, self._closed.consts))(*nothing)[0]
+        return jnp.asarray(value)
 
     def _reached(self) -> list[bool]:
         jaxpr = self._closed.jaxpr

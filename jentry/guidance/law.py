@@ -130,7 +130,12 @@ def commanded(
 
 
 def reads_forces_between_cycles(law: AbstractLaw, state: EntryState) -> bool:
-    """Whether a law uses its sensed forces at other times than its guidance cycles."""
+    """Whether a law uses its sensed forces at other times than its guidance cycles.
+
+    Taken from what the law computes; a continuous law has no cycles.
+    """
+    if isinstance(law, AbstractContinuousLaw):
+        return True
     force = 0.0 * state.altitude
     before = begun(law, Measurement(state, force, force))
 
