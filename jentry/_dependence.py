@@ -10,7 +10,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 from ._types import Scalar
 
 
-_CALLS = {"jit", "pjit", "closed_call", "checkpoint", "remat", "custom_jvp_call"}
+_CALLS = {"jit", "pjit", "closed_call", "remat2", "checkpoint", "custom_jvp_call"}
 """Operations that are a traced function and no more: each output of them is judged by
 itself. Of any other one every output counts as depending on every input."""
 

@@ -278,6 +278,7 @@ class Held(AbstractSampledLaw[tuple, Controls]):
         return held, ()
 
 
+@pytest.mark.slow
 def test_a_reference_is_the_drag_of_the_angle_of_attack_that_it_flies():
     """0.2 rad, where the vehicle trims at 0.05: at trim it would be half of it."""
     law = BankProfile(PolynomialProfile([0.6], 503.0, 6247.0), jnp.asarray(0.2))
