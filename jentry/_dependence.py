@@ -28,7 +28,8 @@ class Traced:
         self._structure = jax.tree.structure(outputs)
 
     def __call__(self, *inputs: Any) -> Any:
-        outputs = jaxpr_as_fun(self._closed)(*inputs)
+        # A constant comes out as a number of numpy.
+        outputs = map(jnp.asarray, jaxpr_as_fun(self._closed)(*inputs))
         return jax.tree.unflatten(self._structure, outputs)
 
     def depends(self) -> bool:
