@@ -5,7 +5,6 @@ from abc import abstractmethod
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax import lax
 
 from .._types import Scalar, scalar
 from ..motion.forces import AirData, air_data
@@ -68,9 +67,6 @@ class Accelerometers(AbstractAccelerometers):
             jax.random.fold_in(jax.random.key(0), seed), millisecond
         )
         noise = self.noise * jax.random.normal(key, (2,), dtype=float)
-        # Read as every second number of an array over the flights of a batch, they would
-        # keep the compiler from treating its last flights like the others.
-        noise = lax.optimization_barrier((noise[0], noise[1]))
         return lift + noise[0], drag + noise[1]
 
 
