@@ -12,7 +12,7 @@ from helpers import fly_compiled, with_leaf
 
 from jentry.campaign import monte_carlo
 from jentry.flight import FixedStep, Outcome, fly
-from jentry.guidance import RangeTracking
+from jentry.guidance import FixedCycle, RangeTracking
 from jentry.guidance.range_tracking import scale_to_reach
 from jentry.missions import mars_range_tracking
 from jentry.missions.mars_drag_tracking import entry
@@ -283,7 +283,8 @@ def test_a_scale_that_is_not_finite_leaves_the_one_before():
         law,
         jax.tree.map(lambda x: jnp.nan * x, law.range_flown),
     )
-    update = eqx.filter_jit(lambda law: law.update(100.0, measurement, memory, held)[1])
+    time = jnp.asarray(100.0)
+    update = eqx.filter_jit(lambda law: law.update(time, measurement, memory, held)[1])
     assert float(update(broken).scale) == 1.1
     assert float(update(law).scale) != 1.1
 
@@ -292,7 +293,7 @@ def test_period_and_index_are_checked():
     law = scenario().guidance
     fields = {field.name: getattr(law, field.name) for field in dataclasses.fields(law)}
     with pytest.raises(ValueError, match="period is 0.0 s"):
-        RangeTracking(**{**fields, "period": 0.0})
+        RangeTracking(**{**fields, "cycle": FixedCycle(0.0)})
     over_time = eqx.tree_at(lambda r: r.index, law.reference, TimeIndex())
     with pytest.raises(ValueError, match="TimeIndex"):
         RangeTracking(**{**fields, "reference": over_time})

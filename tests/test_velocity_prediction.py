@@ -228,6 +228,7 @@ def test_schedule_becomes_shorter_and_stays_so():
     assert duration(119.0, 1.0) == 0.1
     assert duration(130.0, 0.1) == 0.1
     assert duration(14.0, 0.1) == 0.02
+    assert duration(119.0, 0.02) == 0.02
 
 
 def test_law_refuses_what_it_cannot_invert():

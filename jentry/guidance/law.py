@@ -82,15 +82,12 @@ class Sampled(AbstractSampledLaw[Memory, Controls]):
     """
 
     law: AbstractContinuousLaw[Memory]
-    period: float = eqx.field(static=True)
+    cycle: FixedCycle
 
-    def __check_init__(self):
-        FixedCycle(self.period)
-
-    @property
-    def cycle(self) -> FixedCycle:
-        """Of the period."""
-        return FixedCycle(self.period)
+    def __init__(self, law: AbstractContinuousLaw[Memory], period: float):
+        """`period` of the guidance cycle in s."""
+        self.law = law
+        self.cycle = FixedCycle(period)
 
     def init(self, measurement: Measurement) -> tuple[Memory, Controls]:
         memory = self.law.init(measurement)

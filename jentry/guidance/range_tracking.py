@@ -165,20 +165,14 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
     corridor: LateralCorridor
     first_bank_sign: Scalar = scalar(1.0)
     switching: AbstractSwitching = Sharp()
-    period: float = eqx.field(default=1.0, static=True)
+    cycle: FixedCycle = FixedCycle(1.0)
 
     def __check_init__(self):
-        FixedCycle(self.period)
         if not isinstance(self.reference.index, EnergyIndex):
             raise ValueError(
                 f"the reference is over {type(self.reference.index).__name__}: range "
                 "is scaled by the drag over energy, so it must be an EnergyIndex"
             )
-
-    @property
-    def cycle(self) -> FixedCycle:
-        """Of the period."""
-        return FixedCycle(self.period)
 
     def init(self, measurement: Measurement) -> tuple[ObserverState, Decision]:
         zero = 0.0 * measurement.drag
