@@ -20,7 +20,7 @@ import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
 from jentry.campaign.monte_carlo import LANES, monte_carlo  # noqa: E402
-from jentry.flight.closed_loop import sense  # noqa: E402
+from jentry.flight.closed_loop import first_measurement  # noqa: E402
 from jentry.guidance import FlownModel  # noqa: E402
 from jentry.guidance.anchoring import Shape  # noqa: E402
 from jentry.missions import find_mission  # noqa: E402
@@ -35,7 +35,8 @@ def situations():
 
     def one(velocity):
         start = eqx.tree_at(lambda s: s.velocity, scenario.initial_state, velocity)
-        held = law.init(sense(scenario, start))[1]
+        moved = eqx.tree_at(lambda s: s.initial_state, scenario, start)
+        held = law.init(first_measurement(moved))[1]
         return law.situation(start, held)
 
     return law.glide, jax.vmap(one)(7400.0 + 3.0 * jnp.arange(LANES))

@@ -80,6 +80,24 @@ def test_bank_stays_within_its_limit(side):
     assert lift(found) == pytest.approx(fits, rel=1e-12)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_bending_down_is_no_turn(side):
+    """With next to nothing wanted to the side, nothing large goes there.
+
+    The lower limit of a level glide remains. With the bank of 85 degrees in it, it would
+    be 1 / cos(85 deg) = 11.5 times that, nearly all to the side: enough to turn a glider
+    by 0.05 degrees in its last tenth of a second.
+    """
+    limit = 20e3
+    found = controls(-30.0, side * 1e-3, dynamic_pressure=limit, load_factor=9.0)
+    assert float(found.bank_angle) == pytest.approx(side * 85.0 * degree, rel=1e-13)
+    radius = PLANET.radius + ALTITUDE
+    weight = float(PLANET.gravity.acceleration(radius) - VELOCITY**2 / radius)
+    density = 2.0 * limit / float(VELOCITY) ** 2
+    there = jnp.asarray(-7200.0 * np.log(density / 1.225))
+    assert lift(found, there) == pytest.approx(weight, rel=1e-12)
+
+
 def test_straight_down_asks_for_no_lift():
     found = controls(-4.0, 0.0, least_angle_of_attack=-5 * degree, **UNLIMITED)
     # The lower limits of equilibrium glide are those of a lift that is positive.

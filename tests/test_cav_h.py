@@ -30,7 +30,7 @@ from jentry.design.velocity_planning import (
     velocity_map,
 )
 from jentry.flight import Outcome, misses
-from jentry.guidance import CycleSchedule, FlownModel
+from jentry.guidance import FlownModel, ShorteningCycle
 from jentry.missions import find_mission
 from jentry.missions.cav_h import glide, stored
 from jentry.onboard import BezierParameters, Measurement
@@ -101,7 +101,7 @@ def test_continuous_law():
     velocity = []
     for period in (0.1, 0.05):
         scenario = glide(
-            BezierParameters(0.848, 0.717), schedule=CycleSchedule(()), period=period
+            BezierParameters(0.848, 0.717), cycle=ShorteningCycle(period, shorter=())
         )
         velocity.append(float(fly_compiled(scenario).state.velocity))
     coarse, fine = velocity

@@ -296,7 +296,7 @@ def test_cav_h():
     assert scenario.planet.heating_exponent == assumed["heating_exponent"]
     law = scenario.guidance
     inside = {120.0: "cycle_inside_120_s", 15.0: "cycle_inside_15_s"}
-    assert law.period == assumed["cycle_s"]
+    assert law.cycle.period == assumed["cycle_s"]
     assert dict(law.schedule.shorter) == {to: assumed[c] for to, c in inside.items()}
     assert law.schedule.freeze == assumed["freeze_s"]
     # Half of the last digit of the latitude.

@@ -12,7 +12,7 @@ from helpers import fly_compiled, most_by_chance, with_leaf
 
 from jentry.campaign import monte_carlo
 from jentry.flight import FixedStep, Outcome, fly
-from jentry.guidance import ObserverDragTracking, RangeTracking
+from jentry.guidance import FixedCycle, ObserverDragTracking, RangeTracking
 from jentry.guidance.lateral import predicted_crossrange
 from jentry.guidance.range_tracking import scale_to_reach
 from jentry.missions import mars_range_tracking
@@ -413,11 +413,28 @@ def test_mirrored_scenario_flies_the_mirrored_flight():
         np.testing.assert_allclose(end[1], aimed_at.target.crossrange, atol=1 * km)
 
 
+def test_a_scale_that_is_not_finite_leaves_the_one_before():
+    law = scenario().guidance
+    state = state_at(nominal(), 100)
+    measurement = sensed(scenario(), state)
+    memory, held = law.init(measurement)
+    held = eqx.tree_at(lambda d: d.scale, held, jnp.asarray(1.1))
+    broken = eqx.tree_at(
+        lambda law: law.range_flown,
+        law,
+        jax.tree.map(lambda x: jnp.nan * x, law.range_flown),
+    )
+    time = jnp.asarray(100.0)
+    update = eqx.filter_jit(lambda law: law.update(time, measurement, memory, held)[1])
+    assert float(update(broken).scale) == 1.1
+    assert float(update(law).scale) != 1.1
+
+
 def test_period_and_index_are_checked():
     law = scenario().guidance
     fields = {field.name: getattr(law, field.name) for field in dataclasses.fields(law)}
     with pytest.raises(ValueError, match="period is 0.0 s"):
-        RangeTracking(**{**fields, "period": 0.0})
+        RangeTracking(**{**fields, "cycle": FixedCycle(0.0)})
     over_time = eqx.tree_at(lambda r: r.index, law.reference, TimeIndex())
     with pytest.raises(ValueError, match="TimeIndex"):
         RangeTracking(**{**fields, "reference": over_time})

@@ -10,12 +10,12 @@ import pytest
 
 from jentry.flight.closed_loop import sense
 from jentry.guidance import (
-    CycleSchedule,
     Epochs,
     FlownModel,
     NetworkPredictor,
     NewtonAdjustment,
     PolynomialAdjustment,
+    ShorteningCycle,
     StoredParameters,
     Subdivision,
 )
@@ -148,6 +148,28 @@ def test_newton_stays_within_the_bounds():
     moved, _ = adjusted(law.glide, here, jnp.asarray(0.0), jnp.asarray(800.0))
     lower, upper = law.anchoring.bounds(here.point, here.target)
     assert float(lower) <= float(moved.second) <= float(upper)
+
+
+def test_a_prediction_that_is_not_finite_leaves_the_curve():
+    """From an entry at -0.2 deg no curve with these parameters stays in the air."""
+    law = LAWS["stored"]
+    steep = eqx.tree_at(
+        lambda s: s.flight_path_angle, stored().initial_state, jnp.radians(-0.2)
+    )
+    here = situation(law)
+    lost = eqx.tree_at(lambda s: s.point, here, law._point(steep))
+    assert not np.isfinite(float(predict(FlownModel(), law.glide, lost)))
+    flat = [jnp.linspace(0.1, 1.0, 3), 0.7, jnp.full(3, 2630.0)]
+    control = PolynomialAdjustment(*flat, jnp.full((3, 3), 0.6).at[:, 1:].set(0.0))
+    newton = NewtonAdjustment(2700.0, FlownModel(), iterations=2)
+    for rule in (control, newton):
+        adjusted = eqx.filter_jit(rule.adjusted)
+        kept = adjusted(law.glide, lost, jnp.asarray(0.0), jnp.asarray(800.0))
+        assert float(kept.second) == float(lost.shape.second)
+    # Where it is finite, the polynomial is what it is: 0.6.
+    adjusted = eqx.filter_jit(control.adjusted)
+    moved = adjusted(law.glide, here, jnp.asarray(0.0), jnp.asarray(800.0))
+    assert float(moved.second) == 0.6
 
 
 def test_polynomials_need_stored_parameters():
@@ -302,11 +324,11 @@ def test_schedule_refuses_cycles_that_do_not_divide():
         (((10.0, 0.0),), "must divide"),
     ):
         with pytest.raises(ValueError, match=message):
-            glide(BezierParameters(0.8, 0.7), schedule=CycleSchedule(shorter))
+            ShorteningCycle(shorter=shorter)
 
 
 def test_schedule_becomes_shorter_and_stays_so():
-    schedule = CycleSchedule()
+    schedule = ShorteningCycle()
 
     def duration(to_go, before):
         return float(schedule.duration(jnp.asarray(to_go), jnp.asarray(before)))
@@ -315,6 +337,7 @@ def test_schedule_becomes_shorter_and_stays_so():
     assert duration(119.0, 1.0) == 0.1
     assert duration(130.0, 0.1) == 0.1
     assert duration(14.0, 0.1) == 0.02
+    assert duration(119.0, 0.02) == 0.02
 
 
 def test_law_refuses_what_it_cannot_invert():

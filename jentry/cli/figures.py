@@ -50,7 +50,7 @@ def _fly(scenario: Scenario, inputs, solver: AbstractSolver):
     law = scenario.guidance
     interval = _INTERVAL
     if isinstance(law, AbstractSampledLaw) and varies(law):
-        interval = law.period
+        interval = law.cycle.period
     campaign = monte_carlo(
         scenario,
         runs=len(next(iter(inputs.values()))),

@@ -265,7 +265,7 @@ def plan_drag_reference(
     planet, vehicle = scenario.planet, scenario.vehicle
 
     def drag(time, state):
-        return air_data(planet, vehicle, state, vehicle.trim_angle_of_attack).drag
+        return air_data(planet, vehicle, state, law.angle_of_attack).drag
 
     first_value = None
     if gate > 0.0:

@@ -1,7 +1,4 @@
-"""The closed loop: vehicle, measurement and law as one system of equations.
-
-Only this file asks which of the two kinds a law is.
-"""
+"""The closed loop: vehicle, measurement and law as one system of equations."""
 
 from typing import Any
 
@@ -9,8 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from .._dependence import Traced
 from .._types import Flag, Scalar
-from ..guidance.law import AbstractContinuousLaw, AbstractSampledLaw
+from ..guidance.law import AbstractSampledLaw, begun, commanded
 from ..motion.dynamics import entry_dynamics, equatorial_dynamics
 from ..motion.forces import air_data
 from ..motion.quantities import convective_heat_rate, load_factor
@@ -68,32 +66,74 @@ class Lane(eqx.Module):
 
 
 def guidance_period(scenario: Scenario) -> float | None:
-    """Guidance cycle of a sampled law, s; none for a continuous one."""
+    """Longest guidance cycle of a sampled law, s; none for a continuous one."""
     law = scenario.guidance
-    return law.period if isinstance(law, AbstractSampledLaw) else None
+    return law.cycle.period if isinstance(law, AbstractSampledLaw) else None
 
 
 def sense(
     scenario: Scenario,
+    flown: Scalar,
     state: EntryState,
-    memory: Any = None,
-    held: Any = None,
+    memory: Any,
+    held: Any,
     sampled_at: Scalar | None = None,
 ) -> Measurement:
     """What the vehicle measures in a state, at the angle of attack that it flies.
 
-    Without memory, before the first command, that is the trim angle of attack.
-    `sampled_at` (s) is given at the start of a guidance cycle.
+    The vehicle flies the angle of attack that its law commands, at once. `sampled_at` (s)
+    is given at the start of a guidance cycle.
+
+    **Raises:** `ValueError` for a law whose angle of attack depends on the forces that are
+    sensed at the same instant: these are those of the angle of attack.
     """
-    law, vehicle = scenario.guidance, scenario.vehicle
-    angle_of_attack = None
-    if isinstance(law, AbstractSampledLaw) and memory is not None:
-        angle_of_attack = law.angle_of_attack(state, memory, held)
-    if angle_of_attack is None:
-        angle_of_attack = vehicle.trim_angle_of_attack
+    acting = _acting(scenario, flown, state, memory, held)
+    return _sensed(scenario, state, acting, sampled_at)
+
+
+def _acting(
+    scenario: Scenario, flown: Scalar, state: EntryState, memory: Any, held: Any
+) -> Traced:
+    """The command of the law, and the rate of its memory, over the sensed forces."""
+
+    def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
+        measurement = Measurement(state, lift, drag)
+        return commanded(scenario.guidance, flown, measurement, memory, held)
+
+    return Traced(act, state.altitude, state.altitude)
+
+
+def _sensed(
+    scenario: Scenario,
+    state: EntryState,
+    acting: Traced,
+    sampled_at: Scalar | None = None,
+) -> Measurement:
+    angle = acting.independent(lambda out: out[0].angle_of_attack)
+    if angle is None:
+        law = scenario.guidance
+        hold = (
+            "decide it at the guidance cycle, in `update`, and hold it"
+            if isinstance(law, AbstractSampledLaw)
+            else "hold the command through a guidance cycle, Sampled(law, period)"
+        )
+        raise ValueError(
+            f"{type(law).__name__} commands an angle of attack that depends on the lift "
+            "and drag sensed at the same instant, which depend on the angle of attack: "
+            f"{hold}"
+        )
+    return _measured(scenario, state, angle, sampled_at)
+
+
+def _measured(
+    scenario: Scenario,
+    state: EntryState,
+    angle_of_attack: Scalar,
+    sampled_at: Scalar | None = None,
+) -> Measurement:
     return measure(
         scenario.planet,
-        vehicle,
+        scenario.vehicle,
         state,
         angle_of_attack,
         scenario.accelerometers,
@@ -101,16 +141,31 @@ def sense(
     )
 
 
+def first_measurement(scenario: Scenario) -> Measurement:
+    """What the vehicle measures at the start, when its law has no memory yet.
+
+    At the angle of attack that the law commands there. Where that depends on what is
+    measured, through the first memory or the first decision, it is the trim angle of
+    attack of the vehicle: the attitude before guidance begins.
+    """
+    law, state = scenario.guidance, scenario.initial_state
+
+    def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
+        measurement = Measurement(state, lift, drag)
+        begin = begun(law, measurement)
+        return commanded(law, 0.0 * state.altitude, measurement, *begin)
+
+    acting = Traced(act, state.altitude, state.altitude)
+    angle = acting.independent(lambda out: out[0].angle_of_attack)
+    if angle is None:
+        angle = scenario.vehicle.trim_angle_of_attack
+    return _measured(scenario, state, angle)
+
+
 def start(scenario: Scenario, step: float) -> Lane:
     """The flight before its first step, which will be of a length (s)."""
     state = scenario.initial_state
-    measurement = sense(scenario, state)
-    law = scenario.guidance
-    if isinstance(law, AbstractSampledLaw):
-        memory, held = law.init(measurement)
-    else:
-        assert isinstance(law, AbstractContinuousLaw)
-        memory, held = law.init(measurement), None
+    memory, held = begun(scenario.guidance, first_measurement(scenario))
     flown = 0.0 * state.altitude
     conditions = scenario.termination
     margin = conditions.smallest_margin(flown, state, conditions.always)
@@ -135,7 +190,7 @@ def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
     if not isinstance(law, AbstractSampledLaw):
         return lane
     state, memory, held = lane.state, lane.memory, lane.held
-    measurement = sense(scenario, state, memory, held, lane.flown)
+    measurement = sense(scenario, lane.flown, state, memory, held, lane.flown)
     decided = law.update(lane.flown, measurement, lane.memory, lane.held)
     decides = lane.on_schedule if due is None else lane.on_schedule & due
     memory, held = select(decides, decided, (lane.memory, lane.held))
@@ -151,12 +206,9 @@ def command(
     scenario: Scenario, flown: Scalar, state: EntryState, memory: Any, held: Any
 ) -> tuple[Controls, Any]:
     """What the law commands, and the rate of its memory."""
-    law = scenario.guidance
-    measurement = sense(scenario, state, memory, held)
-    if isinstance(law, AbstractSampledLaw):
-        return law(flown, measurement, memory, held)
-    assert isinstance(law, AbstractContinuousLaw)
-    return law(flown, measurement, memory)
+    acting = _acting(scenario, flown, state, memory, held)
+    measurement = _sensed(scenario, state, acting)
+    return acting(measurement.lift, measurement.drag)
 
 
 def caveats(scenario: Scenario, held: Any) -> dict[str, Scalar]:

@@ -12,6 +12,7 @@ from jax import lax
 
 from .._setup import fast_options_are_on
 from .._types import Flag, Scalar
+from ..guidance.cycle import FixedCycle
 from ..guidance.law import AbstractLaw, AbstractSampledLaw
 from ..motion.singularities import is_beyond, step_is_too_long
 from .closed_loop import (
@@ -112,12 +113,12 @@ class Plan(eqx.Module):
         scheduled = math.ceil(limit / duration - 1e-9)
         if varies(law):
             assert isinstance(law, AbstractSampledLaw)
-            if duration < law.period - 1e-9:
+            if duration < law.cycle.period - 1e-9:
                 raise ValueError(
                     f"history is {history} s: with a cycle that varies it must be a "
-                    f"multiple of the longest, {law.period} s"
+                    f"multiple of the longest, {law.cycle.period} s"
                 )
-            scheduled = law.most_cycles(limit)
+            scheduled = law.cycle.most_cycles(limit)
         steps = solver.steps_in(duration) if isinstance(solver, FixedStep) else 1
         cycles = scheduled + math.ceil(steps_to_the_end(duration / steps) / steps)
         decide_every = 1 if period is None else round(period / duration)
@@ -150,7 +151,7 @@ class Plan(eqx.Module):
         law, duration = scenario.guidance, self.duration
         if varies(law):
             assert isinstance(law, AbstractSampledLaw)
-            duration = law.cycle(lane.held)
+            duration = law.cycle.seconds(lane.held)
         if isinstance(self.solver, Adaptive):
             return _adaptive_cycle(scenario, self.solver, duration, lane)
         assert isinstance(self.solver, FixedStep)
@@ -163,10 +164,7 @@ class Plan(eqx.Module):
 
 def varies(law: AbstractLaw) -> bool:
     """Whether the guidance cycle of a law depends on the flight."""
-    return (
-        isinstance(law, AbstractSampledLaw)
-        and type(law).cycle is not AbstractSampledLaw.cycle
-    )
+    return isinstance(law, AbstractSampledLaw) and not isinstance(law.cycle, FixedCycle)
 
 
 def steps_to_the_end(step: float) -> int:

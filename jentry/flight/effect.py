@@ -89,7 +89,7 @@ def _guidance(scenario: Scenario) -> Any:
     controls, _ = command(scenario, lane.flown, lane.state, lane.memory, lane.held)
     return (
         lane,
-        law.cycle(lane.held) if isinstance(law, AbstractSampledLaw) else None,
+        law.cycle.seconds(lane.held) if isinstance(law, AbstractSampledLaw) else None,
         vector_field(scenario, lane.held)(lane.flown, (lane.state, lane.memory)),
         path_constraints(scenario, lane.state, controls),
     )

@@ -9,7 +9,12 @@ from .attitude import FlightLimits as FlightLimits
 from .bezier import (
     Arrival as Arrival,
     BezierGuidance as BezierGuidance,
-    CycleSchedule as CycleSchedule,
+)
+from .cycle import (
+    AbstractCycle as AbstractCycle,
+    AbstractTimedDecision as AbstractTimedDecision,
+    FixedCycle as FixedCycle,
+    ShorteningCycle as ShorteningCycle,
 )
 from .drag_tracking import (
     ErrorGains as ErrorGains,

@@ -52,7 +52,9 @@ def attitude(
     the load factor (33) among them: near the largest bank the lower ones ask for more
     lift than the vehicle bears. Where the path asks for a bank beyond the largest one, as
     when it bends down more than gravity does, the lift is what fits the largest best;
-    printed, it would be as large as that to the other side.
+    printed, it would be as large as that to the other side. The vehicle does not glide in
+    equilibrium there, and the lower limits are those of a level glide: with the bank in
+    them they ask for a lift that is eleven times as large and almost all to the side.
 
     **Arguments:**
 
@@ -83,7 +85,8 @@ def attitude(
         return aerodynamics.angle_of_attack(coefficient, mach, velocity)
 
     weight = planet.gravity.acceleration(radius) - velocity * velocity / radius
-    loading = vehicle.mass * weight / (vehicle.reference_area * cos_bank)
+    upright = jnp.where(beyond, 1.0, cos_bank)
+    loading = vehicle.mass * weight / (vehicle.reference_area * upright)
     heating = planet.heating_coefficient * velocity**planet.heating_exponent
     at_heat_limit = (
         0.5 * vehicle.nose_radius * (limits.heat_rate * velocity / heating) ** 2

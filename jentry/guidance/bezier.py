@@ -5,9 +5,6 @@ Terminally Constrained Entry Flight", Mathematical Problems in Engineering, 2014
 equations as corrected in `onboard.bezier`, `inverse_dynamics` and `attitude`.
 """
 
-import math
-from typing import ClassVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,6 +20,7 @@ from ..onboard.track import Track
 from ..world.aerodynamics import AbstractInvertibleAerodynamics
 from .anchoring import AbstractAnchoring, Shape, StoredParameters
 from .attitude import FlightLimits, attitude
+from .cycle import AbstractTimedDecision, ShorteningCycle
 from .inverse_dynamics import path_point, required_acceleration
 from .law import AbstractSampledLaw
 from .velocity_control import AbstractVelocityControl, NoVelocityControl, Predictions
@@ -37,45 +35,7 @@ class Arrival(eqx.Module):
     heading: Scalar = scalar(unit="rad")
 
 
-class CycleSchedule(eqx.Module):
-    """Guidance cycles that become shorter towards the target, and a freeze at the end."""
-
-    shorter: tuple[tuple[float, float], ...] = eqx.field(
-        default=((120.0, 0.1), (15.0, 0.02)), static=True
-    )
-    """Time to go inside which a shorter cycle holds, and the cycle, s. Each cycle must
-    divide the longer one, so that they stay on one clock"""
-    freeze: float = eqx.field(default=0.1, static=True)
-    """Time to go inside which the last command is held, s"""
-
-    def check(self, period: float) -> None:
-        """Refuse what does not go with the longest cycle (s)."""
-        inside = [limit for limit, _ in self.shorter]
-        if sorted(inside, reverse=True) != inside:
-            raise ValueError(f"times to go {inside} s of the cycles must be decreasing")
-        cycles = [period, *(cycle for _, cycle in self.shorter)]
-        for longer, shorter in zip(cycles, cycles[1:], strict=False):
-            ratio = longer / shorter if shorter > 0.0 else 0.0
-            if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9:
-                raise ValueError(
-                    f"guidance cycles {cycles} s: each must divide the one before"
-                )
-
-    def duration(self, seconds_to_go: Scalar, before: Scalar) -> Scalar:
-        """Of the cycle that begins, s; never longer than the one before."""
-        duration = before
-        for limit, cycle in self.shorter:
-            inside = seconds_to_go < limit
-            duration = jnp.where(inside, jnp.minimum(duration, cycle), duration)
-        return duration
-
-    def most_cycles(self, period: float, time_limit: float) -> int:
-        """In a flight up to the time limit (s); the times to go are estimates."""
-        count = math.ceil(time_limit / period)
-        return count + sum(math.ceil(2.0 * to_go / c) for to_go, c in self.shorter)
-
-
-class Decision(eqx.Module):
+class Decision(AbstractTimedDecision):
     """What the law holds through a guidance cycle."""
 
     controls: Controls
@@ -101,7 +61,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
 
     - `parameters`: k1 and k2 of the curve at the start.
     - `track`, `arrival`: where to, and how.
-    - `schedule`, `period`: guidance cycles, `period` the longest, s.
+    - `cycle`: the guidance cycles.
     - `anchoring`: `StoredParameters` (the paper's) or `Subdivision`.
     - `acceleration_loop`: the commanded specific force is achieved, by the estimated
       lift factor. Without it the model is inverted as printed, equation (34): with an
@@ -116,11 +76,8 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
     estimator: FactorEstimator = eqx.field(default_factory=FactorEstimator)
     anchoring: AbstractAnchoring = StoredParameters()
     velocity_control: AbstractVelocityControl = NoVelocityControl()
-    schedule: CycleSchedule = CycleSchedule()
-    period: float = eqx.field(default=1.0, static=True)
+    cycle: ShorteningCycle = ShorteningCycle()
     acceleration_loop: bool = eqx.field(default=True, static=True)
-
-    reads_sensors_between_cycles: ClassVar[bool] = False
 
     def __check_init__(self):
         aerodynamics = self.model.vehicle.aerodynamics
@@ -129,9 +86,6 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
                 f"the onboard model has {type(aerodynamics).__name__}: the law needs "
                 "aerodynamics whose lift tells the angle of attack"
             )
-        if not self.period > 0.0:
-            raise ValueError(f"period is {self.period} s: it must be positive")
-        self.schedule.check(self.period)
         self.velocity_control.check(self.glide)
 
     @property
@@ -163,7 +117,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
             shape=shape,
             along=start.along,
             estimate=self.estimator.start(nothing),
-            duration=nothing + self.period,
+            duration=nothing + self.cycle.period,
             count=nothing,
             predictions=Predictions.none(nothing),
         )
@@ -208,14 +162,14 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
             wanted,
             factors.lift if self.acceleration_loop else one,
         )
-        frozen = seconds_to_go < self.schedule.freeze
+        frozen = seconds_to_go < self.cycle.freeze
         controls = _select(frozen, held.controls, controls)
         return memory, Decision(
             controls=controls,
             shape=shape,
             along=start.along,
             estimate=estimate,
-            duration=self.schedule.duration(seconds_to_go, held.duration),
+            duration=self.cycle.duration(seconds_to_go, held.duration),
             count=held.count + 1.0,
             predictions=jax.tree.map(jnp.add, held.predictions, predictions),
         )
@@ -240,17 +194,6 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
             target=self.target(),
             factors=decision.estimate.factors,
         )
-
-    def cycle(self, held: Decision) -> Scalar:
-        return held.duration
-
-    def most_cycles(self, time_limit: float) -> int:
-        return self.schedule.most_cycles(self.period, time_limit)
-
-    def angle_of_attack(
-        self, state: EntryState, memory: tuple[()], held: Decision
-    ) -> Scalar:
-        return held.controls.angle_of_attack
 
     def _point(self, state: EntryState) -> PathPoint:
         return path_point(self.model.planet, self.track.position(state), state)

@@ -1,14 +1,15 @@
-"""What a guidance law is: the two protocols that the closed loop knows."""
+"""What a guidance law is: two protocols. Only this file asks which of them a law is."""
 
-import math
 from abc import abstractmethod
-from typing import ClassVar, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import equinox as eqx
 
+from .._dependence import Traced
 from .._types import Scalar
 from ..motion.state import Controls, EntryState
 from ..onboard.navigation import Measurement
+from .cycle import AbstractCycle, FixedCycle
 
 
 Memory = TypeVar("Memory")
@@ -20,10 +21,12 @@ class AbstractLaw(eqx.Module):
 
     A law reads a `Measurement`, never the truth, and remembers nothing itself: its
     memory travels beside the state of the vehicle. It is one of two kinds, below.
-    """
 
-    reads_sensors_between_cycles: ClassVar[bool] = True
-    """Whether it needs its measured forces at other times than its guidance cycles"""
+    The vehicle flies the angle of attack that the law commands, at once, and the forces
+    are sensed there. Hence a command may not depend on the forces of its own instant by
+    its angle of attack: a flight with such a law is refused. `Sampled` breaks the loop,
+    since the forces are then those of the angle of attack that is held.
+    """
 
 
 class AbstractContinuousLaw(AbstractLaw, Generic[Memory]):
@@ -44,32 +47,15 @@ class AbstractContinuousLaw(AbstractLaw, Generic[Memory]):
 
 
 class AbstractSampledLaw(AbstractLaw, Generic[Memory, Held]):
-    """A law with a guidance cycle: once a period it decides, and holds the decision.
+    """A law with a guidance cycle: at its start it decides, and holds the decision.
 
     What was decided (a command, a bank sign, a scale factor) is `held`; between the
     decisions the law may still act on it continuously, with a memory of its own as a
     continuous law has.
     """
 
-    period: eqx.AbstractVar[float]
-    """Guidance cycle, s; static. The longest one of a law whose cycle varies"""
-
-    def cycle(self, held: Held) -> Scalar | float:
-        """How long what was just decided is held, s."""
-        return self.period
-
-    def most_cycles(self, time_limit: float) -> int:
-        """That a flight up to the time limit (s) can take."""
-        return math.ceil(time_limit / self.period - 1e-9)
-
-    def angle_of_attack(
-        self, state: EntryState, memory: Memory, held: Held
-    ) -> Scalar | None:
-        """At which the vehicle flies now, and its sensed forces are measured, rad.
-
-        None for a law that leaves the angle of attack at trim.
-        """
-        return None
+    cycle: eqx.AbstractVar[AbstractCycle]
+    """`FixedCycle` or `ShorteningCycle`"""
 
     def caveats(self, held: Held) -> dict[str, Scalar]:
         """What a reader of the results must know of how the law decided; by name.
@@ -105,11 +91,12 @@ class Sampled(AbstractSampledLaw[Memory, Controls]):
     """
 
     law: AbstractContinuousLaw[Memory]
-    period: float = eqx.field(static=True)
+    cycle: FixedCycle
 
-    def __check_init__(self):
-        if not self.period > 0.0:
-            raise ValueError(f"period is {self.period} s: it must be positive")
+    def __init__(self, law: AbstractContinuousLaw[Memory], period: float):
+        """`period` of the guidance cycle in s."""
+        self.law = law
+        self.cycle = FixedCycle(period)
 
     def init(self, measurement: Measurement) -> tuple[Memory, Controls]:
         memory = self.law.init(measurement)
@@ -128,3 +115,37 @@ class Sampled(AbstractSampledLaw[Memory, Controls]):
     ) -> tuple[Controls, Memory]:
         _, rate = self.law(time, measurement, memory)
         return held, rate
+
+
+def begun(law: AbstractLaw, measurement: Measurement) -> tuple[Any, Any]:
+    """Memory at the start of guidance, and what a sampled law holds; else None."""
+    if isinstance(law, AbstractSampledLaw):
+        return law.init(measurement)
+    assert isinstance(law, AbstractContinuousLaw)
+    return law.init(measurement), None
+
+
+def commanded(
+    law: AbstractLaw, time: Scalar, measurement: Measurement, memory: Any, held: Any
+) -> tuple[Controls, Any]:
+    """Command of a law of either kind, and the time derivative of its memory."""
+    if isinstance(law, AbstractSampledLaw):
+        return law(time, measurement, memory, held)
+    assert isinstance(law, AbstractContinuousLaw)
+    return law(time, measurement, memory)
+
+
+def reads_forces_between_cycles(law: AbstractLaw, state: EntryState) -> bool:
+    """Whether a law uses its sensed forces at other times than its guidance cycles.
+
+    Taken from what the law computes; a continuous law has no cycles.
+    """
+    if isinstance(law, AbstractContinuousLaw):
+        return True
+    force = 0.0 * state.altitude
+    before = begun(law, Measurement(state, force, force))
+
+    def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
+        return commanded(law, force, Measurement(state, lift, drag), *before)
+
+    return Traced(act, force, force).depends()

@@ -16,6 +16,7 @@ from ..onboard.model import OnboardModel
 from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
 from ..onboard.reference import DragReference, EnergyIndex
+from .cycle import FixedCycle
 from .drag_tracking import (
     ErrorGains,
     ObserverGains,
@@ -164,11 +165,9 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
     corridor: LateralCorridor
     first_bank_sign: Scalar = scalar(1.0)
     switching: AbstractSwitching = Sharp()
-    period: float = eqx.field(default=1.0, static=True)
+    cycle: FixedCycle = FixedCycle(1.0)
 
     def __check_init__(self):
-        if not self.period > 0.0:
-            raise ValueError(f"period is {self.period} s: it must be positive")
         if not isinstance(self.reference.index, EnergyIndex):
             raise ValueError(
                 f"the reference is over {type(self.reference.index).__name__}: range "
@@ -207,6 +206,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
             jnp.where(scales, range_to_go, aim.downrange),
             measurement.drag / believed.drag,
         )
+        scales = scales & jnp.isfinite(scale)
         scale = clamp(scale, self.limits.lower, self.limits.upper)
         lift_factor = (measurement.lift / measurement.drag) / (
             believed.lift / believed.drag

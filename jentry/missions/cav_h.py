@@ -17,7 +17,8 @@ from ..flight.scenario import Scenario, Target
 from ..flight.termination import AltitudeBelow, Outcome, TargetPassed, Termination
 from ..guidance.anchoring import AbstractAnchoring, StoredParameters, Subdivision
 from ..guidance.attitude import FlightLimits
-from ..guidance.bezier import Arrival, BezierGuidance, CycleSchedule
+from ..guidance.bezier import Arrival, BezierGuidance
+from ..guidance.cycle import ShorteningCycle
 from ..guidance.velocity_control import (
     AbstractVelocityControl,
     Epochs,
@@ -104,8 +105,7 @@ def glide(
     parameters: BezierParameters,
     anchoring: AbstractAnchoring = StoredParameters(),
     velocity_control: AbstractVelocityControl = NoVelocityControl(),
-    schedule: CycleSchedule = CycleSchedule(),
-    period: float = 1.0,
+    cycle: ShorteningCycle = ShorteningCycle(),
     acceleration_loop: bool = True,
 ) -> Scenario:
     """Table 1. Angle of attack from 0 to 20 degrees and bank to 85 are assumed."""
@@ -136,8 +136,7 @@ def glide(
         ),
         anchoring=anchoring,
         velocity_control=velocity_control,
-        schedule=schedule,
-        period=period,
+        cycle=cycle,
         acceleration_loop=acceleration_loop,
     )
     return Scenario(

@@ -17,7 +17,8 @@ class Vehicle(eqx.Module):
     drag_scale: Scalar = scalar(1.0, positive=True)
     """Factor on the drag coefficient: the usual dispersion."""
     trim_angle_of_attack: Scalar = scalar(0.0, unit="rad")
-    """What the vehicle flies where the law does not command an angle of attack."""
+    """The angle of attack before guidance begins. Every law commands one of its own, which
+    the vehicle then flies."""
     nose_radius: Scalar = scalar(1.0, unit="m", positive=True)
     """For the heat rate at the stagnation point."""
 

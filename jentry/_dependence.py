@@ -1,0 +1,92 @@
+"""What of a function does not depend on its inputs, read from its traced form."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
+
+from ._types import Scalar
+
+
+_CALLS = {"jit", "pjit", "closed_call", "remat2", "checkpoint", "custom_jvp_call"}
+"""Operations that are a traced function and no more: each output of them is judged by
+itself. Of any other one every output counts as depending on every input."""
+
+
+class Traced:
+    """A function that is traced once, and called as often as needed.
+
+    A comparison, a choice and a `stop_gradient` pass a dependence on. It is never
+    overlooked, whatever the values are; where a loop or a branch has several outputs, or
+    an input is multiplied by zero, one may be found that is none.
+    """
+
+    def __init__(self, function: Callable[..., Any], *inputs: Any):
+        self._closed, outputs = jax.make_jaxpr(function, return_shape=True)(*inputs)
+        self._structure = jax.tree.structure(outputs)
+
+    def __call__(self, *inputs: Any) -> Any:
+        # A constant comes out as a number of numpy.
+        outputs = map(jnp.asarray, jaxpr_as_fun(self._closed)(*inputs))
+        return jax.tree.unflatten(self._structure, outputs)
+
+    def depends(self) -> bool:
+        """Whether any number that the function gives depends on its inputs."""
+        return any(self._reached())
+
+    def independent(self, where: Callable[[Any], Any]) -> Scalar | None:
+        """The number at a place of the output; None where it depends on the inputs.
+
+        Only the operations that lead to it are made, so that it costs no more.
+        """
+        jaxpr = self._closed.jaxpr
+        places = jax.tree.unflatten(self._structure, range(len(jaxpr.outvars)))
+        place = where(places)
+        if self._reached()[place]:
+            return None
+        wanted = set(filter(_is_variable, [jaxpr.outvars[place]]))
+        needed = []
+        for equation in reversed(jaxpr.eqns):
+            if wanted.intersection(equation.outvars):
+                needed.append(equation)
+                wanted.update(filter(_is_variable, equation.invars))
+        lean = jaxpr.replace(eqns=needed[::-1], outvars=[jaxpr.outvars[place]])
+        nothing = (jnp.zeros(v.aval.shape, v.aval.dtype) for v in jaxpr.invars)
+        value = jaxpr_as_fun(ClosedJaxpr(lean, self._closed.consts))(*nothing)[0]
+        return jnp.asarray(value)
+
+    def _reached(self) -> list[bool]:
+        jaxpr = self._closed.jaxpr
+        return _reached(jaxpr, [True] * len(jaxpr.invars))
+
+
+def _is_variable(v: Any) -> bool:
+    return not isinstance(v, Literal)
+
+
+def _reached(jaxpr: Jaxpr, reached_inputs: Sequence[bool]) -> list[bool]:
+    """Which outputs of a traced function depend on those of its inputs."""
+    reached = {v for v, r in zip(jaxpr.invars, reached_inputs, strict=True) if r}
+
+    def is_reached(v: Any) -> bool:
+        return _is_variable(v) and v in reached
+
+    for equation in jaxpr.eqns:
+        inputs = [is_reached(v) for v in equation.invars]
+        if not any(inputs):
+            continue
+        inner = _called(equation)
+        outputs = _reached(inner, inputs) if inner else [True] * len(equation.outvars)
+        reached.update(v for v, r in zip(equation.outvars, outputs, strict=True) if r)
+    return [is_reached(v) for v in jaxpr.outvars]
+
+
+def _called(equation: Any) -> Jaxpr | None:
+    if equation.primitive.name not in _CALLS:
+        return None
+    inner = equation.params.get("jaxpr", equation.params.get("call_jaxpr"))
+    inner = inner.jaxpr if isinstance(inner, ClosedJaxpr) else inner
+    fits = isinstance(inner, Jaxpr) and len(inner.invars) == len(equation.invars)
+    return inner if fits else None

@@ -1,0 +1,102 @@
+"""When a sampled law decides: its guidance cycle, which is data of the law."""
+
+import math
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from .._types import Scalar
+
+
+class AbstractCycle(eqx.Module):
+    """How long a sampled law holds what it has decided."""
+
+    period: eqx.AbstractVar[float]
+    """The longest guidance cycle, s; static"""
+
+    @abstractmethod
+    def seconds(self, held: Any) -> Scalar | float:
+        """How long a decision is held, s."""
+
+    @abstractmethod
+    def most_cycles(self, time_limit: float) -> int:
+        """The largest number of cycles in a flight up to a time limit (s)."""
+
+
+class FixedCycle(AbstractCycle):
+    """Guidance cycles of equal length."""
+
+    period: float = eqx.field(static=True)
+
+    def __check_init__(self):
+        _check_period(self.period)
+
+    def seconds(self, held: Any) -> float:
+        return self.period
+
+    def most_cycles(self, time_limit: float) -> int:
+        return math.ceil(time_limit / self.period - 1e-9)
+
+
+class AbstractTimedDecision(eqx.Module):
+    """What a law holds whose cycle becomes shorter: the decision tells its duration."""
+
+    duration: eqx.AbstractVar[Scalar]
+    """How long it is held, s"""
+
+
+class ShorteningCycle(AbstractCycle):
+    """Guidance cycles that become shorter towards the target, and a freeze at the end.
+
+    The law estimates the time to go and holds an `AbstractTimedDecision`.
+    """
+
+    period: float = eqx.field(default=1.0, static=True)
+    shorter: tuple[tuple[float, float], ...] = eqx.field(
+        default=((120.0, 0.1), (15.0, 0.02)), static=True
+    )
+    """Time to go inside which a shorter cycle holds, and the cycle, s. Each cycle must
+    divide the longer one, so that they stay on one clock"""
+    freeze: float = eqx.field(default=0.1, static=True)
+    """Time to go inside which the last command is held, s"""
+
+    def __check_init__(self):
+        _check_period(self.period)
+        inside = [limit for limit, _ in self.shorter]
+        if sorted(inside, reverse=True) != inside:
+            raise ValueError(f"times to go {inside} s of the cycles must be decreasing")
+        cycles = [self.period, *(cycle for _, cycle in self.shorter)]
+        for longer, shorter in zip(cycles, cycles[1:], strict=False):
+            ratio = longer / shorter if shorter > 0.0 else 0.0
+            if round(ratio) < 1 or abs(ratio - round(ratio)) > 1e-9:
+                raise ValueError(
+                    f"guidance cycles {cycles} s: each must divide the one before"
+                )
+
+    def duration(self, seconds_to_go: Scalar, before: Scalar) -> Scalar:
+        """Length of the cycle that begins, s; never longer than the one before."""
+        duration = before
+        for limit, cycle in self.shorter:
+            inside = seconds_to_go < limit
+            duration = jnp.where(inside, jnp.minimum(duration, cycle), duration)
+        return duration
+
+    def seconds(self, held: Any) -> Scalar:
+        if not isinstance(held, AbstractTimedDecision):
+            raise ValueError(
+                f"the law has a ShorteningCycle and holds a {type(held).__name__}: what "
+                "it holds must be an AbstractTimedDecision, which tells its duration"
+            )
+        return held.duration
+
+    def most_cycles(self, time_limit: float) -> int:
+        # The times to go are estimates: allow for twice as many of the shorter cycles.
+        count = math.ceil(time_limit / self.period)
+        return count + sum(math.ceil(2.0 * to_go / c) for to_go, c in self.shorter)
+
+
+def _check_period(period: float) -> None:
+    if not period > 0.0:
+        raise ValueError(f"period is {period} s: it must be positive")

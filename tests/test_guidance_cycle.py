@@ -1,0 +1,160 @@
+"""The guidance cycle is data of a law: a wrapper that forwards all changes nothing."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+from helpers import all_laws, mars_scenario
+
+from jentry._types import Scalar
+from jentry.flight import FixedStep, fly
+from jentry.guidance import (
+    AbstractContinuousLaw,
+    AbstractSampledLaw,
+    AbstractTimedDecision,
+    FixedCycle,
+    ShorteningCycle,
+)
+from jentry.missions import find_mission
+from jentry.missions.mars_range_tracking import range_tracking
+from jentry.motion import Controls
+
+
+class Continuous(AbstractContinuousLaw):
+    """Forwards all."""
+
+    law: AbstractContinuousLaw
+
+    def init(self, measurement):
+        return self.law.init(measurement)
+
+    def __call__(self, time, measurement, memory):
+        return self.law(time, measurement, memory)
+
+
+class Cycling(AbstractSampledLaw):
+    """Forwards all."""
+
+    law: AbstractSampledLaw
+
+    @property
+    def cycle(self):
+        return self.law.cycle
+
+    def init(self, measurement):
+        return self.law.init(measurement)
+
+    def update(self, time, measurement, memory, held):
+        return self.law.update(time, measurement, memory, held)
+
+    def __call__(self, time, measurement, memory, held):
+        return self.law(time, measurement, memory, held)
+
+
+def wrapped(law):
+    return Continuous(law) if isinstance(law, AbstractContinuousLaw) else Cycling(law)
+
+
+class Timed(AbstractTimedDecision):
+    duration: Scalar
+    sign: Scalar
+
+
+class Untimed(eqx.Module):
+    sign: Scalar
+
+
+class Switching(AbstractSampledLaw):
+    """Reverses its bank at cycles that become shorter; a toy of the glider's law."""
+
+    timed: bool = eqx.field(default=True, static=True)
+    cycle: ShorteningCycle = ShorteningCycle(4.0, shorter=((30.0, 1.0), (8.0, 0.5)))
+
+    def init(self, measurement):
+        one = 1.0 + 0.0 * measurement.drag
+        return (), Timed(4.0 * one, one) if self.timed else Untimed(one)
+
+    def update(self, time, measurement, memory, held):
+        if not self.timed:
+            return (), held
+        duration = self.cycle.duration(60.0 - time, held.duration)
+        return (), Timed(duration, -held.sign)
+
+    def __call__(self, time, measurement, memory, held):
+        nothing = jnp.zeros_like(held.sign)
+        return Controls(nothing, nothing + 0.6, 0.8 * held.sign), ()
+
+
+def program(law, scenario, history):
+    """What is compiled for a flight: the same text is the same numbers, bit by bit."""
+    flown = eqx.tree_at(lambda s: s.guidance, scenario, law)
+    numbers, rest = eqx.partition(flown, eqx.is_array)
+
+    def end(numbers):
+        return eqx.filter(
+            fly(eqx.combine(numbers, rest), FixedStep(), history), eqx.is_array
+        )
+
+    return jax.jit(end).lower(numbers).as_text()
+
+
+def scenarios():
+    reference = range_tracking().guidance.reference
+    table = {name: mars_scenario(law(reference)) for name, law in all_laws.items()}
+    table["range tracking"] = range_tracking()
+    table["shortening cycle"] = mars_scenario(Switching(), 60.0)
+    return table
+
+
+@pytest.mark.parametrize("history", [None, 20.0])
+def test_a_wrapper_that_forwards_all_is_the_identity(history):
+    for name, scenario in scenarios().items():
+        law = scenario.guidance
+        alone, inside = (program(x, scenario, history) for x in (law, wrapped(law)))
+        assert alone == inside, name
+
+
+@pytest.mark.parametrize(
+    ("variant", "history"), [("stored", None), ("stored", 20.0), ("newton", None)]
+)
+def test_the_glider_in_a_wrapper_flies_the_same(variant, history):
+    scenario = find_mission("cav-h").scenario(variant)
+    law = scenario.guidance
+    alone, inside = (program(x, scenario, history) for x in (law, wrapped(law)))
+    assert alone == inside
+
+
+def test_a_cycle_that_becomes_shorter_decides_when_it_should():
+    """From 4 s on the clock to 1 s inside 30 s of the end and 0.5 s inside 8 s."""
+    decided = [0.0]
+    while decided[-1] < 60.0:
+        left = 60.0 - decided[-1]
+        decided.append(
+            decided[-1] + (0.5 if left < 8.0 else 1.0 if left < 30.0 else 4.0)
+        )
+    scenario = mars_scenario(Switching(), 60.0, in_plane=False)
+    flight = eqx.filter_jit(fly)(scenario, FixedStep(), 4.0)
+    signs = [float(x) for x in flight.history.decisions.sign]
+    times = [float(x) for x in flight.history.time]
+    count = [sum(d <= t for d in decided) for t in times]
+    assert times == [4.0 * k for k in range(15)]
+    assert signs == [(-1.0) ** n for n in count]
+
+
+def test_what_is_held_must_tell_its_duration():
+    with pytest.raises(ValueError, match="ShorteningCycle and holds a Untimed"):
+        fly(mars_scenario(Switching(timed=False), 10.0))
+
+
+@pytest.mark.parametrize("period", [0.0, -1.0, float("nan")])
+def test_a_period_is_positive(period):
+    for cycle in (FixedCycle, ShorteningCycle):
+        with pytest.raises(ValueError, match="it must be positive"):
+            cycle(period)
+
+
+def test_most_cycles_of_a_flight():
+    assert FixedCycle(0.1).most_cycles(10.0) == 100
+    assert FixedCycle(3.0).most_cycles(10.0) == 4
+    cycle = ShorteningCycle(1.0, shorter=((120.0, 0.1), (15.0, 0.02)))
+    assert cycle.most_cycles(2000.0) == 2000 + 2400 + 1500
