@@ -107,7 +107,7 @@ def _registry() -> Any:
     """
     import pint
 
-    registry = pint.UnitRegistry(None)
+    registry = pint.UnitRegistry(None)  # pyright: ignore[reportArgumentType]
     registry.load_definitions(_DEFINITIONS.strip().splitlines())
     return registry
 

@@ -354,9 +354,18 @@ def test_output_of_a_network_is_the_logarithm_of_the_velocity_per_radian():
     assert output == pytest.approx(np.log(5600.0 / 2650.0) / to_go, rel=1e-14)
     # A network that always says so predicts that velocity.
     says = Network(
-        (jnp.zeros((1, 6)),), (jnp.zeros(1),), [0.0] * 6, [1.0] * 6, output, 1
+        (jnp.zeros((1, 6)),),
+        (jnp.zeros(1),),
+        Inputs.STATE.names,
+        jnp.zeros(6),
+        jnp.ones(6),
+        jnp.tile(jnp.array([-1e9, 1e9]), (6, 1)),
+        output,
+        1.0,
     )
-    predicted = NetworkPredictor(says, Inputs.STATE).predict(LAW.glide, here)
+    velocities = jnp.array([1e3, 4e3])
+    predictor = NetworkPredictor(says, velocities, Inputs.STATE)
+    predicted = predictor.predict(LAW.glide, here)
     assert float(predicted) == pytest.approx(2650.0, rel=1e-13)
 
 

@@ -35,9 +35,9 @@ from .dispersions import (
 
 LANES = 64
 """Flights side by side: few enough to stay in the cache, and always as many, so that a
-run does not depend on how many it is flown with. On its place among them it may depend by
-rounding: the compiler may treat the last eight otherwise than the others, as it does for
-cav-h with the noise of its accelerometers."""
+run does not depend on how many it is flown with. A law of your own may depend by rounding
+on its place among them: the compiler may treat the last eight otherwise than the others,
+where a flight reads several numbers out of one array of its own."""
 
 _CHUNKS = 8
 """Of lanes, for each core, between two reports to the host."""
@@ -70,10 +70,9 @@ def monte_carlo(
 ) -> Campaign:
     """Fly a scenario many times, with drawn or with given inputs.
 
-    A run depends on the key and on its index alone, and not on what it is flown with: at
-    the same place of a block of `LANES` it is the same bit by bit. At another place it is
-    the same to rounding, a relative 1e-11 and 1e-9 in SI units. All CPU devices share the
-    work (see `jentry.setup`).
+    A run is the same alone and in any batch, bit by bit: it depends on the key and on its
+    index alone. (With a law of your own see `LANES`.) All CPU devices share the work, see
+    `jentry.setup`.
 
     **Arguments:**
 

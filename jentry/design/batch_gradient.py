@@ -126,7 +126,7 @@ def _along_ones(jacobian: Any, free: Free) -> Float[Array, ""]:
 
     def along(row: dict[str, Array]) -> Array:
         moved = [jnp.sum(s, axis=_last(free[a].ndim)) for a, s in row.items()]
-        return _largest(sum(moved))
+        return _largest(sum(moved, jnp.zeros(())))
 
     rows = jax.tree.leaves(jacobian, is_leaf=is_row)
     return functools.reduce(jnp.maximum, map(along, rows), jnp.zeros(()))

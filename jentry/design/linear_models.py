@@ -107,7 +107,7 @@ def mean_model(
             continue
         moving.append(name)
         for value in (mean + deviation, mean - deviation):
-            points.append(drawn | {name: jnp.full(LANES, value)})
+            points.append({**drawn, name: jnp.full(LANES, value)})
     if not moving:
         raise ValueError("all dispersions are constant: nothing moves the flight")
     draws = jax.tree.map(lambda *x: np.concatenate(x), *points)

@@ -138,7 +138,8 @@ def _flown(scenario: Scenario, campaign: Campaign, on_curve: bool) -> _Flown:
         reason = "leave the curve at a limit of the angle of attack"
         left_out[reason] = int(there[off].sum())
         kept = kept & ~off
-    return _Flown(*np.nonzero(there & kept[:, None]), left_out)
+    flight, place = np.nonzero(there & kept[:, None])
+    return _Flown(flight, place, left_out)
 
 
 def _samples(

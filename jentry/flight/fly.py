@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._types import Count, Flag, Scalar
@@ -128,7 +129,7 @@ def warn_of(caveats: Mapping[str, Any], stacklevel: int = 3) -> None:
     Says nothing of numbers that are not known yet, as under `jit`.
     """
     for name, shares in caveats.items():
-        if not isinstance(shares, jax.core.Tracer) and np.any(np.asarray(shares) > 0.0):
+        if not isinstance(shares, Tracer) and np.any(np.asarray(shares) > 0.0):
             warnings.warn(caveat_sentence(name, shares), stacklevel=stacklevel)
 
 

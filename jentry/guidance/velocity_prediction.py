@@ -5,8 +5,8 @@ import warnings
 from abc import abstractmethod
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._types import Scalar, table
@@ -180,7 +180,7 @@ class NetworkPredictor(AbstractVelocityPredictor):
         velocity = situation.velocity * jnp.exp(-to_go * self.network(inside))
         slowest, fastest = self.velocities
         answers = known & (velocity >= slowest) & (velocity <= fastest)
-        if not isinstance(answers, jax.core.Tracer) and not answers:
+        if not isinstance(answers, Tracer) and not answers:
             warnings.warn(self._refusal(read, velocity), stacklevel=2)
         return jnp.where(answers, velocity, jnp.nan)
 

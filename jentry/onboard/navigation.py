@@ -66,8 +66,15 @@ class Accelerometers(AbstractAccelerometers):
         key = jax.random.fold_in(
             jax.random.fold_in(jax.random.key(0), seed), millisecond
         )
-        noise = self.noise * jax.random.normal(key, (2,), dtype=float)
-        return lift + noise[0], drag + noise[1]
+
+        def error(axis: int) -> Scalar:
+            # Drawn alone: read out of one array for both, side by side with other runs,
+            # the compiler treats the last runs of a block in another way than the rest.
+            return self.noise * jax.random.normal(
+                jax.random.fold_in(key, axis), dtype=float
+            )
+
+        return lift + error(0), drag + error(1)
 
 
 def measure(

@@ -46,6 +46,8 @@ class Network(eqx.Module):
     """Of each layer, (outputs, inputs)"""
     biases: tuple[Float[Array, "..."], ...]
     """Of each layer, (outputs,)"""
+    names: tuple[str, ...] = eqx.field(static=True)
+    """(n,) of the inputs, with their units"""
     input_mean: Float[Array, "..."] = table()
     """(n,)"""
     input_scale: Float[Array, "..."] = table()
@@ -56,8 +58,6 @@ class Network(eqx.Module):
     """()"""
     output_deviation: Float[Array, "..."] = table()
     """()"""
-    names: tuple[str, ...] = eqx.field(static=True)
-    """(n,) of the inputs, with their units"""
 
     def __check_init__(self):
         sizes = [len(self.names), *(len(biases) for biases in self.biases)]
@@ -211,7 +211,11 @@ def load_network(
     try:
         ranges = card_ranges(card["inputs"])
         network = Network(
-            weights, biases, input_ranges=ranges, names=tuple(card["inputs"]), **single
+            weights,
+            biases,
+            tuple(card["inputs"]),
+            input_ranges=jnp.asarray(ranges),
+            **single,
         )
         _check_values(network)
     except (ValueError, TypeError) as error:
