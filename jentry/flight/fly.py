@@ -65,7 +65,10 @@ def fly(
     One flight: batch it with `jax.vmap` or `monte_carlo`. Compile it with `eqx.filter_jit`.
     Differentiable in every leaf of the scenario, in forward mode (`jax.jvp`,
     `jax.jacfwd`) and in reverse mode (`jax.grad`); the end is located exactly, and its
-    time moves with what is varied.
+    time moves with what is varied. Derivatives of higher order may nest the modes in any
+    order, and are exact up to the fourth. Each order flies again: a Hessian-vector product
+    costs two to three gradients, and keeps the flight and its tangents, one carry each a
+    cycle.
 
     A derivative is that of the flight between its jumps. Where a law decides in cycles a
     flight jumps: a bank reversal, or the last cycle before the end, comes one cycle later.

@@ -1,0 +1,80 @@
+"""Second derivatives of the misses of whole missions, against differences of the first."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jentry.flight import fly, misses
+from jentry.missions import find_mission
+
+
+def gains(scenario):
+    """The six gains of drag tracking."""
+    law = scenario.guidance
+    error, observer = law.gains, law.observer
+    return (
+        error.epsilon0,
+        error.a,
+        error.b,
+        observer.epsilon,
+        observer.l1,
+        observer.l2,
+    )
+
+
+def bezier(scenario):
+    """The two parameters of the curve."""
+    parameters = scenario.guidance.parameters
+    return parameters.k1, parameters.k2
+
+
+CASES = {
+    # Mission, variant, what is varied, density, what is looked at, step. Off the nominal
+    # density, since on the reference itself no gain matters. The steps are relative, small
+    # where a flight jumps with the number of its guidance cycles.
+    "drag tracking": ("mars-drag-tracking", "table-3", gains, 1.02, "downrange", 2e-3),
+    "range tracking": (
+        "mars-range-tracking",
+        "three-dimensional",
+        gains,
+        1.02,
+        "downrange",
+        3e-4,
+    ),
+    "bezier": ("cav-h", "stored", bezier, 1.02, "velocity", 1e-5),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES)
+def test_second_derivatives_of_a_miss(case):
+    """To 1e-5 of the largest: what a difference of gradients has of rounding and order."""
+    mission, variant, where, density, what, step = CASES[case]
+    scenario = find_mission(mission).scenario(variant)
+    scenario = eqx.tree_at(
+        lambda s: s.planet.density_scale, scenario, jnp.asarray(density)
+    )
+    start = jnp.stack(where(scenario))
+
+    def miss(factors):
+        varied = eqx.tree_at(where, scenario, tuple(start * factors))
+        return getattr(misses(varied, fly(varied)), what)
+
+    one = jnp.ones_like(start)
+    gradient = jax.jit(jax.grad(miss))
+    hessian = jax.jit(jax.jacfwd(jax.jacrev(miss)))(one)
+    columns = [
+        (
+            8 * (gradient(one + h) - gradient(one - h))
+            - (gradient(one + 2 * h) - gradient(one - 2 * h))
+        )
+        / (12 * step)
+        for h in step * np.eye(start.size)
+    ]
+    expected = np.stack(columns, axis=-1)
+    largest = np.abs(expected).max()
+    assert largest > 1e-2
+    np.testing.assert_allclose(hessian, hessian.T, rtol=0, atol=1e-7 * largest)
+    np.testing.assert_allclose(hessian, expected, rtol=0, atol=1e-5 * largest)
