@@ -618,9 +618,12 @@ ARRIVE = {
     "tune": RUN
     | {"gains", "runs", "steps", "loss", "of", "out", "optimizer", "learning-rate"}
     | {"bounds", "smooth", "no-smooth", "fresh-draws", "no-fresh-draws", "patience"}
-    | {"held-out", "seed", "workers", "dispersions", "fast", "no-fast"},
+    | {"held-out", "seed", "workers", "dispersions", "fast", "no-fast"}
+    | {"scale", "differences", "smooth-reversals", "no-smooth-reversals"},
     "train": {"out", "seed", "flights", "again", "iterations", "workers"},
-    "sensitivity": RUN | {"wrt", "scale", "runs", "seed", "workers", "dispersions"},
+    "sensitivity": RUN
+    | {"wrt", "scale", "runs", "seed", "workers", "dispersions", "differences"}
+    | {"no-differences"},
 }
 
 

@@ -182,6 +182,8 @@ def test_one_writer_for_all_files(path):
         assert name not in WRITES, ast.unparse(node)
         if name == "open":
             given = [*node.args, *(k.value for k in node.keywords)]
+            if given and ast.unparse(given[0]) == "os.devnull":
+                continue
             modes = [x.value for x in given if isinstance(x, ast.Constant)]
             words = [mode for mode in modes if isinstance(mode, str)]
             wrong = [

@@ -147,7 +147,7 @@ class Fragile(AbstractContinuousLaw[None]):
         broken = measurement.drag > self.limit
         bank_angle = jnp.where(broken, jnp.nan, self.bank_angle)
         return Controls(
-            0.0 * bank_angle, jnp.cos(bank_angle), jnp.sin(bank_angle)
+            0.0 * self.bank_angle, jnp.cos(bank_angle), jnp.sin(bank_angle)
         ), None
 
 

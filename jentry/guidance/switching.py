@@ -1,4 +1,4 @@
-"""Where a law switches: the limits of its command, its gate, and the reversals of its bank.
+"""Where a law switches: limits of its command, its gate, reversals of its bank.
 
 A sharp switch is what flies. A smooth one is a surrogate for tuning: behind a sharp limit
 the command no longer moves with the gains, and no gradient tells what a gate is worth, or
