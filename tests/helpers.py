@@ -31,6 +31,7 @@ from jentry.guidance import (
     Aim,
     BankProfile,
     ErrorGains,
+    FixedCycle,
     LateralCorridor,
     ObserverDragTracking,
     ObserverGains,
@@ -95,7 +96,7 @@ class Doubting(AbstractSampledLaw[tuple[()], Scalar]):
     """Full lift, with a caveat: the share of its cycles that began below an altitude."""
 
     altitude: Scalar = scalar(unit="m")
-    period: float = eqx.field(default=1.0, static=True)
+    cycle: FixedCycle = FixedCycle(1.0)
 
     def init(self, measurement):
         nothing = 0.0 * measurement.drag

@@ -41,6 +41,9 @@ class Cycling(AbstractSampledLaw):
     def cycle(self):
         return self.law.cycle
 
+    def caveats(self, held):
+        return self.law.caveats(held)
+
     def init(self, measurement):
         return self.law.init(measurement)
 

@@ -21,7 +21,7 @@ def missed(end, target):
     none = jnp.asarray(0.0)
     peaks = Peaks(none, none, none, none)
     code = jnp.asarray(0)
-    return misses(scenario, Flight(none, end, code, code, peaks, None))
+    return misses(scenario, Flight(none, end, code, code, peaks, {}, None))
 
 
 def state(longitude=0.2, heading=90 * degree):

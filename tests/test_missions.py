@@ -297,8 +297,8 @@ def test_cav_h():
     law = scenario.guidance
     inside = {120.0: "cycle_inside_120_s", 15.0: "cycle_inside_15_s"}
     assert law.cycle.period == assumed["cycle_s"]
-    assert dict(law.schedule.shorter) == {to: assumed[c] for to, c in inside.items()}
-    assert law.schedule.freeze == assumed["freeze_s"]
+    assert dict(law.cycle.shorter) == {to: assumed[c] for to, c in inside.items()}
+    assert law.cycle.freeze == assumed["freeze_s"]
     # Half of the last digit of the latitude.
     assert radius * latitude == pytest.approx(
         assumed["target_downrange_m"], abs=5e-5 * degree * radius

@@ -130,7 +130,9 @@ def test_card_of_a_training(capsys):
     )
     card, glide = trained.card, stored().guidance.glide
     predict = jax.jit(jax.vmap(lambda s: trained.predictor.predict(glide, s)))
-    error = np.abs(predict(samples.situations) - samples.final_velocity)
+    error = np.abs(
+        predict(jax.tree.map(jnp.asarray, samples.situations)) - samples.final_velocity
+    )
     answered = np.isfinite(error)
     draws = jax.random.uniform(jax.random.split(jax.random.key(0), 4)[1], (40,))
     held = np.asarray(draws < 0.3)[samples.vehicles]  # whole vehicles

@@ -53,7 +53,7 @@ def test_show_has_every_number_in_the_unit_of_its_field(scenario, capsys):
     leaves = leaves_by_address(scenario)
     assert set(leaves) == set(shown)
     for address, leaf in leaves.items():
-        value, unit = shown[address]
+        value, unit, *_ = shown[address]
         assert unit == unit_of(scenario, address)
         if leaf.shape == ():
             assert float(value) == pytest.approx(float(leaf), rel=1e-9), address
@@ -71,6 +71,7 @@ def a_flight(**changes):
         "outcome": jnp.asarray(int(Outcome.SKIPPED_OUT)),
         "ended_by": jnp.asarray(0),
         "peaks": peaks,
+        "caveats": {},
         "history": None,
     }
     return Flight(**numbers | changes)

@@ -184,6 +184,9 @@ def test_adaptive_steps_end_there_too(name):
     ends, numbers, closed_form = ARCS[name]
     flight = eqx.filter_jit(fly)(vacuum(ends, numbers), Adaptive())
     np.testing.assert_allclose(flight.time, closed_form(*numbers), rtol=1e-9)
+    assert flight.outcome == (
+        Outcome.SKIPPED_OUT if name == "exit" else Outcome.REACHED
+    )
 
 
 def test_a_condition_counts_from_its_near_side():

@@ -93,7 +93,8 @@ class Evaluator:
         self._devices = len(jax.devices())
         self._inputs = self._draw(0)
         self._apart = followed is not exact or fresh_draws
-        self.flights_per_step = (2 if self._apart else 1) * runs
+        batches = 1 if difference is None else 1 + 2 * exact.parameters.count
+        self.flights_per_step = (batches + self._apart) * runs
 
     def __call__(self, free: Free, step: int) -> Evaluation:
         """At a point, in a step that has draws of its own if they are fresh."""

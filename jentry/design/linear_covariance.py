@@ -128,6 +128,9 @@ def linear_covariance(
     devices = len(jax.devices())
     key = jax.random.key(0) if key is None else key
     check_draws(scenario, dispersions, key, np.arange(max(runs, LANES)))
+    if mode == "difference":
+        of_means = jax.random.fold_in(key, 2)
+        check_draws(scenario, dispersions, of_means, np.arange(LANES))
     pairs = tuple(dispersions.items())
 
     axes = _along_axes(pairs)
@@ -141,8 +144,11 @@ def linear_covariance(
     given = {name: jnp.asarray(values[filled]) for name, values in points.items()}
     flown = fly_draws(scenario, pairs, given, outputs, solver, devices)
     values, _, codes, finite = jax.tree.map(lambda x: x[:count], flown)
-    columns = {name: np.asarray(x) for name, x in columns_of(values).items()}
     codes, finite = np.asarray(codes), np.asarray(finite)
+    columns = {
+        name: np.where(finite, np.asarray(x, float), np.nan)
+        for name, x in columns_of(values).items()
+    }
     if not finite[0]:
         raise ValueError(
             "the flight at the mean of all draws is not finite or has no end: it has no "

@@ -58,13 +58,15 @@ class Positive(AbstractMap):
 
 
 class Unbounded(AbstractMap):
-    """value = start + scale free."""
+    """value = start + scale free, held within the range of its field, if it has one."""
 
     start: Array = eqx.field(converter=as_float_array)
     scale: Array = eqx.field(converter=as_float_array)
+    least: float = eqx.field(default=-np.inf, static=True)
+    largest: float = eqx.field(default=np.inf, static=True)
 
     def __call__(self, free):
-        return self.start + self.scale * free
+        return jnp.clip(self.start + self.scale * free, self.least, self.largest)
 
 
 class Between(AbstractMap):
@@ -122,12 +124,17 @@ class Parameters(eqx.Module):
                     f"{address} {has}, from which its scale follows: leave the scale out"
                 )
             if address in bounds:
-                maps[address] = _between(address, leaf, bounds.pop(address), positive)
+                between = _between(address, leaf, bounds.pop(address), positive)
+                for bound in (between.lower, between.upper):
+                    check_values(f"a bound of {address}", np.asarray(bound), metadata)
+                maps[address] = between
             elif positive:
                 maps[address] = Positive(leaf)
             else:
                 scale = scales.pop(address, None)
-                maps[address] = Unbounded(leaf, _scale(address, leaf, scale))
+                least, largest = metadata.get("range") or (-np.inf, np.inf)
+                scale = _scale(address, leaf, scale)
+                maps[address] = Unbounded(leaf, scale, least, largest)
         for what, others in (("bounds", bounds), ("a scale", scales)):
             for address in others:
                 raise ValueError(

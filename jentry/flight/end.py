@@ -64,7 +64,9 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
             )
             seconds_left = jnp.where(margins <= 0.0, 0.0, jnp.abs(margins / closing))
             if counting is not None:
-                seconds_left = jnp.where(counting, seconds_left, jnp.inf)
+                # An adaptive flight may stop just behind the end that it has found.
+                behind = jnp.where(closing < 0.0, jnp.abs(margins / closing), jnp.inf)
+                seconds_left = jnp.where(counting, seconds_left, behind)
             seconds_left = lax.stop_gradient(seconds_left)
             unknown = ended_by < 0
             ended_by = jnp.where(unknown, jnp.argmin(seconds_left), ended_by)

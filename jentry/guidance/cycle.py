@@ -98,5 +98,5 @@ class ShorteningCycle(AbstractCycle):
 
 
 def _check_period(period: float) -> None:
-    if not period > 0.0:
-        raise ValueError(f"period is {period} s: it must be positive")
+    if not 0.0 < period < math.inf:
+        raise ValueError(f"period is {period} s: it must be positive and finite")

@@ -37,7 +37,8 @@ def reverse_bank(
 
     Inside the corridor the sign stays. Outside it turns back: to the right, which is
     positive, if the miss is to the left. A discrete choice, and so without derivative,
-    unless the switching is `Smooth`; then the sign takes values between the two.
+    unless the switching is `Smooth` or `SmoothReversals`; then the sign takes values
+    between the two.
     """
     turning_back = jnp.where(crossrange > 0.0, 1.0, -1.0)
     return switching.reversed(sign, turning_back, jnp.abs(crossrange) - half_width)

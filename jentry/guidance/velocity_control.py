@@ -97,7 +97,8 @@ class PolynomialAdjustment(AbstractVelocityControl):
 
     One polynomial belongs to one place on the nominal flight: there is a table of them,
     interpolated (`design.k2_polynomials`). With the first one at every epoch, as printed,
-    it gets worse. Where the prediction is not finite k2 is left as it is.
+    it gets worse. Where the prediction is not finite k2 is left as it is; the derivative
+    of such a flight in reverse mode is not finite, and `tune` leaves it out.
     """
 
     to_go: Float[Array, "..."] = table(unit="rad", increasing=True)
@@ -158,7 +159,8 @@ class NewtonAdjustment(AbstractVelocityControl):
     """Beyond the paper: Newton's method on the predicted velocity at the target.
 
     With any predictor, since all are differentiable: the flown model, or the network.
-    Where a prediction is not finite the curve is left as it is until the next epoch.
+    Where a prediction is not finite the curve is left as it is until the next epoch; the
+    derivative of such a flight in reverse mode is not finite, and `tune` leaves it out.
 
     What it can do has an end. With little drag the third control point moves towards the
     target, where its lower bound is 1 % of the way to go: then the vehicle is too fast
@@ -195,14 +197,15 @@ class NewtonAdjustment(AbstractVelocityControl):
                 value, slope = jax.jvp(
                     lambda x: miss(x, shape.first), (second,), (jnp.ones_like(second),)
                 )
-                known = jnp.isfinite(value) & jnp.isfinite(slope) & (slope != 0.0)
+                finite = jnp.isfinite(value) & jnp.isfinite(slope)
+                known = finite & (slope != 0.0)
                 value, slope = (
                     jnp.where(known, value, 0.0),
                     jnp.where(known, slope, 1.0),
                 )
                 moved = second + jnp.clip(-value / slope, -most, most)
                 second = jnp.where(known, jnp.clip(moved, lower, upper), second)
-                answered = answered & known
+                answered = answered & finite
             return Shape(shape.first, second), _one(answered)
 
         before = situation.shape, Predictions.none(cycle)
