@@ -28,7 +28,6 @@ from jentry.guidance.velocity_prediction import (
     Inputs,
     Situation,
     features,
-    learnt_from,
 )
 from jentry.missions import find_mission
 from jentry.missions.cav_h import stored
@@ -300,7 +299,7 @@ def situation(second=0.717, lift=1.0, drag=1.0):
 
 def adjusted(control, here, cycle=0.0):
     found = control.adjusted(LAW.glide, here, number(cycle), number(800.0))
-    return float(found.second)
+    return float(found[0].second)
 
 
 def test_a_step_of_newton_is_exact_for_a_line_and_limited():
@@ -350,16 +349,15 @@ def test_features_by_hand():
 def test_output_of_a_network_is_the_logarithm_of_the_velocity_per_radian():
     here = situation()
     to_go = float(here.target.along) - 0.2
-    output = float(learnt_from(here, number(2650.0)))
-    assert output == pytest.approx(np.log(5600.0 / 2650.0) / to_go, rel=1e-14)
+    output = np.log(5600.0 / 2650.0) / to_go
     # A network that always says so predicts that velocity.
     says = Network(
-        (jnp.zeros((1, 6)),),
+        (jnp.zeros((1, 8)),),
         (jnp.zeros(1),),
         Inputs.STATE.names,
-        jnp.zeros(6),
-        jnp.ones(6),
-        jnp.tile(jnp.array([-1e9, 1e9]), (6, 1)),
+        jnp.zeros(8),
+        jnp.ones(8),
+        jnp.tile(jnp.array([-1e9, 1e9]), (8, 1)),
         output,
         1.0,
     )

@@ -1,6 +1,7 @@
 """Training of the velocity network on flights of its own."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -100,15 +101,18 @@ def made_up(vehicles=40, each=6):
     final = velocity * np.exp(-to_go * drag)
     count = len(drag)
 
-    def many(value):
-        return np.full(count, float(value))
-
     # As it comes out of the curve: the same but for rounding.
     k1 = 0.848 + rng.uniform(-1e-12, 1e-12, count)
-    point = PathPoint(length - to_go, many(5e4), many(0), many(0), many(0))
-    target = jax.tree.map(many, law.target())
-    factors = Factors(many(1.0), drag)
-    situations = Situation(point, velocity, Shape(k1, many(0.717)), target, factors)
+
+    @jax.vmap
+    def situation(along, velocity, k1, drag):
+        nothing = 0.0 * along
+        point = PathPoint(along, 5e4 + nothing, nothing, nothing, nothing)
+        shape, factors = Shape(k1, 0.717 + nothing), Factors(1.0 + nothing, drag)
+        return Situation(point, velocity, shape, law.target(), factors)
+
+    situations = situation(length - to_go, velocity, k1, drag)
+    situations = jax.tree.map(np.asarray, situations)
     vehicle = np.repeat(np.arange(vehicles), each)
     flight = vehicle + vehicles * (np.arange(count) % 2)  # every vehicle flies twice
     left_out = {"do not reach the target": 7}
