@@ -142,9 +142,9 @@ def test_card_of_a_training(capsys):
     held = np.asarray(draws < 0.3)[samples.vehicles]  # whole vehicles
     assert card["left out"] == {"do not reach the target": 7}
     assert (card["samples"], card["held out samples"]) == (np.sum(~held), np.sum(held))
-    # Only what is held out can be outside of the ranges.
-    assert card["held out samples outside of the ranges"] == np.sum(~answered)
-    assert np.all(answered[~held])
+    assert card["held out samples outside of the ranges"] == np.sum(~answered[held])
+    # Of the training itself only what is predicted beyond its fastest or slowest flight.
+    assert np.mean(answered[~held]) > 0.98
     held &= answered
     means = {
         "held out mean error, m/s": error[held].mean(),
