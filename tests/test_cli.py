@@ -25,7 +25,7 @@ from typer.testing import CliRunner
 import jentry.plots
 from jentry._addresses import leaves_by_address, replace_leaves
 from jentry.campaign import open_campaign, run_campaign
-from jentry.cli import main, options
+from jentry.cli import options
 from jentry.design.surrogate import smooth_switching
 from jentry.flight import FixedStep
 from jentry.missions import ALL
@@ -38,25 +38,6 @@ design = importlib.import_module("jentry.cli.design")
 
 SETTLING = ("monte-carlo", "tune", "sensitivity", "train")
 """Commands that take a number of workers"""
-
-
-@pytest.fixture
-def command(monkeypatch, capsys, tmp_path):
-    """Runs the command in this process: its exit code, and what it printed."""
-    monkeypatch.setitem(ALL, "cheap", cheap.MISSION)
-    # What it settles holds for the whole process.
-    for module in (cli, design):
-        monkeypatch.setattr(module, "set_up", lambda *how, **options: None)
-    monkeypatch.chdir(tmp_path)
-
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["jentry", *map(str, words)])
-        with pytest.raises(SystemExit) as ended:
-            main()
-        printed = capsys.readouterr()
-        return ended.value.code, printed.out, printed.err
-
-    return run
 
 
 def monte_carlo(command, *words):
