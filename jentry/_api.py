@@ -1,6 +1,7 @@
 """What `jentry` offers at its top, all of it imported."""
 
 from ._setup import setup as setup
+from ._warnings import ResultWarning as ResultWarning
 from .campaign import (
     Campaign as Campaign,
     CampaignError as CampaignError,

@@ -670,9 +670,10 @@ def test_tune_by_differences_prints_their_error(command, tmp_path):
 
 def test_tune_prints_what_it_warns_of(command):
     bounds = ("--bounds", "guidance.bank_angle=0.8726:1.2")
-    with pytest.warns(UserWarning, match="one of its bounds"):
-        code, printed, _ = tune(command, "--steps", 1, *bounds)
-    assert code == 0 and "NOTE: guidance.bank_angle starts within" in printed
+    code, printed, said = tune(command, "--steps", 1, *bounds)
+    assert code == 0 and "warn" not in said.lower()
+    assert printed.count("guidance.bank_angle starts within") == 1
+    assert "NOTE: guidance.bank_angle starts within" in printed
 
 
 def test_sensitivity_by_differences_prints_their_errors(command):

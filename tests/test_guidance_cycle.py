@@ -3,16 +3,19 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
-from helpers import all_laws, mars_scenario
+from helpers import ConstantBank, all_laws, mars_scenario
 
 from jentry._types import Scalar
 from jentry.flight import FixedStep, fly
+from jentry.flight.effect import require_felt
 from jentry.guidance import (
     AbstractContinuousLaw,
     AbstractSampledLaw,
     AbstractTimedDecision,
     FixedCycle,
+    Sampled,
     ShorteningCycle,
 )
 from jentry.missions import find_mission
@@ -86,6 +89,35 @@ class Switching(AbstractSampledLaw):
     def __call__(self, time, measurement, memory, held):
         nothing = jnp.zeros_like(held.sign)
         return Controls(nothing, nothing + 0.6, 0.8 * held.sign), ()
+
+
+def test_minute_guidance_periods_are_refused():
+    """They would be a flight that never ends, in steps that nobody has asked for."""
+    law = Sampled(ConstantBank(0.8), 1e-9)
+    with pytest.raises(
+        ValueError, match=r"guidance period is 1e-09 s: .* 1e\+09 cycles"
+    ):
+        fly(mars_scenario(law, 300.0))
+
+
+class Numpy(AbstractContinuousLaw):
+    """A law whose author has forgotten `table`."""
+
+    banks: np.ndarray
+
+    def init(self, measurement):
+        return ()
+
+    def __call__(self, time, measurement, memory):
+        bank = jnp.asarray(self.banks)[1]
+        return Controls(jnp.zeros_like(bank), jnp.cos(bank), jnp.sin(bank)), ()
+
+
+def test_effects_are_found_of_a_law_with_arrays_of_numpy():
+    scenario = mars_scenario(Numpy(np.array([0.1, 0.8])))
+    require_felt(scenario, ["vehicle.mass"])
+    with pytest.raises(ValueError, match="vehicle.trim_angle_of_attack has no"):
+        require_felt(scenario, ["vehicle.trim_angle_of_attack"])
 
 
 def program(law, scenario, history):

@@ -341,6 +341,21 @@ def test_errors_at_the_end_count_every_run(glides):
     assert "deg" in figure.axes[1].get_xlabel()
 
 
+def test_glides_that_are_not_finite_are_left_out_and_counted(glides):
+    outcome = np.full(6, Outcome.REACHED)
+    outcome[4] = Outcome.NOT_FINITE
+    ended_by = synthetic(6)["ended_by"]
+    lost = glides.assign(
+        outcome=("run", outcome), ended_by=ended_by, drag=glides["altitude"]
+    )
+    figures = campaign_figures(lost, lost) | {"overview": overview(lost, lost)}
+    assert {"end_errors", "states", "controls", "constraints"} < set(figures)
+    for figure in figures.values():
+        said = "1 of 6 runs not finite or without an end: left out"
+        assert figure.get_supxlabel() == said
+    assert all(len(axes.lines) == 5 for axes in figures["states"].axes)
+
+
 def test_velocity_map_has_the_wanted_velocity():
     k1, k2 = np.linspace(0.6, 1.0, 5), np.linspace(0.5, 0.9, 4)
     velocity = 2000.0 + 1000.0 * k1[:, None] - 500.0 * k2[None, :]

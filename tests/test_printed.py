@@ -175,3 +175,19 @@ def test_covariance_prints_predicted_and_flown_spreads_apart(capsys):
     assert ["velocity", "m/s", *numbers] in found
     effect = ["1.5000", "1.4000", "-0.0500", "1.5000", "1.2500", "0.1250"]
     assert ["mass", *effect] in found
+    assert "runs not finite or without an end, left out: 2\n" in printed
+    assert "NOTHING" not in printed
+
+
+def test_covariance_says_of_which_flights_nothing_is_predicted(capsys):
+    spreads = {"velocity": Spread(0.25, 0.5, 3.0, 0.75, 4.0, 0.75)}
+    model = made(LinearModel, {}, time=227.0)
+    without = {"altitude": 0.125, "skip_out": 0.03}
+    analysis = LinearCovariance(
+        {"velocity": model}, spreads, {"velocity": {}}, 500, 0, without
+    )
+    print_covariance(cheap.scenario(), analysis, 0.1)
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "NOTHING is predicted of the flights that end by altitude, 12.5%" in printed
+    assert "NOTHING is predicted of the flights that end by skip_out, 3.0%" in printed
+    assert "left out" not in printed

@@ -306,6 +306,13 @@ def print_covariance(
     if analysis.runs:
         title += f", beside {analysis.runs} runs"
     print_under(console, title, table)
+    if analysis.failed:
+        console.print(f"runs not finite or without an end, left out: {analysis.failed}")
+    for name, share in analysis.without_model.items():
+        console.print(
+            f"NOTHING is predicted of the flights that end by {name}, {share:.1%}: the "
+            "nominal flight does not meet it"
+        )
     for few in (
         outputs[i : i + _SIDE_BY_SIDE] for i in range(0, len(outputs), _SIDE_BY_SIDE)
     ):

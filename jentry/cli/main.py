@@ -3,11 +3,13 @@
 import errno
 import gc
 import sys
+import warnings
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from .._warnings import ResultWarning
 from . import design as design
 from .ending import fail, forget_output, leaving_at_once, open_streams, rounding_off
 from .options import (
@@ -191,7 +193,8 @@ def main() -> None:
     # Tracing makes many objects and little rubbish: look for it less often.
     gc.set_threshold(100_000)
     open_streams()
-    with leaving_at_once():
+    with leaving_at_once(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResultWarning)  # it is printed
         _run()
 
 

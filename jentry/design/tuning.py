@@ -13,6 +13,7 @@ import optimistix
 from jaxtyping import Array, Key
 
 from .._addresses import addresses_of, replace_leaves
+from .._warnings import ResultWarning
 from ..campaign.description import describe
 from ..campaign.dispersions import Dispersion, check_dispersions
 from ..campaign.monte_carlo import check_draws, drawn_inputs, filled_up
@@ -209,7 +210,7 @@ def tune(
         stored = Record(Path(record), description)
     remarks = parameters.near_bounds()
     for remark in remarks:
-        warnings.warn(remark, stacklevel=2)
+        warnings.warn(remark, ResultWarning, stacklevel=2)
     course = Course(parameters.start())
     if stored is not None and stored.path.exists():
         course.resume(stored, evaluate)
@@ -217,7 +218,8 @@ def tune(
     while not (stopped := course.why_stop(*limits)):
         course.advance(evaluate, stepper, parameters)
         if len(course.entries) == 1 and course.entries[0].contradicted:
-            warnings.warn(_contradiction(course.entries[0]), stacklevel=2)
+            said = _contradiction(course.entries[0])
+            warnings.warn(said, ResultWarning, stacklevel=2)
         if stored is not None:
             course.store(stored)
         if report is not None:

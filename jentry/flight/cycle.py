@@ -96,6 +96,11 @@ class Plan(eqx.Module):
                 f"history is {history} s: of a flight of {limit:g} s that is more than "
                 f"{_MOST_KEPT:.0e} entries to keep"
             )
+        if period is not None and limit / period > _MOST_STEPS:
+            raise ValueError(
+                f"the guidance period is {period} s: a flight of {limit:g} s would take "
+                f"more than {_MOST_STEPS:.0e} cycles"
+            )
         if isinstance(solver, FixedStep) and limit / (solver.step or 1.0) > _MOST_STEPS:
             raise ValueError(
                 f"step is {solver.step} s: a flight of {limit:g} s would take more than "

@@ -6,6 +6,8 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
 from jax.interpreters import partial_eval
 
 from .._addresses import leaves_by_address
@@ -36,6 +38,7 @@ def require_felt(scenario: Scenario, addresses: Iterable[str]) -> None:
 
 def _used(equations: Callable[[Scenario], Any], scenario: Scenario) -> set[str]:
     """Addresses of the leaves that what is computed depends on."""
+    scenario = jax.tree.map(_of_jax, scenario)
     arrays, others = eqx.partition(scenario, eqx.is_array)
     shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in jax.tree.leaves(arrays)]
     rest = jax.tree.flatten(others)
@@ -46,6 +49,11 @@ def _used(equations: Callable[[Scenario], Any], scenario: Scenario) -> set[str]:
         for a, is_used in zip(leaves_by_address(scenario), used, strict=True)
         if is_used
     }
+
+
+def _of_jax(leaf: Any) -> Any:
+    """A law of a user may hold arrays of numpy, which have no hash."""
+    return jnp.asarray(leaf) if isinstance(leaf, np.ndarray) else leaf
 
 
 @functools.lru_cache(maxsize=64)

@@ -12,6 +12,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._types import Count, Flag, Scalar
+from .._warnings import ResultWarning
 from ..motion.state import Controls, EntryState
 from .closed_loop import Lane, Peaks, caveats, command, path_constraints, start
 from .cycle import Plan
@@ -133,7 +134,8 @@ def warn_of(caveats: Mapping[str, Any], stacklevel: int = 3) -> None:
     """
     for name, shares in caveats.items():
         if not isinstance(shares, Tracer) and np.any(np.asarray(shares) > 0.0):
-            warnings.warn(caveat_sentence(name, shares), stacklevel=stacklevel)
+            sentence = caveat_sentence(name, shares)
+            warnings.warn(sentence, ResultWarning, stacklevel=stacklevel)
 
 
 def caveat_sentence(name: str, shares: Any) -> str:

@@ -4,9 +4,7 @@ Weights travel with their model card: what goes in and within which ranges the n
 trained, what comes out and with what error, and how to train it again.
 """
 
-import hashlib
 import json
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from .._files import write_arrays
+from .._files import digest_of_arrays, read_arrays, write_arrays
 from .._types import Flag, Scalar, table
 
 
@@ -28,9 +26,6 @@ vary by may be rounding, and nothing can be learnt from that."""
 
 _ROUNDING = 1e-9
 """Share of a bound by which an input may be beyond it."""
-
-_UNREADABLE = ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile
-"""What numpy may raise of a file that it has not written"""
 
 
 class Network(eqx.Module):
@@ -182,8 +177,7 @@ def load_network(
             f"no network at {path}: train one with `jentry train MISSION --out FOLDER`"
         )
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+        arrays = read_arrays(path)
         digest = str(arrays.pop("digest"))
         card = json.loads(str(arrays["card"]))
         layers = sum(name.startswith("weights") for name in arrays)
@@ -195,7 +189,7 @@ def load_network(
         single = {name: numbers.pop(name) for name in _SINGLE}
         if numbers:
             raise ValueError(f"a network has no {', '.join(numbers)}")
-    except _UNREADABLE as error:
+    except (ValueError, KeyError) as error:
         raise ValueError(f"{path} is no stored network: {error}") from None
     if digest != _digest(arrays):
         raise ValueError(
@@ -262,9 +256,4 @@ def _check_values(network: Network) -> None:
 
 
 def _digest(arrays: dict[str, np.ndarray]) -> str:
-    hashed = hashlib.sha256(_FORMAT.encode())
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        hashed.update(f"{name} {array.dtype.str} {array.shape}".encode())
-        hashed.update(array.tobytes())
-    return hashed.hexdigest()
+    return digest_of_arrays(arrays | {"format": np.array(_FORMAT)})

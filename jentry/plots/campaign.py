@@ -77,6 +77,7 @@ def campaign_figures(
         if trajectories is not None:
             for name, quantities in _OVER_TIME.items():
                 figures[name] = over_time(kept, quantities, title=title)
+                note(figures[name], lost, trajectories)
     return figures
 
 
@@ -95,7 +96,9 @@ def overview(
     """
     flown, left_out = _finite_runs(results)
     if "heading_error" in results:
-        return end_errors(flown, title)
+        figure = end_errors(flown, title)
+        note(figure, left_out, results)
+        return figure
     with in_style():
         if trajectories is None:
             figure, (histogram, ends) = panelled(11.0, 3.6, 2, title)
