@@ -29,7 +29,7 @@ def main() -> None:
     import jax.numpy as jnp
     import numpy as np
 
-    from jentry._addresses import leaves_by_address, replace_leaves
+    from jentry.addresses import leaves_by_address, replace_leaves
     from jentry.campaign.dispersions import dispersed_inputs
     from jentry.flight.solver import RungeKutta4
 

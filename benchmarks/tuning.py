@@ -58,14 +58,15 @@ def main() -> None:
     import optimistix
     import scipy.optimize
 
-    from jentry._addresses import addresses_of
-    from jentry.campaign.monte_carlo import drawn_inputs, filled_up
-    from jentry.design.batch_gradient import Problem, batch_outputs
-    from jentry.design.judgement import held_out
-    from jentry.design.losses import MeanSquare
-    from jentry.design.parameters import Parameters
-    from jentry.design.tuning import tune
+    from jentry.addresses import addresses_of
+    from jentry.campaign.batch import filled_up
+    from jentry.campaign.campaign import drawn_inputs
     from jentry.flight import misses
+    from jentry.tuning.batch_gradients import Problem, batch_outputs
+    from jentry.tuning.judgement import held_out
+    from jentry.tuning.losses import MeanSquare
+    from jentry.tuning.parameters import Parameters
+    from jentry.tuning.tuning import tune
     from jentry.units import km
 
     mission = jentry.find_mission("mars-drag-tracking")

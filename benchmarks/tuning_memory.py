@@ -16,7 +16,7 @@ import resource, sys
 import jentry
 jentry.setup(cache=False)
 import jax, optax, optimistix
-from jentry.design import MeanSquare
+from jentry.tuning import MeanSquare
 from jentry.units import km
 mission = jentry.find_mission("mars-drag-tracking")
 how, flights = sys.argv[1], int(sys.argv[2])

@@ -19,13 +19,14 @@ import equinox as eqx  # noqa: E402
 import jax  # noqa: E402
 import jax.numpy as jnp  # noqa: E402
 
-from jentry.campaign.monte_carlo import LANES, monte_carlo  # noqa: E402
+from jentry.campaign.batch import LANES  # noqa: E402
+from jentry.campaign.campaign import monte_carlo  # noqa: E402
 from jentry.flight.closed_loop import first_measurement  # noqa: E402
 from jentry.guidance import FlownModel  # noqa: E402
-from jentry.guidance.anchoring import Shape  # noqa: E402
+from jentry.guidance.bezier.anchoring import Shape  # noqa: E402
 from jentry.missions import find_mission  # noqa: E402
-from jentry.missions.cav_h import subdivided  # noqa: E402
-from jentry.missions.cav_h_networks import network_predictor  # noqa: E402
+from jentry.missions.cav_h.scenario import subdivided  # noqa: E402
+from jentry.missions.cav_h.training import network_predictor  # noqa: E402
 
 
 def situations():

@@ -2,6 +2,7 @@
 
 from ._setup import setup as setup
 from ._warnings import ResultWarning as ResultWarning
+from .analysis import linear_covariance as linear_covariance, sensitivity as sensitivity
 from .campaign import (
     Campaign as Campaign,
     CampaignError as CampaignError,
@@ -12,11 +13,6 @@ from .campaign import (
     monte_carlo as monte_carlo,
     open_campaign as open_campaign,
     run_campaign as run_campaign,
-)
-from .design import (
-    linear_covariance as linear_covariance,
-    sensitivity as sensitivity,
-    tune as tune,
 )
 from .flight import (
     Adaptive as Adaptive,
@@ -30,3 +26,4 @@ from .flight import (
     misses as misses,
 )
 from .missions import find_mission as find_mission
+from .tuning import tune as tune

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, PyTree
 
-from ._types import Flag
+from .fields import Flag
 
 
 T = TypeVar("T", bound=PyTree)

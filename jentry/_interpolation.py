@@ -11,7 +11,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
-from ._types import Scalar, Vector
+from .fields import Scalar, Vector
 
 
 def check_grid(name: str, grid: Array) -> None:

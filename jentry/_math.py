@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from ._types import Scalar
+from .fields import Scalar
 
 
 # pi / 2 in two parts, for a range reduction that loses nothing (Cody and Waite).

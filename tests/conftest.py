@@ -1,6 +1,5 @@
 """Settings and fixtures that every test shares."""
 
-import importlib
 import sys
 
 import equinox as eqx
@@ -27,9 +26,7 @@ def command(monkeypatch, capsys, tmp_path):
 
     monkeypatch.setitem(ALL, "cheap", cheap.MISSION)
     # What it settles holds for the whole process.
-    for module in ("main", "design"):
-        commands = importlib.import_module(f"jentry.cli.{module}")
-        monkeypatch.setattr(commands, "set_up", lambda *how, **options: None)
+    monkeypatch.setattr("jentry._setup.setup", lambda *how, **options: None)
     monkeypatch.chdir(tmp_path)
 
     def run(*words):
@@ -47,13 +44,13 @@ def planned():
     """The planned Mars reference: bank profile, flight, and drag over energy and time."""
     from helpers import mars_scenario
 
-    from jentry.design.planning import (
+    from jentry.onboard import EnergyIndex, TimeIndex
+    from jentry.planning.reference_flight import (
         ReferenceFlight,
         open_loop,
         plan_bank_profile,
         plan_drag_reference,
     )
-    from jentry.onboard import EnergyIndex, TimeIndex
 
     @eqx.filter_jit
     def plan(scenario):

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy import stats
 
-from jentry._types import Scalar, scalar
+from jentry.fields import Scalar, scalar
 from jentry.flight import (
     AltitudeAbove,
     AltitudeBelow,
@@ -40,7 +40,7 @@ from jentry.guidance import (
     ScaleLimits,
     StateFeedbackDragTracking,
 )
-from jentry.missions.cav_h import stored
+from jentry.missions.cav_h.scenario import stored
 from jentry.motion import Controls, EntryState
 from jentry.onboard import OnboardModel, PolynomialProfile
 from jentry.units import degree, km

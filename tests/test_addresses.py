@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import pytest
 from helpers import mars_scenario
 
-from jentry._addresses import (
+from jentry.addresses import (
     addresses_of,
     leaves_by_address,
     nearest,
@@ -14,7 +14,7 @@ from jentry._addresses import (
     require_address,
     unit_of,
 )
-from jentry.overrides import AtAddresses
+from jentry.cli.overrides import AtAddresses
 
 
 @pytest.fixture(scope="module")

@@ -268,7 +268,7 @@ def test_csv_errors_name_file_line_and_expectation(tmp_path, text, message):
 
 
 def test_lift_of_the_glider_tells_its_angle_of_attack():
-    from jentry.missions.cav_h import glider
+    from jentry.missions.cav_h.scenario import glider
 
     aerodynamics = glider().aerodynamics
     for angle, speed in ((0.05, 2600.0), (0.2, 7500.0)):

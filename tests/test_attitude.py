@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry.guidance.attitude import attitude
-from jentry.guidance.inverse_dynamics import Acceleration
-from jentry.missions.cav_h import stored
+from jentry.guidance.bezier.allocation import attitude
+from jentry.guidance.bezier.inverse_dynamics import Acceleration
+from jentry.missions.cav_h.scenario import stored
 from jentry.motion import EntryState, air_data
 from jentry.units import degree, km, standard_gravity
 

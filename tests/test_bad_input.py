@@ -20,7 +20,7 @@ import pytest
 from hypothesis import strategies as st
 
 import jentry
-from jentry._addresses import leaves_by_address, unit_of
+from jentry.addresses import leaves_by_address, unit_of
 from jentry.campaign.dispersions import check_dispersions, key_of
 from jentry.cli.options import chosen_scenario, dispersion_table
 from jentry.flight import Adaptive, FixedStep, Termination, VelocityBelow, fly

@@ -12,16 +12,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry.campaign.monte_carlo import LANES, drawn_inputs
-from jentry.design.batch_gradient import (
+from jentry.campaign.batch import LANES
+from jentry.campaign.campaign import drawn_inputs
+from jentry.flight import FixedStep, misses
+from jentry.missions import find_mission
+from jentry.tuning.batch_gradients import (
     Problem,
     batch_gradient,
     batch_outputs,
     loss_and_weights,
 )
-from jentry.design.parameters import Parameters
-from jentry.flight import FixedStep, misses
-from jentry.missions import find_mission
+from jentry.tuning.parameters import Parameters
 
 
 LADDER = 0.02 * 0.5 ** np.arange(14)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry.onboard import (
+from jentry.guidance import (
     BezierParameters,
     BezierPath,
     InnerPoints,

@@ -15,31 +15,22 @@ from helpers import ahead
 from jentry._batching import where_due
 from jentry.guidance import (
     AbstractVelocityPredictor,
+    BezierPath,
     Epochs,
     NetworkPredictor,
     NewtonAdjustment,
+    PathPoint,
     PolynomialAdjustment,
     StoredParameters,
     Subdivision,
 )
-from jentry.guidance.anchoring import Shape
-from jentry.guidance.inverse_dynamics import required_acceleration
-from jentry.guidance.velocity_prediction import (
-    Inputs,
-    Situation,
-    features,
-)
+from jentry.guidance.bezier.anchoring import Shape
+from jentry.guidance.bezier.inverse_dynamics import required_acceleration
+from jentry.guidance.bezier.prediction import Inputs, Situation, features
 from jentry.missions import find_mission
-from jentry.missions.cav_h import stored
+from jentry.missions.cav_h.scenario import stored
 from jentry.motion import EntryState, air_data
-from jentry.onboard import (
-    BezierPath,
-    Estimate,
-    Factors,
-    Measurement,
-    Network,
-    PathPoint,
-)
+from jentry.onboard import Estimate, Factors, Measurement, Network
 from jentry.units import degree, km
 from jentry.world import USStandardAtmosphere1976
 

@@ -22,18 +22,14 @@ from helpers import (
     truths,
 )
 
-from jentry._addresses import leaves_by_address
-from jentry.campaign.monte_carlo import drawn_inputs, monte_carlo
-from jentry.design.velocity_planning import (
-    k2_polynomial,
-    plan_parameters,
-    velocity_map,
-)
+from jentry.addresses import leaves_by_address
+from jentry.campaign.campaign import drawn_inputs, monte_carlo
 from jentry.flight import Outcome, misses
-from jentry.guidance import FlownModel, ShorteningCycle
+from jentry.guidance import BezierParameters, FlownModel, ShorteningCycle
 from jentry.missions import find_mission
-from jentry.missions.cav_h import glide, stored
-from jentry.onboard import BezierParameters, Measurement
+from jentry.missions.cav_h.scenario import glide, stored
+from jentry.onboard import Measurement
+from jentry.planning.bezier_curve import k2_polynomial, plan_parameters, velocity_map
 from jentry.units import degree
 
 

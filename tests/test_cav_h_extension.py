@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers import SPREADS, most_by_chance
 
-from jentry.campaign.monte_carlo import drawn_inputs, monte_carlo
+from jentry.campaign.campaign import drawn_inputs, monte_carlo
 from jentry.flight import Outcome
 from jentry.missions import find_mission
 from jentry.units import degree

@@ -8,7 +8,7 @@ import pytest
 from helpers import Doubting, fly_compiled, free_scenario, with_leaf
 
 from jentry.campaign import monte_carlo
-from jentry.campaign.monte_carlo import fly_in_blocks
+from jentry.campaign.campaign import fly_in_blocks
 from jentry.campaign.results import dataset
 from jentry.cli.report import print_campaign, print_flight
 from jentry.flight import fly

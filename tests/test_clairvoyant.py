@@ -9,11 +9,12 @@ import pytest
 from helpers import fly_compiled, mars_scenario, with_leaf
 from scipy import optimize
 
+from jentry.analysis import clairvoyant_floor
 from jentry.campaign import Dispersion, Uniform, monte_carlo
-from jentry.design import MeanSquare, clairvoyant_floor
 from jentry.flight import misses
 from jentry.guidance import BankProfile
 from jentry.onboard import PolynomialProfile
+from jentry.tuning import MeanSquare
 from jentry.units import km
 
 

@@ -3,7 +3,6 @@
 import csv
 import dataclasses
 import errno
-import importlib
 import json
 import math
 import os
@@ -23,17 +22,13 @@ from helpers import fly_compiled, free_scenario
 from typer.testing import CliRunner
 
 import jentry.plots
-from jentry._addresses import leaves_by_address, replace_leaves
+from jentry.addresses import leaves_by_address, replace_leaves
 from jentry.campaign import open_campaign, run_campaign
-from jentry.cli import options
-from jentry.design.surrogate import smooth_switching
+from jentry.cli.options import app
 from jentry.flight import FixedStep
 from jentry.missions import ALL
+from jentry.tuning.smoothing import smooth_switching
 from jentry.units import degree
-
-
-cli = importlib.import_module("jentry.cli.main")
-design = importlib.import_module("jentry.cli.design")
 
 
 SETTLING = ("monte-carlo", "tune", "sensitivity", "train")
@@ -186,8 +181,6 @@ def test_workers_and_fast_arrive(command, monkeypatch, name, words, expected):
         raise ValueError("enough")
 
     monkeypatch.setattr("jentry._setup.setup", setup)
-    for module in (cli, design):
-        monkeypatch.setattr(module, "set_up", options.set_up)
     assert_refused(command(name, "cheap", *words), "enough")
     assert settled == [expected]
 
@@ -423,13 +416,13 @@ def test_an_interruption(command, monkeypatch):
     ids=" ".join,
 )
 def test_options_that_do_not_exist(words):
-    assert CliRunner().invoke(cli.app, words).exit_code == 2
+    assert CliRunner().invoke(app, words).exit_code == 2
 
 
 @pytest.mark.parametrize("name", [None, "list", "show", "fly", "monte-carlo"])
 def test_help(name):
     words = ["--help"] if name is None else [name, "--help"]
-    result = CliRunner().invoke(cli.app, words)
+    result = CliRunner().invoke(app, words)
     assert result.exit_code == 0 and "Usage" in result.output
 
 
@@ -521,7 +514,7 @@ def density(tmp_path):
 
 
 def test_every_option_of_tune_arrives(command, monkeypatch, tmp_path, density):
-    seen = intercepted(monkeypatch, "jentry.design.tuning", "tune")
+    seen = intercepted(monkeypatch, "jentry.tuning.tuning", "tune")
     words = ("--gains", "guidance.bank_angle,vehicle.nose_radius", "--runs", 16)
     words += ("--steps", 3, "--loss", "cvar", "--of", "altitude=500m")
     words += ("--out", "there", "--optimizer", "adam", "--learning-rate", 0.3)
@@ -549,7 +542,7 @@ def test_every_option_of_tune_arrives(command, monkeypatch, tmp_path, density):
 
 
 def test_every_option_of_sensitivity_arrives(command, monkeypatch, density):
-    module = "jentry.design.linear_covariance"
+    module = "jentry.analysis.covariance"
     seen = intercepted(monkeypatch, module, "linear_covariance")
     words = ("--scale", 0.25, "--runs", 16)
     with pytest.raises(Arrived):
@@ -562,7 +555,7 @@ def test_every_option_of_sensitivity_arrives(command, monkeypatch, density):
     table = {"mass": dataclasses.replace(scaled["mass"], distribution=as_it_is)}
     assert_overridden(scenario, table, seen["key"], seen["solver"])
     assert seen["runs"] == 16
-    seen = intercepted(monkeypatch, "jentry.design.sensitivity", "sensitivity")
+    seen = intercepted(monkeypatch, "jentry.analysis.sensitivities", "sensitivity")
     with pytest.raises(Arrived):
         command("sensitivity", "cheap", "--wrt", "vehicle.mass", *OVERRIDES, *density)
     (scenario,) = seen["given"]
@@ -610,7 +603,7 @@ ARRIVE = {
 
 def test_every_option_is_in_a_test_of_what_arrives():
     """Those above, each with all options of its command; add yours there, and here."""
-    commands = typer.main.get_command(cli.app).commands
+    commands = typer.main.get_command(app).commands
     options = {
         name: {
             word.removeprefix("--")
@@ -712,7 +705,7 @@ def test_train_is_for_missions_with_networks(command):
 
 @pytest.mark.slow
 def test_train_stores_networks_that_are_read_again(command, tmp_path):
-    from jentry.missions.cav_h_networks import PURPOSES, network_predictor
+    from jentry.missions.cav_h.training import PURPOSES, network_predictor
 
     small = ("--flights", 150, "--again", 100, "--iterations", 20)
     code, printed, said = command("train", "cav-h", *small, "--out", "networks")

@@ -12,7 +12,7 @@ import pytest
 from helpers import mars_scenario, observer_law
 from scipy import special, stats
 
-from jentry._addresses import leaves_by_address
+from jentry.addresses import leaves_by_address
 from jentry.campaign import (
     Dispersion,
     Normal,

@@ -8,7 +8,7 @@ import pytest
 from helpers import ConstantBank, fly_compiled, truths
 from scipy.interpolate import CubicSpline
 
-from jentry._types import Scalar, scalar
+from jentry.fields import Scalar, scalar
 from jentry.flight import (
     AltitudeBelow,
     FixedStep,

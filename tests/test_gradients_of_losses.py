@@ -13,20 +13,21 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jentry.campaign.monte_carlo import LANES, drawn_inputs
-from jentry.design.batch_gradient import (
+from jentry.campaign.batch import LANES
+from jentry.campaign.campaign import drawn_inputs
+from jentry.flight import FixedStep, misses
+from jentry.missions import find_mission
+from jentry.tuning.batch_gradients import (
     Problem,
     batch_gradient,
     batch_outputs,
     loss_and_weights,
     where_finite,
 )
-from jentry.design.differences import gradient_by_differences
-from jentry.design.evaluation import Evaluator
-from jentry.design.losses import BY_NAME, ScaledMisses
-from jentry.design.parameters import Parameters
-from jentry.flight import FixedStep, misses
-from jentry.missions import find_mission
+from jentry.tuning.differences import gradient_by_differences
+from jentry.tuning.evaluation import Evaluator
+from jentry.tuning.losses import BY_NAME, ScaledMisses
+from jentry.tuning.parameters import Parameters
 
 
 FLIGHTS = 2 * LANES

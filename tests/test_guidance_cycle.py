@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers import ConstantBank, all_laws, mars_scenario
 
-from jentry._types import Scalar
+from jentry.fields import Scalar
 from jentry.flight import FixedStep, fly
 from jentry.flight.effect import require_felt
 from jentry.guidance import (
@@ -19,7 +19,7 @@ from jentry.guidance import (
     ShorteningCycle,
 )
 from jentry.missions import find_mission
-from jentry.missions.mars_range_tracking import range_tracking
+from jentry.missions.mars.range_tracking import three_dimensional
 from jentry.motion import Controls
 
 
@@ -134,9 +134,9 @@ def program(law, scenario, history):
 
 
 def scenarios():
-    reference = range_tracking().guidance.reference
+    reference = three_dimensional().guidance.reference
     table = {name: mars_scenario(law(reference)) for name, law in all_laws.items()}
-    table["range tracking"] = range_tracking()
+    table["range tracking"] = three_dimensional()
     table["shortening cycle"] = mars_scenario(Switching(), 60.0)
     return table
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry.guidance.inverse_dynamics import (
+from jentry.guidance.bezier.inverse_dynamics import (
     directions,
     path_point,
     required_acceleration,

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from helpers import with_leaf
 
-from jentry.campaign.monte_carlo import drawn_inputs, filled_up
-from jentry.design.batch_gradient import Problem, batch_outputs
-from jentry.design.judgement import Comparison, Estimate, held_out, judge
-from jentry.design.losses import MeanSquare
-from jentry.design.parameters import Parameters
-from jentry.flight.misses import misses
+from jentry.campaign.batch import filled_up
+from jentry.campaign.campaign import drawn_inputs
+from jentry.flight.miss import misses
+from jentry.tuning.batch_gradients import Problem, batch_outputs
+from jentry.tuning.judgement import Comparison, Estimate, held_out, judge
+from jentry.tuning.losses import MeanSquare
+from jentry.tuning.parameters import Parameters
 from jentry.units import km
 
 

@@ -6,13 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jentry.analysis.covariance import LinearModel, _along_axes, _standard, _through
 from jentry.campaign import Constant, Dispersion, Normal, Uniform, add
-from jentry.design.linear_covariance import (
-    LinearModel,
-    _along_axes,
-    _standard,
-    _through,
-)
 
 
 PAIRS = (

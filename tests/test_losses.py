@@ -5,7 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry.design.losses import (
+from jentry.flight.closed_loop import Peaks
+from jentry.flight.flight import History
+from jentry.flight.miss import Misses
+from jentry.motion import Controls, EntryState
+from jentry.tuning.losses import (
     BY_NAME,
     MeanSquare,
     OfDistance,
@@ -17,10 +21,6 @@ from jentry.design.losses import (
     probability_outside,
     smooth_maximum,
 )
-from jentry.flight.closed_loop import Peaks
-from jentry.flight.fly import History
-from jentry.flight.misses import Misses
-from jentry.motion import Controls, EntryState
 
 
 RNG = np.random.default_rng(20261121)
@@ -304,8 +304,8 @@ def test_flights_that_do_not_matter_have_no_gradient():
 
 
 def test_a_miss_that_the_target_does_not_have_is_an_error():
-    from jentry.design.losses import ScaledMisses
-    from jentry.flight.misses import Misses
+    from jentry.flight.miss import Misses
+    from jentry.tuning.losses import ScaledMisses
 
     missed = Misses(*(jnp.asarray(x) for x in (1.0, 2.0, 3.0, 4.0)))
     with pytest.raises(ValueError, match="the target has no heading"):

@@ -5,9 +5,13 @@ import numpy as np
 import pytest
 from helpers import truths
 
-from jentry._addresses import addresses_of, leaves_by_address
+from jentry.addresses import addresses_of, leaves_by_address
 from jentry.campaign import Normal, Uniform, add, multiply, replace
-from jentry.missions import find_mission, mars_drag_tracking, mars_range_tracking
+from jentry.missions import find_mission
+from jentry.missions.mars import (
+    drag_tracking as mars_drag_tracking,
+    range_tracking as mars_range_tracking,
+)
 from jentry.onboard import (
     DragReference,
     EnergyIndex,

@@ -13,13 +13,22 @@ import pytest
 from helpers import fly_compiled
 
 from jentry import linear_covariance, tune
-from jentry._addresses import replace_leaves
-from jentry.campaign import Dispersion, Normal, Uniform, draw, monte_carlo, multiply
+from jentry.addresses import replace_leaves
+from jentry.campaign import (
+    Dispersion,
+    Normal,
+    Uniform,
+    batch,
+    draw,
+    monte_carlo,
+    multiply,
+)
+from jentry.campaign.batch import LANES
+from jentry.campaign.campaign import drawn_inputs, fly_in_blocks
 from jentry.campaign.dispersions import Constant
-from jentry.campaign.monte_carlo import LANES, drawn_inputs, fly_in_blocks
-from jentry.design.judgement import held_out
-from jentry.design.losses import MeanSquare
 from jentry.missions import find_mission
+from jentry.tuning.judgement import held_out
+from jentry.tuning.losses import MeanSquare
 
 
 def fly(key, runs, **options):
@@ -119,7 +128,7 @@ def test_runs_are_flown_in_the_order_that_is_asked_for(many):
 
 @pytest.mark.parametrize("chunks", [1, 2])
 def test_runs_are_the_same_in_any_chunking(many, chunks, monkeypatch):
-    monkeypatch.setattr(sys.modules[fly_in_blocks.__module__], "_CHUNKS", chunks)
+    monkeypatch.setattr(batch, "_CHUNKS", chunks)
     blocks = list(
         fly_in_blocks(
             cheap.scenario(),
@@ -269,7 +278,7 @@ def test_all_draws_are_looked_at_before_the_first_flight(
     late, nothing_flies, monkeypatch
 ):
     """Also those of later blocks than the first."""
-    monkeypatch.setattr(sys.modules[fly_in_blocks.__module__], "_CHUNKS", 1)
+    monkeypatch.setattr(batch, "_CHUNKS", 1)
     key = late
     table, run, value = below_zero_once(key, FEW)
     assert run >= LANES  # in another block than the first

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry.design.network_training import VELOCITIES
-from jentry.missions.cav_h_networks import FOLDER, PURPOSES, network_predictor
+from jentry.learning.velocity_network import VELOCITIES
+from jentry.missions.cav_h.training import FOLDER, PURPOSES, network_predictor
 from jentry.onboard import Network, load_network, save_network
 from jentry.onboard.network import _digest
 

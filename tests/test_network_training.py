@@ -5,16 +5,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry.cli.design_report import print_cards
-from jentry.design import fly_samples, train_predictor
-from jentry.design.network_samples import Samples
-from jentry.guidance.anchoring import Shape
-from jentry.guidance.velocity_prediction import Inputs, Situation
+from jentry.cli.training_report import print_cards
+from jentry.guidance import PathPoint
+from jentry.guidance.bezier.anchoring import Shape
+from jentry.guidance.bezier.prediction import Inputs, Situation
+from jentry.learning import fly_samples, train_predictor
+from jentry.learning.velocity_samples import Samples
 from jentry.missions import find_mission
-from jentry.missions.cav_h import stored, subdivided
-from jentry.missions.cav_h_dispersions import training_dispersions
-from jentry.missions.cav_h_networks import BETWEEN
-from jentry.onboard import Factors, PathPoint
+from jentry.missions.cav_h.dispersions import training_dispersions
+from jentry.missions.cav_h.scenario import stored, subdivided
+from jentry.missions.cav_h.training import BETWEEN
+from jentry.onboard import Factors
 
 
 @pytest.fixture(scope="module")

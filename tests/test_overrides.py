@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers import mars_scenario
 
-from jentry._addresses import leaves_by_address
+from jentry.addresses import leaves_by_address
 from jentry.campaign import (
     Normal,
     TruncatedNormal,
@@ -18,7 +18,7 @@ from jentry.campaign import (
     multiply,
     replace,
 )
-from jentry.overrides import (
+from jentry.cli.overrides import (
     AtAddresses,
     apply_values,
     in_si,

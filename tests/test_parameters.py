@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from helpers import mars_scenario, with_leaf
 
-from jentry._addresses import leaves_by_address, replace_leaves
-from jentry.design.parameters import Between, Parameters, Positive, Unbounded
+from jentry.addresses import leaves_by_address, replace_leaves
+from jentry.tuning.parameters import Between, Parameters, Positive, Unbounded
 
 
 mass = lambda s: s.vehicle.mass

@@ -13,17 +13,21 @@ import numpy as np
 import pytest
 from helpers import fly_compiled, mars_entry, mars_scenario, with_leaf
 
-from jentry.design import (
+from jentry.flight import FixedStep, Outcome
+from jentry.missions.cav_h.scenario import stored
+from jentry.onboard import EnergyIndex, PolynomialProfile
+from jentry.planning import (
     k2_polynomial,
     open_loop,
     plan_bank_profile,
     plan_parameters,
     velocity_map,
 )
-from jentry.design.planning import ReferenceFlight, _profile, plan_drag_reference
-from jentry.flight import FixedStep, Outcome
-from jentry.missions.cav_h import stored
-from jentry.onboard import EnergyIndex, PolynomialProfile
+from jentry.planning.reference_flight import (
+    ReferenceFlight,
+    _profile,
+    plan_drag_reference,
+)
 
 
 # Of the Bézier curve, with a velocity at the target that has a closed form.

@@ -7,20 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry._addresses import leaves_by_address, unit_of
-from jentry.cli.design_report import print_covariance, print_sensitivity
+from jentry.addresses import leaves_by_address, unit_of
+from jentry.analysis.covariance import Effect, LinearCovariance, LinearModel, Spread
+from jentry.analysis.sensitivities import Sensitivity
+from jentry.cli.analysis_report import print_covariance, print_sensitivity
 from jentry.cli.report import print_flight, print_leaves
 from jentry.cli.tables import at_edge
-from jentry.design.linear_covariance import (
-    Effect,
-    LinearCovariance,
-    LinearModel,
-    Spread,
-)
-from jentry.design.sensitivity import Sensitivity
 from jentry.flight import Flight, Outcome, Target, misses
 from jentry.flight.closed_loop import Peaks
-from jentry.missions.cav_h import stored
+from jentry.missions.cav_h.scenario import stored
 from jentry.motion import EntryState
 from jentry.units import km
 

@@ -15,8 +15,8 @@ from jentry.flight import FixedStep, Outcome, fly
 from jentry.guidance import FixedCycle, ObserverDragTracking, RangeTracking
 from jentry.guidance.lateral import predicted_crossrange
 from jentry.guidance.range_tracking import scale_to_reach
-from jentry.missions import mars_range_tracking
-from jentry.missions.mars_drag_tracking import entry
+from jentry.missions.mars import range_tracking as mars_range_tracking
+from jentry.missions.mars.drag_tracking import entry
 from jentry.motion import energy, ground_track
 from jentry.onboard import TimeIndex, measure
 from jentry.units import km
@@ -30,7 +30,7 @@ KEY = 0
 
 @functools.cache
 def scenario():
-    return mars_range_tracking.range_tracking()
+    return mars_range_tracking.three_dimensional()
 
 
 @functools.cache

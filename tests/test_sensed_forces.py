@@ -10,8 +10,7 @@ import pytest
 from helpers import fly_compiled, mars_planet, mars_scenario, with_leaf
 
 from jentry._dependence import Traced
-from jentry._types import Scalar
-from jentry.design.planning import ReferenceFlight, plan_drag_reference
+from jentry.fields import Scalar
 from jentry.flight import FixedStep, fly
 from jentry.flight.closed_loop import command, start
 from jentry.flight.scenario import check
@@ -24,6 +23,7 @@ from jentry.guidance import (
 )
 from jentry.motion import Controls
 from jentry.onboard import Accelerometers, EnergyIndex, PolynomialProfile
+from jentry.planning.reference_flight import ReferenceFlight, plan_drag_reference
 from jentry.world import PolynomialAerodynamics, Vehicle
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from helpers import fly_compiled, mars_scenario, with_leaf
 
+from jentry.analysis import linear_covariance, sensitivity
 from jentry.campaign import Constant, Dispersion, Normal, Uniform, add, monte_carlo
 from jentry.campaign.dispersions import draw, scaled_dispersions
-from jentry.design import linear_covariance, sensitivity
 from jentry.flight import misses
 from jentry.missions import find_mission
 from jentry.units import degree

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from helpers import ahead, fly_compiled, free_scenario
 
-from jentry.campaign.monte_carlo import fly_run
+from jentry.campaign.campaign import fly_run
 from jentry.flight import FixedStep, Misses, Target, misses
 from jentry.motion import EntryState
 from jentry.units import degree, km

@@ -10,9 +10,9 @@ import optax
 import optimistix
 import pytest
 
-from jentry.design.evaluation import Evaluation, LinearResiduals
-from jentry.design.steppers import Descent, Solver
-from jentry.design.tuning_record import Entry, Record, restored
+from jentry.tuning.evaluation import Evaluation, LinearResiduals
+from jentry.tuning.record import Entry, Record, restored
+from jentry.tuning.steppers import Descent, Solver
 
 
 SOLVERS = {

@@ -16,9 +16,9 @@ import pytest
 import xarray
 from helpers import fly_compiled
 
-from jentry._addresses import replace_leaves
-from jentry.campaign import CampaignError, open_campaign, run_campaign
-from jentry.campaign.monte_carlo import LANES, fly_in_blocks
+from jentry.addresses import replace_leaves
+from jentry.campaign import CampaignError, batch, open_campaign, run_campaign
+from jentry.campaign.batch import LANES
 from jentry.campaign.parts import MANIFEST
 from jentry.campaign.store import write_flight
 from jentry.flight import Outcome
@@ -37,7 +37,7 @@ def whole(tmp_path_factory):
 
 @pytest.fixture
 def small_parts(monkeypatch):
-    monkeypatch.setattr(sys.modules[fly_in_blocks.__module__], "_CHUNKS", 1)
+    monkeypatch.setattr(batch, "_CHUNKS", 1)
 
 
 def parts(out):
@@ -62,7 +62,7 @@ import jax
 jax.config.update("jax_enable_x64", True)
 import cheap
 import jentry.campaign.store
-sys.modules["jentry.campaign.monte_carlo"]._CHUNKS = 1
+sys.modules["jentry.campaign.batch"]._CHUNKS = 1
 where, stop, out, runs = sys.argv[1], int(sys.argv[2]), sys.argv[3], int(sys.argv[4])
 stored = 0
 

@@ -18,8 +18,7 @@ from helpers import (
 )
 from scipy import integrate, special
 
-from jentry._addresses import field_metadata, leaves_by_address
-from jentry.design.surrogate import smooth_switching
+from jentry.addresses import field_metadata, leaves_by_address
 from jentry.guidance import (
     AbstractSwitching,
     Sampled,
@@ -30,6 +29,7 @@ from jentry.guidance import (
 from jentry.guidance.drag_tracking import track
 from jentry.motion import EntryState
 from jentry.onboard import DragReference, EnergyIndex, PolynomialProfile, measure
+from jentry.tuning.smoothing import smooth_switching
 from jentry.units import degree, km
 
 

@@ -13,14 +13,14 @@ import pytest
 from helpers import with_leaf
 
 from jentry.campaign import Dispersion, Uniform, monte_carlo
-from jentry.design import MeanSquare, control_effort, excess, mean_square, tune
-from jentry.design.batch_gradient import Problem, batch_gradient, batch_outputs
-from jentry.design.judgement import held_out, judge
-from jentry.design.parameters import Parameters
 from jentry.flight import FixedStep, misses
 from jentry.guidance import AbstractContinuousLaw
 from jentry.missions import find_mission
 from jentry.motion import Controls
+from jentry.tuning import MeanSquare, control_effort, excess, mean_square, tune
+from jentry.tuning.batch_gradients import Problem, batch_gradient, batch_outputs
+from jentry.tuning.judgement import held_out, judge
+from jentry.tuning.parameters import Parameters
 from jentry.units import degree, km
 
 

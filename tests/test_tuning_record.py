@@ -13,7 +13,7 @@ import numpy as np
 import optax
 import pytest
 
-from jentry.design.tuning_record import Entry, Record, restored, told
+from jentry.tuning.record import Entry, Record, restored, told
 
 
 RNG = np.random.default_rng(20261121)

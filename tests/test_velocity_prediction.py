@@ -10,25 +10,27 @@ import pytest
 
 from jentry.flight.closed_loop import first_measurement
 from jentry.guidance import (
+    BezierParameters,
     Epochs,
     FlownModel,
     NetworkPredictor,
     NewtonAdjustment,
+    PathPoint,
     PolynomialAdjustment,
     ShorteningCycle,
     StoredParameters,
     Subdivision,
 )
-from jentry.guidance.anchoring import Shape, parameters_of
-from jentry.guidance.velocity_prediction import (
+from jentry.guidance.bezier.anchoring import Shape, parameters_of
+from jentry.guidance.bezier.prediction import (
     AbstractVelocityPredictor,
     Inputs,
     Situation,
     features,
 )
-from jentry.missions.cav_h import glide, stored, subdivided
-from jentry.missions.cav_h_networks import network_predictor
-from jentry.onboard import BezierParameters, Factors, PathPoint
+from jentry.missions.cav_h.scenario import glide, stored, subdivided
+from jentry.missions.cav_h.training import network_predictor
+from jentry.onboard import Factors
 
 
 LAWS = {"stored": stored().guidance, "subdivision": subdivided().guidance}
@@ -103,7 +105,7 @@ def test_the_curve_at_a_new_anchor(rule):
     law = glide(BezierParameters(0.7, 0.7), rule).guidance
     start, target = situation(law).point, law.target()
     shape = rule.shape(law.parameters, start, target)
-    from jentry.onboard import BezierPath
+    from jentry.guidance import BezierPath
 
     path = BezierPath.between(start, target, rule.inner(shape, start, target))
     ahead = path.point(jnp.asarray(0.01))

@@ -1,5 +1,6 @@
 """Floor 6: dispersions, Monte Carlo, storage."""
 
+from .campaign import Campaign as Campaign, monte_carlo as monte_carlo
 from .dispersions import (
     AbstractDistribution as AbstractDistribution,
     Constant as Constant,
@@ -14,6 +15,5 @@ from .dispersions import (
     replace as replace,
 )
 from .errors import CampaignError as CampaignError
-from .monte_carlo import Campaign as Campaign, monte_carlo as monte_carlo
 from .results import dataset as dataset
 from .store import open_campaign as open_campaign, run_campaign as run_campaign

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from .._addresses import addresses_of, leaves_by_address, unit_of
 from .._setup import fast_options_are_on
+from ..addresses import addresses_of, leaves_by_address, unit_of
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
 from .dispersions import Dispersion

@@ -15,8 +15,8 @@ from jax.core import Tracer
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Float, Int, Key
 
-from .._addresses import addresses_of, field_metadata, leaves_by_address, unit_of
-from .._types import Scalar, scalar
+from ..addresses import addresses_of, field_metadata, leaves_by_address, unit_of
+from ..fields import Scalar, scalar
 from ..flight.effect import require_felt
 from ..flight.scenario import Scenario, check_values, require_effect
 

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from .._addresses import unit_of
-from .._types import Scalar
+from ..addresses import unit_of
+from ..fields import Scalar
 from ..flight.scenario import Scenario
 from ..flight.termination import Outcome
 from ..motion.state import Controls
-from .monte_carlo import Campaign
+from .campaign import Campaign
 
 
 if TYPE_CHECKING:

@@ -16,14 +16,14 @@ import jax
 import numpy as np
 
 from .._files import remove_unfinished, write_whole
-from ..flight.fly import Flight
-from ..flight.misses import misses
+from ..flight.flight import Flight
+from ..flight.miss import misses
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
+from .campaign import Campaign, fly_in_blocks
 from .description import describe
 from .dispersions import Dispersion, key_of
 from .errors import CampaignError
-from .monte_carlo import Campaign, fly_in_blocks
 from .parts import (
     AGAIN,
     MANIFEST,

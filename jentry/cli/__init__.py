@@ -1,7 +1,7 @@
-"""Floor 8: the command `jentry`."""
+"""Floor 10: the command `jentry`."""
 
 from .ending import leaving_at_once
 
 
 with leaving_at_once():
-    from .main import main as main
+    from .entry import main as main

@@ -3,8 +3,8 @@
 import jax
 import numpy as np
 
-from .._addresses import leaves_by_address
-from ..campaign.monte_carlo import monte_carlo
+from ..addresses import leaves_by_address
+from ..campaign.campaign import monte_carlo
 from ..campaign.results import dataset
 from ..flight.cycle import varies
 from ..flight.scenario import Scenario

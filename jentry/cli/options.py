@@ -50,6 +50,14 @@ Dispersions = Annotated[
     str | None, typer.Option(help="Reading of the dispersions: see `jentry list`.")
 ]
 Workers = Annotated[int | None, typer.Option(help="Cores to use; all if not given.")]
+Addresses = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="ADDRESS",
+        help="Leaves, or the beginning of their addresses; see `jentry show`. May be "
+        "repeated, or several with commas.",
+    ),
+]
 Fast = Annotated[
     bool,
     typer.Option(
@@ -85,7 +93,7 @@ def chosen_scenario(name, variant, config, assignments):
     """Mission, its scenario with all overrides, and these."""
     from ..flight.scenario import check
     from ..missions import find_mission
-    from ..overrides import apply_values, in_si, read_overrides
+    from .overrides import apply_values, in_si, read_overrides
 
     chosen = find_mission(name)
     overrides = read_overrides(config, assignments or ())
@@ -110,3 +118,33 @@ def dispersion_table(mission, overrides, reading):
 def first_given(*options: str | None) -> str:
     """The first that is not none. An empty name is given, and is nobody's name."""
     return next(option for option in options if option is not None)
+
+
+def expanded(scenario, given, defaults) -> list[str]:
+    """Addresses of leaves: as given, or those with an effect that begin as given.
+
+    Defaults that the scenario does not have are left out; raises `ValueError` for others.
+    """
+    from ..addresses import leaves_by_address, require_address
+    from ..flight.scenario import without_effect
+
+    known = leaves_by_address(scenario)
+    idle = without_effect(scenario)
+
+    def below(beginning: str) -> list[str]:
+        if beginning in known:
+            return [beginning]
+        inside = (a for a in known if a.startswith(f"{beginning}."))
+        return [address for address in inside if address not in idle]
+
+    found = [address for default in defaults for address in below(default)]
+    for name in (name.strip() for option in given for name in option.split(",")):
+        addresses = below(name)
+        if not addresses:
+            require_address(known, name)
+        found += [address for address in addresses if address not in found]
+    if not found:
+        raise ValueError(
+            "this law has no gains that are tuned by default: give --gains"
+        )
+    return found

@@ -16,10 +16,10 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from .._addresses import field_metadata, leaves_by_address, unit_of
+from ..addresses import field_metadata, leaves_by_address, unit_of
 from ..campaign.populations import finite_flights, is_output, population, sets_of
-from ..flight.fly import Flight, caveat_sentence
-from ..flight.misses import misses
+from ..flight.flight import Flight, caveat_sentence
+from ..flight.miss import misses
 from ..flight.scenario import Scenario, allowed
 from ..flight.termination import Outcome, has_end
 from ..missions.mission import Mission

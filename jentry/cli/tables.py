@@ -6,7 +6,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from .._addresses import unit_of
+from ..addresses import unit_of
 from ..units import degree, km
 
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from .._dependence import Traced
-from .._types import Flag, Scalar
+from ..fields import Flag, Scalar
 from ..guidance.law import AbstractSampledLaw, begun, commanded
 from ..motion.dynamics import entry_dynamics, equatorial_dynamics
 from ..motion.forces import air_data

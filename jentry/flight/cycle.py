@@ -11,7 +11,7 @@ import optimistix
 from jax import lax
 
 from .._setup import fast_options_are_on
-from .._types import Flag, Scalar
+from ..fields import Flag, Scalar
 from ..guidance.cycle import FixedCycle
 from ..guidance.law import AbstractLaw, AbstractSampledLaw
 from ..motion.singularities import is_beyond, step_is_too_long

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.interpreters import partial_eval
 
-from .._addresses import leaves_by_address
+from ..addresses import leaves_by_address
 from ..guidance.law import AbstractSampledLaw
 from ..motion.dynamics import entry_dynamics, equatorial_dynamics
 from ..motion.state import Controls

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .._types import Count
+from ..fields import Count
 from .closed_loop import Lane, command, is_finite, path_constraints, vector_field
 from .scenario import Scenario
 from .termination import Outcome

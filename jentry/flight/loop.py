@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import PyTree
 
 from .._batching import any_lane
-from .._types import Count, Scalar
+from ..fields import Count, Scalar
 
 
 Carry = TypeVar("Carry", bound=PyTree)

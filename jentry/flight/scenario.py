@@ -6,8 +6,8 @@ import equinox as eqx
 import numpy as np
 from jax.core import Tracer
 
-from .._addresses import field_metadata, leaves_by_address
-from .._types import QUARTER, Scalar, optional_scalar, scalar
+from ..addresses import field_metadata, leaves_by_address
+from ..fields import QUARTER, Scalar, optional_scalar, scalar
 from ..guidance.law import AbstractLaw, reads_forces_between_cycles
 from ..motion.state import EntryState
 from ..onboard.navigation import (

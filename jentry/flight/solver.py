@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import PyTree
 
-from .._types import Scalar
+from ..fields import Scalar
 
 
 Y = TypeVar("Y", bound=PyTree)

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from .._types import Scalar, scalar
+from ..fields import Scalar, scalar
 from ..motion.state import EntryState
 from ..onboard.track import Track
 

@@ -1,14 +1,27 @@
 """Floor 4: guidance laws."""
 
-from .anchoring import (
-    AbstractAnchoring as AbstractAnchoring,
-    StoredParameters as StoredParameters,
-    Subdivision as Subdivision,
-)
-from .attitude import FlightLimits as FlightLimits
 from .bezier import (
+    AbstractAnchoring as AbstractAnchoring,
+    AbstractVelocityControl as AbstractVelocityControl,
+    AbstractVelocityPredictor as AbstractVelocityPredictor,
     Arrival as Arrival,
     BezierGuidance as BezierGuidance,
+    BezierParameters as BezierParameters,
+    BezierPath as BezierPath,
+    Epochs as Epochs,
+    FlightLimits as FlightLimits,
+    FlownModel as FlownModel,
+    InnerPoints as InnerPoints,
+    NetworkPredictor as NetworkPredictor,
+    NewtonAdjustment as NewtonAdjustment,
+    NoVelocityControl as NoVelocityControl,
+    PathPoint as PathPoint,
+    PolynomialAdjustment as PolynomialAdjustment,
+    StoredParameters as StoredParameters,
+    Subdivision as Subdivision,
+    bezier_parameters as bezier_parameters,
+    inner_points as inner_points,
+    tangents_meet as tangents_meet,
 )
 from .cycle import (
     AbstractCycle as AbstractCycle,
@@ -40,16 +53,4 @@ from .switching import (
     Sharp as Sharp,
     Smooth as Smooth,
     SmoothReversals as SmoothReversals,
-)
-from .velocity_control import (
-    AbstractVelocityControl as AbstractVelocityControl,
-    Epochs as Epochs,
-    NewtonAdjustment as NewtonAdjustment,
-    NoVelocityControl as NoVelocityControl,
-    PolynomialAdjustment as PolynomialAdjustment,
-)
-from .velocity_prediction import (
-    AbstractVelocityPredictor as AbstractVelocityPredictor,
-    FlownModel as FlownModel,
-    NetworkPredictor as NetworkPredictor,
 )

@@ -7,7 +7,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._types import Scalar
+from ..fields import Scalar
 
 
 class AbstractCycle(eqx.Module):

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import sincos
-from .._types import Scalar, scalar
+from ..fields import Scalar, scalar
 from ..motion.state import Controls
 from ..onboard.model import OnboardModel
 from ..onboard.navigation import Measurement

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 
 from .._math import sincos
-from .._types import Scalar, scalar
+from ..fields import Scalar, scalar
 from ..motion.quantities import ground_track
 from ..motion.state import EntryState
 from ..world.planet import Planet

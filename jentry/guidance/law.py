@@ -6,7 +6,7 @@ from typing import Any, Generic, TypeVar
 import equinox as eqx
 
 from .._dependence import Traced
-from .._types import Scalar
+from ..fields import Scalar
 from ..motion.state import Controls, EntryState
 from ..onboard.navigation import Measurement
 from .cycle import AbstractCycle, FixedCycle

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from .._types import Scalar, scalar
+from ..fields import Scalar, scalar
 from ..motion.state import Controls
 from ..onboard.navigation import Measurement
 from ..onboard.profiles import AbstractProfile

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from .._interpolation import clamp
-from .._types import Scalar, scalar
+from ..fields import Scalar, scalar
 from ..motion.quantities import ground_track
 from ..motion.state import Controls, EntryState
 from ..onboard.model import OnboardModel

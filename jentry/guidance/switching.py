@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from .._interpolation import clamp
-from .._types import Scalar, scalar
+from ..fields import Scalar, scalar
 
 
 _NEGLIGIBLE = 1e-16

@@ -1,16 +1,13 @@
-"""Floor 8: the missions, one file each."""
+"""Floor 9: the missions, a folder each."""
 
-from .._addresses import nearest
+from ..addresses import nearest
 from .cav_h import MISSION as CAV_H
-from .mars_drag_tracking import MISSION as MARS_DRAG_TRACKING
-from .mars_range_tracking import MISSION as MARS_RANGE_TRACKING
+from .mars.drag_tracking import MISSION as DRAG_TRACKING
+from .mars.range_tracking import MISSION as RANGE_TRACKING
 from .mission import Mission as Mission, PublishedValue as PublishedValue
 
 
-ALL = {
-    mission.name: mission
-    for mission in (MARS_DRAG_TRACKING, MARS_RANGE_TRACKING, CAV_H)
-}
+ALL = {mission.name: mission for mission in (DRAG_TRACKING, RANGE_TRACKING, CAV_H)}
 """Every mission by its name."""
 
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from .._math import sincos
-from .._types import Scalar
+from ..fields import Scalar
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 from .forces import aerodynamic_acceleration

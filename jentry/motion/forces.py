@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import sincos
-from .._types import Scalar
+from ..fields import Scalar
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 from ..world.wind import StillAir

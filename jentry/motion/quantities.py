@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from .._math import sincos
-from .._types import Scalar
+from ..fields import Scalar
 from ..units import standard_gravity
 from ..world.planet import Planet
 from .forces import AirData

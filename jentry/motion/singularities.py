@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from .._types import Flag, Scalar
+from ..fields import Flag, Scalar
 from .state import EntryState
 
 

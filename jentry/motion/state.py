@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import safe_arccos
-from .._types import ABOVE_GROUND, QUARTER, Scalar, scalar
+from ..fields import ABOVE_GROUND, QUARTER, Scalar, scalar
 
 
 class EntryState(eqx.Module):

@@ -1,14 +1,5 @@
 """Floor 3: profiles, references, what the vehicle measures and believes."""
 
-from .bezier import (
-    BezierParameters as BezierParameters,
-    BezierPath as BezierPath,
-    InnerPoints as InnerPoints,
-    PathPoint as PathPoint,
-    bezier_parameters as bezier_parameters,
-    inner_points as inner_points,
-    tangents_meet as tangents_meet,
-)
 from .estimation import (
     Estimate as Estimate,
     FactorEstimator as FactorEstimator,

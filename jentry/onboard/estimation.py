@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._types import NOT_NEGATIVE, Scalar, scalar
+from ..fields import NOT_NEGATIVE, Scalar, scalar
 
 
 class Factors(eqx.Module):

@@ -2,7 +2,7 @@
 
 import equinox as eqx
 
-from .._types import Scalar
+from ..fields import Scalar
 from ..world.atmosphere import ExponentialAtmosphere
 from ..world.gravity import InverseSquareGravity
 from ..world.planet import Planet

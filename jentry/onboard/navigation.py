@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .._types import NOT_NEGATIVE, Scalar, scalar
+from ..fields import NOT_NEGATIVE, Scalar, scalar
 from ..motion.forces import AirData, air_data
 from ..motion.state import EntryState
 from ..world.planet import Planet

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from .._files import digest_of_arrays, read_arrays, write_arrays
-from .._types import Flag, Scalar, table
+from ..fields import Flag, Scalar, table
 
 
 _FORMAT = "jentry network 2"

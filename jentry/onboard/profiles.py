@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from .._interpolation import clamp
 from .._math import horner
-from .._types import Scalar, Vector, scalar, table
+from ..fields import Scalar, Vector, scalar, table
 
 
 class AbstractProfile(eqx.Module):

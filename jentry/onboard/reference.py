@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import sincos
-from .._types import Scalar, scalar
+from ..fields import Scalar, scalar
 from ..motion.quantities import energy
 from ..motion.state import EntryState
 from ..world.planet import Planet

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax.core import Tracer
 
 from .._math import sincos
-from .._types import QUARTER, Scalar, scalar
+from ..fields import QUARTER, Scalar, scalar
 from ..motion.state import EntryState
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from .._interpolation import check_grid, interpolate_surface
 from .._math import horner
 from .._tables import read_columns
-from .._types import Scalar, scalar, table
+from ..fields import Scalar, scalar, table
 from ..units import degree
 
 

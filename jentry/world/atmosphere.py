@@ -5,7 +5,7 @@ from abc import abstractmethod
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._types import Scalar, scalar
+from ..fields import Scalar, scalar
 
 
 class AbstractAtmosphere(eqx.Module):

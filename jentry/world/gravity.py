@@ -4,7 +4,7 @@ from abc import abstractmethod
 
 import equinox as eqx
 
-from .._types import Scalar, scalar
+from ..fields import Scalar, scalar
 
 
 class AbstractGravity(eqx.Module):

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import sincos
-from .._types import Scalar, scalar
+from ..fields import Scalar, scalar
 from ..units import km
 from .atmosphere import AbstractAtmosphere
 

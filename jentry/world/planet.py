@@ -2,7 +2,7 @@
 
 import equinox as eqx
 
-from .._types import Scalar, scalar
+from ..fields import Scalar, scalar
 from .atmosphere import AbstractAtmosphere
 from .gravity import AbstractGravity
 from .wind import AbstractWind, StillAir

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from .._interpolation import check_grid, clamp, interpolate
 from .._tables import read_columns
-from .._types import Scalar, as_float_array, scalar, table
+from ..fields import Scalar, as_float_array, scalar, table
 from .atmosphere import AbstractAtmosphere
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from .._interpolation import clamp
 from .._math import horner
-from .._types import Scalar
+from ..fields import Scalar
 from .atmosphere import AbstractAtmosphere
 
 

@@ -2,7 +2,7 @@
 
 import equinox as eqx
 
-from .._types import Scalar, scalar
+from ..fields import Scalar, scalar
 from .aerodynamics import AbstractAerodynamics
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from .._interpolation import check_grid, clamp, interpolate
 from .._tables import read_columns
-from .._types import Scalar, scalar, table
+from ..fields import Scalar, scalar, table
 
 
 class AbstractWind(eqx.Module):

@@ -1,0 +1,99 @@
+"""What no guidance law can beat: the best bank profile of each draw, known beforehand."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+from jaxtyping import Array, Key
+
+from ..campaign.batch import filled_up, over_runs
+from ..campaign.campaign import drawn_inputs, fly_run
+from ..campaign.dispersions import Dispersion, check_dispersions
+from ..flight.miss import misses
+from ..flight.scenario import Scenario, check
+from ..flight.solver import AbstractSolver, FixedStep
+from ..guidance.open_loop import BankProfile
+from ..onboard.profiles import PolynomialProfile
+from ..tuning.batch_gradients import Outputs
+from ..tuning.losses import MeanSquare
+
+
+def clairvoyant_floor(
+    scenario: Scenario,
+    loss: MeanSquare,
+    dispersions: Mapping[str, Dispersion],
+    key: Key[Array, ""],
+    runs: int = 256,
+    *,
+    end_velocity: float,
+    coefficients: int = 4,
+    outputs: Outputs = misses,
+    solver: AbstractSolver = FixedStep(),
+    most_steps: int = 60,
+) -> tuple[Any, np.ndarray]:
+    """Outputs of each draw with the bank profile that is best for it.
+
+    The law of the scenario gives way to cos(bank) as a polynomial of the velocity, of
+    which the coefficients are fitted to each draw by least squares through the flight:
+    what a law with perfect foresight and such a profile could reach. The true floor may
+    be lower still: this is as good as the profile is rich, and the search, which may end
+    early for some draws. For flights in their plane.
+
+    **Arguments:**
+
+    - `loss`: a `MeanSquare`; its residuals are made small, draw by draw.
+    - `end_velocity`: about where the flight ends, m/s; the polynomial is over the way
+      from there to the initial velocity.
+    - `coefficients`: of the polynomial.
+    - `most_steps`: of the Levenberg-Marquardt method.
+
+    **Returns:** the outputs, each of shape (runs, ...), and the coefficients, (runs, n).
+    """
+    check(scenario)
+    if not scenario.in_plane:
+        raise ValueError(
+            "a bank profile to one side cannot meet a crossrange: take a scenario with "
+            "in_plane=True"
+        )
+    check_dispersions(scenario, dispersions)
+    if coefficients < 1:
+        raise ValueError(f"coefficients is {coefficients}: it must be at least 1")
+    # On one device: the solver cannot be compiled within what divides the work.
+    devices = 1
+    filled = filled_up(np.arange(runs), devices)
+    inputs = drawn_inputs(scenario, dispersions, key, filled)
+    span = scenario.initial_state.velocity - end_velocity
+    profile = PolynomialProfile(jnp.zeros(coefficients), end_velocity, span)
+    law = BankProfile(profile, scenario.vehicle.trim_angle_of_attack)
+    open_loop = eqx.tree_at(lambda s: s.guidance, scenario, law)
+    best, found = _search(
+        open_loop, loss, inputs, outputs, solver, most_steps, coefficients, devices
+    )
+    return jax.tree.map(lambda x: np.asarray(x)[:runs], (best, found))
+
+
+@eqx.filter_jit
+def _search(scenario, loss, inputs, outputs, solver, most_steps, coefficients, devices):
+    method = optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
+    first = jnp.zeros(coefficients).at[0].set(0.5)
+
+    def one(scenario, inputs):
+        def flown(c):
+            given = eqx.tree_at(lambda s: s.guidance.cos_bank.coefficients, scenario, c)
+            flight, aimed = fly_run(given, inputs, solver)
+            return outputs(aimed, flight)
+
+        def residuals(c, _):
+            alone = jax.tree.map(lambda x: jnp.asarray(x)[None], flown(c))
+            return loss.residuals(alone)
+
+        found = optimistix.least_squares(
+            residuals, method, first, max_steps=most_steps, throw=False
+        ).value
+        return flown(found), found
+
+    return over_runs(one, scenario, inputs, devices)

@@ -1,0 +1,254 @@
+"""Standard deviations of the misses from one flight and its derivatives.
+
+Linear covariance analysis: the outputs are linear in the draws, so their standard
+deviations follow from the Jacobian. A flight that ends at the first of several conditions
+is linear for each of them, and bent where they change places: a nominal flight that meets
+two at once, as one that is planned for its target does, is on that bend.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from ..campaign.batch import LANES, filled_up
+from ..campaign.campaign import check_draws
+from ..campaign.dispersions import Dispersion, check_dispersions
+from ..flight.miss import misses
+from ..flight.scenario import Scenario, check
+from ..flight.solver import AbstractSolver, FixedStep
+from ..tuning.batch_gradients import Outputs
+from .linear_models import (
+    Draws,
+    LinearModel,
+    Pairs,
+    columns_of,
+    draw_many,
+    ending_by,
+    fly_draws,
+    linear_model,
+    mean_model,
+)
+
+
+_SAMPLED = 100_000
+"""Draws that are put through the linear models; no flights"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Spread:
+    """Of one output."""
+
+    nominal: float
+    """At the mean of all draws"""
+    mean: float
+    """Predicted, like the next"""
+    standard_deviation: float
+    flown_mean: float
+    """Of the Monte Carlo; NaN if none was flown, like the next two"""
+    flown_standard_deviation: float
+    ratio: float
+    """Predicted standard deviation over the flown one, for the same draws: what is left
+    is not the luck of the draws"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Effect:
+    """Of one dispersion on one output, for one standard deviation of the dispersion."""
+
+    linear: float
+    """Half of the difference from one below to one above, as predicted"""
+    error: float
+    """Standard error of that, the largest of all end conditions; zero if exact"""
+    flown: float
+    """The same, flown"""
+    bend: float
+    """How far the mean of the two is from the nominal, flown: what is not linear"""
+
+
+@dataclasses.dataclass(frozen=True)
+class LinearCovariance:
+    """Predicted spread of the outputs, and how linear the flight is."""
+
+    models: dict[str, LinearModel]
+    """By the end condition: those that end flights of these dispersions"""
+    spreads: dict[str, Spread]
+    """By output"""
+    effects: dict[str, dict[str, Effect]]
+    """By output and dispersion"""
+    runs: int
+    """Of the Monte Carlo beside it, finite ones"""
+    failed: int
+    """And those that are not finite"""
+    without_model: dict[str, float]
+    """Share of the flights by end conditions that the nominal flight does not meet, and
+    of which nothing is predicted"""
+
+
+def linear_covariance(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion],
+    outputs: Outputs = misses,
+    *,
+    key: Key[Array, ""] | None = None,
+    runs: int = 0,
+    solver: AbstractSolver = FixedStep(),
+    mode: str | None = None,
+) -> LinearCovariance:
+    """Predict the standard deviations of outputs, with a Monte Carlo beside it on request.
+
+    Each dispersion is independent and enters by its mean and standard deviation. One
+    more batch, a standard deviation above and below for each, shows how linear the
+    flight is and which conditions end it.
+
+    **Arguments:**
+
+    - `outputs`: a function of scenario and flight, such as `misses`, to numbers.
+    - `key`, `runs`: of the Monte Carlo; none is flown if `runs` is 0.
+    - `mode`: "exact", if not given: derivatives of the nominal flight, in forward mode. Or
+        "difference": mean slopes over two standard deviations, for flights that jump, see
+        `linear_models`; they cost 128 flights for each dispersion and end condition.
+
+    **Raises:** `ValueError` as `monte_carlo` does, and for a nominal flight that is not
+    finite.
+
+        analysis = linear_covariance(scenario, dispersions)
+        analysis.spreads["downrange"].standard_deviation
+    """
+    check(scenario)
+    if not dispersions:
+        raise ValueError("nothing is dispersed: give dispersions")
+    check_dispersions(scenario, dispersions)
+    if runs and (runs < 2 or key is None):
+        raise ValueError(f"runs is {runs}: give 2 or more with a key, or 0 for none")
+    if mode not in (None, "exact", "difference"):
+        raise ValueError(f'mode is {mode!r}: it must be "exact" or "difference"')
+    devices = len(jax.devices())
+    key = jax.random.key(0) if key is None else key
+    check_draws(scenario, dispersions, key, np.arange(max(runs, LANES)))
+    if mode == "difference":
+        of_means = jax.random.fold_in(key, 2)
+        check_draws(scenario, dispersions, of_means, np.arange(LANES))
+    pairs = tuple(dispersions.items())
+
+    axes = _along_axes(pairs)
+    drawn = draw_many(pairs, key, jnp.arange(max(runs, LANES)))
+    points = {
+        name: np.concatenate([[point[name] for point in axes], np.asarray(values)])
+        for name, values in drawn.items()
+    }
+    count = len(axes) + max(runs, LANES)
+    filled = filled_up(np.arange(count), devices)
+    given = {name: jnp.asarray(values[filled]) for name, values in points.items()}
+    flown = fly_draws(scenario, pairs, given, outputs, solver, devices)
+    values, _, codes, finite = jax.tree.map(lambda x: x[:count], flown)
+    codes, finite = np.asarray(codes), np.asarray(finite)
+    columns = {
+        name: np.where(finite, np.asarray(x, float), np.nan)
+        for name, x in columns_of(values).items()
+    }
+    if not finite[0]:
+        raise ValueError(
+            "the flight at the mean of all draws is not finite or has no end: it has no "
+            "derivatives"
+        )
+
+    models, without_model = {}, {}
+    for code in np.unique(codes[finite]):
+        name = scenario.termination.names[int(code)]
+        alone = ending_by(scenario, name)
+        if mode == "difference":
+            others = jax.random.fold_in(key, 2)
+            model = mean_model(alone, pairs, outputs, solver, others, devices)
+        else:
+            model = linear_model(alone, pairs, outputs, solver, name)
+        if model is None:
+            without_model[name] = float(np.mean(codes[finite] == code))
+        else:
+            models[name] = model
+    if not models:
+        raise ValueError("the nominal flight meets none of the end conditions alone")
+
+    of_runs = np.arange(len(axes), len(axes) + runs)
+    kept = of_runs[finite[of_runs]]
+    sampled = _through(
+        models,
+        _standard(
+            pairs, draw_many(pairs, jax.random.fold_in(key, 1), jnp.arange(_SAMPLED))
+        ),
+    )
+    same = _through(models, _standard(pairs, {n: x[kept] for n, x in points.items()}))
+    spreads, effects = {}, {}
+    for name, column in columns.items():
+        enough = kept.size > 1
+        spread = float(np.std(column[kept], ddof=1)) if enough else np.nan
+        predicted = float(np.std(same[name], ddof=1)) if enough else np.nan
+        spreads[name] = Spread(
+            nominal=float(column[0]),
+            mean=float(np.mean(sampled[name])),
+            standard_deviation=float(np.std(sampled[name])),
+            flown_mean=float(np.mean(column[kept])) if enough else np.nan,
+            flown_standard_deviation=spread,
+            ratio=predicted / spread if spread > 0.0 else np.nan,
+        )
+        effects[name] = {}
+        for place, dispersion in enumerate(dispersions):
+            above, below = column[1 + 2 * place], column[2 + 2 * place]
+            unit = {d: np.zeros(2) for d in dispersions}
+            unit[dispersion] = np.array([1.0, -1.0])
+            up, down = _through(models, unit)[name]
+            effects[name][dispersion] = Effect(
+                linear=float(0.5 * (up - down)),
+                error=max(m.errors[name][dispersion] for m in models.values()),
+                flown=float(0.5 * (above - below)),
+                bend=float(0.5 * (above + below) - column[0]),
+            )
+    failed = int(of_runs.size - kept.size)
+    return LinearCovariance(
+        models, spreads, effects, int(kept.size), failed, without_model
+    )
+
+
+def _along_axes(pairs: Pairs) -> list[dict[str, float]]:
+    """The mean draws, then one standard deviation above and below for each dispersion."""
+    moments = {
+        name: tuple(float(x) for x in d.distribution.moments()) for name, d in pairs
+    }
+    mean = {name: m for name, (m, _) in moments.items()}
+    points = [mean]
+    for name, (m, deviation) in moments.items():
+        points += [mean | {name: m + deviation}, mean | {name: m - deviation}]
+    return points
+
+
+def _standard(pairs: Pairs, draws: Draws) -> dict[str, np.ndarray]:
+    """Draws in standard deviations from their mean."""
+    standard = {}
+    for name, dispersion in pairs:
+        mean, deviation = (float(x) for x in dispersion.distribution.moments())
+        # Of a constant all draws are its mean.
+        away = np.asarray(draws[name]) - mean
+        standard[name] = away / deviation if deviation > 0.0 else 0.0 * away
+    return standard
+
+
+def _through(
+    models: dict[str, LinearModel], standard: Mapping[str, Float[np.ndarray, " n"]]
+) -> dict[str, np.ndarray]:
+    """Outputs for draws in standard deviations from their mean: by the first to end."""
+
+    def linear(value, slope):
+        return value + sum(slope[name] * x for name, x in standard.items())
+
+    times = np.stack([linear(m.time, m.time_slope) for m in models.values()])
+    first = np.argmin(times, axis=0)
+    outputs = next(iter(models.values())).values
+    return {
+        name: np.choose(
+            first, [linear(m.values[name], m.slopes[name]) for m in models.values()]
+        )
+        for name in outputs
+    }

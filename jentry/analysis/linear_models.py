@@ -1,0 +1,186 @@
+"""Linear models of a flight in its draws: from its derivatives, or from mean differences.
+
+A law that decides in cycles makes a sawtooth of what it leaves at the end: the phase of
+the last cycle moves with the draws, and the exact derivative is that of one tooth, which
+may be steeper than the whole is by orders of magnitude. A mean slope is the difference
+from one standard deviation below to one above, over two, in the mean of flights in which
+all else is drawn,
+
+    E[f(+1, z) - f(-1, z)] / 2  =  the mean of df/dz1 over -1 < z1 < 1 and over z,
+
+jumps included; it has a standard error. The teeth are no part of it: a spread that comes
+of them is seen in a Monte Carlo alone.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+from ..addresses import leaves_by_address
+from ..campaign.batch import LANES, filled_up, over_runs
+from ..campaign.campaign import fly_run
+from ..campaign.dispersions import Dispersion, disperse, draw
+from ..flight.scenario import Scenario
+from ..flight.termination import Termination, has_end
+from ..tuning.batch_gradients import Outputs
+from .sensitivities import named
+
+
+Draws = Mapping[str, Any]
+"""By the name of the dispersion"""
+
+
+@dataclasses.dataclass(frozen=True)
+class LinearModel:
+    """Time and outputs of the flight that ends by one condition, about the mean draws."""
+
+    time: float
+    """s"""
+    time_slope: dict[str, float]
+    """Per standard deviation of a dispersion"""
+    values: dict[str, float]
+    slopes: dict[str, dict[str, float]]
+    """By output and dispersion, per standard deviation"""
+    errors: dict[str, dict[str, float]]
+    """Standard errors of the slopes; zero for exact derivatives"""
+
+
+Pairs = tuple[tuple[str, Dispersion], ...]
+"""Dispersions in their order, which a dictionary loses under `jit`"""
+
+
+@eqx.filter_jit
+def draw_many(pairs: Pairs, key: Key[Array, ""], runs: Array) -> Draws:
+    return jax.vmap(lambda run: draw(dict(pairs), key, run))(runs)
+
+
+@eqx.filter_jit
+def fly_draws(scenario, pairs: Pairs, draws: Draws, outputs, solver, devices: int):
+    """Outputs, time, code of the end condition and whether finite, for each draw."""
+
+    def one(shared, draws):
+        scenario, pairs = shared
+        inputs = disperse(scenario, dict(pairs), draws)
+        flight, aimed = fly_run(scenario, inputs, solver)
+        finite = has_end(flight.outcome)
+        return outputs(aimed, flight), flight.time, flight.ended_by, finite
+
+    return over_runs(one, (scenario, pairs), draws, devices)
+
+
+def columns_of(values: Any) -> dict[str, Array]:
+    columns = {
+        named(name): column for name, column in leaves_by_address(values).items()
+    }
+    for name, column in columns.items():
+        if column.ndim != 1:
+            raise ValueError(
+                f"output {name} has shape {column.shape[1:]}: give single numbers"
+            )
+    return columns
+
+
+def ending_by(scenario: Scenario, name: str) -> Scenario:
+    """The same with one end condition alone."""
+    termination = scenario.termination
+    conditions = {n: c for n, c in termination.conditions.items() if n == name}
+    return dataclasses.replace(
+        scenario, termination=Termination(conditions, termination.time_limit)
+    )
+
+
+def mean_model(
+    alone: Scenario, pairs: Pairs, outputs: Outputs, solver, key, devices: int
+) -> LinearModel | None:
+    """By differences over two standard deviations, in the mean of other draws; none if
+    fewer than two pairs of flights are ended by the condition."""
+    drawn = draw_many(pairs, key, jnp.arange(LANES))
+    points, moving = [], []
+    for name, dispersion in pairs:
+        mean, deviation = dispersion.distribution.moments()
+        if not deviation > 0.0:  # a constant
+            continue
+        moving.append(name)
+        for value in (mean + deviation, mean - deviation):
+            points.append({**drawn, name: jnp.full(LANES, value)})
+    if not moving:
+        raise ValueError("all dispersions are constant: nothing moves the flight")
+    draws = jax.tree.map(lambda *x: np.concatenate(x), *points)
+    filled = filled_up(np.arange(len(points) * LANES), devices)
+    given = {name: jnp.asarray(x[filled]) for name, x in draws.items()}
+    flown = fly_draws(alone, pairs, given, outputs, solver, devices)
+    shape = len(moving), 2, LANES
+    values, time, code, finite = jax.tree.map(
+        lambda x: np.asarray(x)[: np.prod(shape)].reshape(*shape, *x.shape[1:]), flown
+    )
+    both = np.all((code == 0) & finite, axis=1)
+    if np.any(np.sum(both, axis=1) < 2):
+        return None
+    by_address = leaves_by_address(jax.tree.map(jnp.asarray, values))
+    columns = {named(n): np.asarray(x) for n, x in by_address.items()} | {"": time}
+    slopes = {n: dict.fromkeys(dict(pairs), 0.0) for n in columns}
+    errors = {n: dict.fromkeys(dict(pairs), 0.0) for n in columns}
+    for place, name in enumerate(moving):
+        kept = both[place]
+        for column, x in columns.items():
+            each = 0.5 * (x[place, 0, kept] - x[place, 1, kept])
+            slopes[column][name] = float(np.mean(each))
+            errors[column][name] = float(np.std(each, ddof=1) / np.sqrt(len(each)))
+    there = np.broadcast_to(both[:, None], shape)
+    means = {n: float(np.mean(x[there])) for n, x in columns.items()}
+    return LinearModel(
+        time=means.pop(""),
+        time_slope=slopes.pop(""),
+        values=means,
+        slopes=slopes,
+        errors={n: error for n, error in errors.items() if n},
+    )
+
+
+def linear_model(
+    alone: Scenario, pairs: Pairs, outputs: Outputs, solver, name: str
+) -> LinearModel | None:
+    """Of the flight that only this condition ends; none if it never meets it."""
+    slopes, values, outcome, ended_by = _linearize(alone, pairs, outputs, solver)
+    met = alone.termination.names[int(ended_by)] == name
+    if not met or not has_end(int(outcome)):
+        return None
+    time, columns = values
+    time_slope, slope_columns = slopes
+    by_output = {named(n): leaf for n, leaf in leaves_by_address(columns).items()}
+    flat = jax.tree.structure(columns).flatten_up_to(slope_columns)
+    return LinearModel(
+        time=float(time),
+        time_slope={d: float(s) for d, s in time_slope.items()},
+        values={n: float(value) for n, value in by_output.items()},
+        slopes={
+            n: {d: float(s) for d, s in by_dispersion.items()}
+            for n, by_dispersion in zip(by_output, flat, strict=True)
+        },
+        errors={n: dict.fromkeys(dict(pairs), 0.0) for n in by_output},
+    )
+
+
+@eqx.filter_jit
+def _linearize(scenario, pairs: Pairs, outputs, solver):
+    moments = {name: d.distribution.moments() for name, d in pairs}
+
+    def at(standard):
+        draws = {n: mean + standard[n] * std for n, (mean, std) in moments.items()}
+        inputs = disperse(scenario, dict(pairs), draws)
+        flight, aimed = fly_run(scenario, inputs, solver)
+        looked_at = jax.tree.map(
+            lambda x: jnp.asarray(x, float), outputs(aimed, flight)
+        )
+        values = flight.time, looked_at
+        return values, (values, flight.outcome, flight.ended_by)
+
+    mean = {name: jnp.zeros(()) for name in moments}
+    slopes, others = jax.jacfwd(at, has_aux=True)(mean)
+    return slopes, *others

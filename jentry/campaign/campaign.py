@@ -1,0 +1,255 @@
+"""Fly many dispersed runs of one scenario, fast and on all cores."""
+
+import bisect
+import functools
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+from ..addresses import (
+    addresses_of,
+    field_metadata,
+    leaves_by_address,
+    replace_leaves,
+    require_address,
+)
+from ..flight.cycle import Plan
+from ..flight.flight import Flight, fly, warn_of
+from ..flight.miss import Misses, misses
+from ..flight.scenario import Scenario, check, check_values, require_effect
+from ..flight.solver import AbstractSolver, FixedStep
+from .batch import in_blocks, over_runs
+from .dispersions import Dispersion, check_dispersions, check_runs, dispersed_inputs
+
+
+Runs = int | np.integer | Sequence[int] | np.ndarray
+"""How many runs, or the indices of which"""
+
+
+class Campaign(eqx.Module):
+    """Flown runs; every array has the runs in front, as numpy arrays."""
+
+    runs: np.ndarray
+    """Indices of the runs"""
+    inputs: dict[str, np.ndarray]
+    """Values of the dispersed leaves by address"""
+    flights: Flight
+    misses: Misses
+
+
+def monte_carlo(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion] | None = None,
+    key: Key[Array, ""] | None = None,
+    runs: Runs | None = None,
+    *,
+    inputs: Mapping[str, Any] | None = None,
+    solver: AbstractSolver = FixedStep(),
+    history: float | None = None,
+) -> Campaign:
+    """Fly a scenario many times, with drawn or with given inputs.
+
+    A run is the same alone and in any batch, bit by bit: it depends on the key and on its
+    index alone. (With a law of your own see `LANES`.) All CPU devices share the work, see
+    `jentry.setup`.
+
+    **Arguments:**
+
+    - `scenario`: the nominal one.
+    - `dispersions`: what is drawn, by name; with `key`.
+    - `runs`: how many, or which; 1000, or all of the inputs, if not given.
+    - `inputs`: in place of dispersions, values by address, each of shape (runs,).
+    - `solver`, `history`: as for `fly`.
+
+    **Raises:** `ValueError` for an empty batch, a dispersion or an address that reaches no
+    leaf, inputs of unequal length, and inputs that cannot be flown: all draws are looked
+    at before the first flight.
+
+    Warns where a law has caveats (see `Flight.caveats`).
+
+        campaign = monte_carlo(scenario, dispersions, jax.random.key(0))
+        np.std(campaign.misses.downrange)
+    """
+    blocks = fly_in_blocks(
+        scenario, dispersions, key, runs, inputs=inputs, solver=solver, history=history
+    )
+    campaign = jax.tree.map(lambda *parts: np.concatenate(parts), *blocks)
+    warn_of(campaign.flights.caveats)
+    return campaign
+
+
+def fly_in_blocks(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion] | None,
+    key: Key[Array, ""] | None,
+    runs: Runs | None,
+    *,
+    inputs: Mapping[str, Any] | None = None,
+    solver: AbstractSolver = FixedStep(),
+    history: float | None = None,
+) -> Iterator[Campaign]:
+    """As `monte_carlo`, part by part in the order of the runs, in constant memory."""
+    check(scenario)
+    Plan.of(scenario, solver, history)  # refuses a step or an interval
+    given = None
+    count = 1000
+    if inputs is not None:
+        if dispersions:
+            raise ValueError("give dispersions or inputs, not both")
+        given = _check_inputs(scenario, inputs)
+        count = len(next(iter(given.values())))
+    elif dispersions:
+        if key is None:
+            raise ValueError("dispersions need a key: jax.random.key(seed)")
+        check_dispersions(scenario, dispersions)
+    else:
+        raise ValueError("nothing is dispersed: give dispersions or inputs")
+    wanted = np.asarray(count if runs is None else runs)
+    if not np.issubdtype(wanted.dtype, np.integer) and wanted.size:
+        raise ValueError(
+            f"runs is {runs}: it must be a number of runs, or their indices"
+        )
+    if wanted.ndim == 0:
+        check_runs(np.ravel(wanted) - 1 if wanted > 0 else np.arange(0))
+    indices = np.arange(int(wanted)) if wanted.ndim == 0 else wanted.astype(int)
+    if indices.size == 0:
+        raise ValueError(f"no runs to fly: runs is {wanted}")
+    check_runs(indices)
+    if given is not None and indices.max() >= count:
+        raise ValueError(f"run {indices.max()} was asked for, of {count} given")
+    if dispersions and key is not None:
+        check_draws(scenario, dispersions, key, indices)
+    return _blocks(scenario, dispersions, key, indices, given, solver, history)
+
+
+def _check_inputs(
+    scenario: Scenario, inputs: Mapping[str, Any]
+) -> dict[str, np.ndarray]:
+    if not inputs:
+        raise ValueError("the inputs are empty: give values by address")
+    known = leaves_by_address(scenario)
+    given = {}
+    for address, values in inputs.items():
+        require_address(known, address)
+        require_effect(scenario, address)
+        given[address] = np.asarray(values, dtype=float)
+        if given[address].ndim != 1 or known[address].shape != ():
+            raise ValueError(
+                f"input {address} has shape {given[address].shape}: give one number a run"
+            )
+        runs = np.arange(len(given[address]))
+        _check_runs(scenario, address, given[address], runs, "the inputs")
+    lengths = {address: len(values) for address, values in given.items()}
+    if len(set(lengths.values())) > 1:
+        raise ValueError(f"inputs of unequal length: {lengths}")
+    return given
+
+
+def drawn_inputs(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion],
+    key: Key[Array, ""],
+    runs: np.ndarray,
+) -> dict[str, Array]:
+    """As `dispersed_inputs`. Raises `ValueError` for a draw that cannot be flown."""
+    inputs = dispersed_inputs(scenario, dispersions, key, jnp.asarray(runs))
+    for address, values in inputs.items():
+        movers = [
+            f"dispersions.{name}"
+            for name, dispersion in dispersions.items()
+            if address in addresses_of(scenario, dispersion.where)
+        ]
+        source = " and ".join(movers)
+        _check_runs(scenario, address, np.asarray(values), runs, source)
+    return inputs
+
+
+def check_draws(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion],
+    key: Key[Array, ""],
+    runs: np.ndarray,
+) -> None:
+    """Refuse runs of which one has a draw that cannot be flown, before any is flown.
+
+    Block by block as they will be flown: in constant memory, and with nothing compiled
+    that flying does not need.
+    """
+    for _, filled in in_blocks(runs, len(jax.devices())):
+        drawn_inputs(scenario, dispersions, key, filled)
+
+
+def _check_runs(
+    scenario: Scenario, address: str, values: np.ndarray, runs: np.ndarray, source: str
+) -> None:
+    """Refuse values of a leaf, one a run, with the first run whose value is wrong."""
+    metadata = field_metadata(scenario, address)
+
+    def refused(few: np.ndarray) -> str | None:
+        try:
+            check_values(address, few, metadata)
+        except ValueError as error:
+            return str(error)
+        return None
+
+    if refused(values) is None:
+        return
+    counts = range(1, len(values) + 1)
+    first = bisect.bisect(counts, False, key=lambda n: refused(values[:n]) is not None)
+    why = refused(values[first : first + 1])
+    raise ValueError(f"{source}, run {runs[first]}: {why}")
+
+
+def _blocks(scenario, dispersions, key, indices, given, solver, history):
+    devices = len(jax.devices())
+    for runs, filled in in_blocks(indices, devices):
+        if given is None:
+            runs_drawn = jnp.asarray(filled)
+            inputs = dispersed_inputs(scenario, dispersions, key, runs_drawn)
+        else:
+            inputs = {a: jnp.asarray(v[filled]) for a, v in given.items()}
+        flown = _fly_block(scenario, inputs, solver, history, devices)
+        flown_with = {a: np.asarray(v) for a, v in inputs.items()}
+        block = Campaign(filled, flown_with, *flown)
+        yield jax.tree.map(functools.partial(_first, len(runs)), block)
+
+
+def _first(count: int, values: Any) -> np.ndarray:
+    return np.asarray(values)[:count]
+
+
+@eqx.filter_jit
+def _fly_block(
+    scenario: Scenario,
+    inputs: dict[str, Array],
+    solver: AbstractSolver,
+    history: float | None,
+    devices: int,
+) -> tuple[Flight, Misses]:
+    def one(scenario: Scenario, inputs: dict[str, Array]) -> tuple[Flight, Misses]:
+        flight, aimed = fly_run(scenario, inputs, solver, history)
+        return flight, misses(aimed, flight)
+
+    return over_runs(one, scenario, inputs, devices)
+
+
+def fly_run(
+    scenario: Scenario,
+    inputs: Mapping[str, Any],
+    solver: AbstractSolver,
+    history: float | None = None,
+) -> tuple[Flight, Scenario]:
+    """Fly one run of a campaign; also the scenario from which its misses are counted.
+
+    This is the dispersed one, but for the entry point: the target stays where it is when
+    that is dispersed.
+    """
+    dispersed = replace_leaves(scenario, inputs)
+    flight = fly(dispersed, solver, history)
+    aimed = eqx.tree_at(lambda s: s.initial_state, dispersed, scenario.initial_state)
+    return flight, aimed

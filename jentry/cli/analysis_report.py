@@ -1,0 +1,98 @@
+"""What `jentry sensitivity` prints: derivatives, and spreads beside flown ones."""
+
+from typing import Any
+
+import numpy as np
+
+from ..addresses import unit_of
+from ..analysis.covariance import LinearCovariance
+from ..analysis.sensitivities import Sensitivity
+from ..flight.scenario import Scenario
+from .tables import at_edge, new_console, new_table, print_under, unit_of_output
+
+
+_SIDE_BY_SIDE = 3
+"""Misses whose effects fit beside one another"""
+
+
+_HOLDS_WITHIN = 0.1
+"""Of the flown standard deviation"""
+
+
+def print_sensitivity(scenario: Scenario, found: Sensitivity) -> None:
+    """The Jacobian, in SI units."""
+    outputs = [name for name in found.values if _is_shown(scenario, name)]
+    table = new_table("d(output) / d(leaf), SI", "unit", *outputs)
+    for address in next(iter(found.jacobian.values())):
+        rows = [np.ravel(found.jacobian[name][address]) for name in outputs]
+        for place, numbers in enumerate(zip(*rows, strict=True)):
+            label = address if len(rows[0]) == 1 else f"{address}[{place}]"
+            cells = [f"{number:.6g}" for number in numbers]
+            table.add_row(label, unit_of(scenario, address), *cells)
+    title = f"derivatives of the misses, while the flight ends by {found.ended_by}"
+    print_under(new_console(), title, table)
+
+
+def _is_shown(scenario: Scenario, output: str) -> bool:
+    return not (scenario.in_plane and output == "crossrange")
+
+
+def print_covariance(
+    scenario: Scenario, analysis: LinearCovariance, factor: float
+) -> None:
+    """Predicted beside flown spreads, and how linear each dispersion is."""
+    console = new_console()
+    outputs = [name for name in analysis.spreads if _is_shown(scenario, name)]
+    table = new_table(
+        "miss",
+        "unit",
+        "nominal",
+        "mean",
+        "std",
+        "flown mean",
+        "flown std",
+        "same draws",
+        "",
+    )
+    for name in outputs:
+        spread = analysis.spreads[name]
+        numbers = [spread.nominal, spread.mean, spread.standard_deviation]
+        numbers += [spread.flown_mean, spread.flown_standard_deviation]
+        edge, unit = at_edge(np.array(numbers), unit_of_output(None, name))
+        cells = ["" if np.isnan(x) else f"{x:z.4f}" for x in edge]
+        ratio, verdict = "", ""
+        if np.isfinite(spread.ratio):
+            ratio = f"{spread.ratio:.3f}"
+            verdict = "holds" if abs(spread.ratio - 1.0) < _HOLDS_WITHIN else "DEPARTS"
+        table.add_row(name, unit, *cells, ratio, verdict)
+    ends = ", ".join(analysis.models)
+    models = list(analysis.models.values())
+    means = any(e for m in models for row in m.errors.values() for e in row.values())
+    source = "mean differences" if means else "one flight"
+    title = f"dispersions x {factor:g}: predicted from {source} for each end ({ends})"
+    if analysis.runs:
+        title += f", beside {analysis.runs} runs"
+    print_under(console, title, table)
+    if analysis.failed:
+        console.print(f"runs not finite or without an end, left out: {analysis.failed}")
+    for name, share in analysis.without_model.items():
+        console.print(
+            f"NOTHING is predicted of the flights that end by {name}, {share:.1%}: the "
+            "nominal flight does not meet it"
+        )
+    for few in (
+        outputs[i : i + _SIDE_BY_SIDE] for i in range(0, len(outputs), _SIDE_BY_SIDE)
+    ):
+        heads = ("+-", "flown", "bend") if means else ("flown", "bend")
+        table = new_table("one std of", *(x for name in few for x in (name, *heads)))
+        for dispersion in next(iter(analysis.effects.values())):
+            cells: list[Any] = []
+            for name in few:
+                effect = analysis.effects[name][dispersion]
+                numbers = np.array([effect.linear, effect.flown, effect.bend])
+                if means:
+                    numbers = np.insert(numbers, 1, effect.error)
+                edge, _ = at_edge(numbers, unit_of_output(None, name))
+                cells += [f"{x:z.4f}" for x in edge]
+            table.add_row(dispersion, *cells)
+        print_under(console, "effect of one standard deviation, same units", table)

@@ -1,0 +1,70 @@
+"""The command `jentry`: its entry point, and what becomes of errors."""
+
+import errno
+import gc
+import sys
+import warnings
+
+from .._warnings import ResultWarning
+from . import (
+    fly as fly,
+    list_missions as list_missions,
+    monte_carlo as monte_carlo,
+    sensitivity as sensitivity,
+    show as show,
+    train as train,
+    tune as tune,
+)
+from .ending import fail, forget_output, leaving_at_once, open_streams
+from .options import app
+
+
+def main() -> None:
+    """Run the command; errors that a person can act on are one line, without a traceback.
+
+    Exit codes: 0 done, 1 whoever read the output has left, 2 wrong input, 3 results that
+    cannot be used, 4 the machine (no space, no permission, no memory), 130 interrupted.
+    """
+    # Tracing makes many objects and little rubbish: look for it less often.
+    gc.set_threshold(100_000)
+    open_streams()
+    with leaving_at_once(), warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResultWarning)  # it is printed
+        _run()
+
+
+def _run() -> None:
+    try:
+        try:
+            app()
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        forget_output()
+        sys.exit(1)
+    except Exception as error:
+        code, message = _explained(error)
+        if isinstance(error, OSError):
+            forget_output()
+        fail(message, code)
+
+
+def _explained(error: Exception) -> tuple[int, str]:
+    """Exit code and words for what a person can act on; raises all else again."""
+    less = "there is not enough memory: fly fewer runs, or keep less of them"
+    match error:
+        case ValueError():
+            return 2, str(error)
+        case OSError():
+            full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+            advice = "; free some space and run the same command, which resumes"
+            return 4, f"{error}{advice if full else ''}"
+        case MemoryError():
+            return 4, less
+        case RuntimeError() if "RESOURCE_EXHAUSTED" in str(error):
+            return 4, less
+    from ..campaign.errors import CampaignError
+
+    if isinstance(error, CampaignError):
+        return 3, str(error)
+    raise error

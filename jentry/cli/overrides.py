@@ -1,0 +1,358 @@
+"""Overrides of a mission: from `--set ADDRESS=VALUE` and from TOML files.
+
+    variant = "energy-index"
+
+    [set]
+    "initial_state.flight_path_angle" = "-14.2 deg"
+    "guidance.reference.cos_bank.coefficients" = [0.6, 0.05, 0.0]
+
+    [dispersions.density]
+    address = "planet.density_scale"
+    distribution = "uniform"
+    lower = 0.7
+    upper = 1.3
+
+A `[dispersions]` table takes the place of the mission's own; `dispersions =
+"independent"` chooses one of the mission's readings.
+"""
+
+import dataclasses
+import json
+import tomllib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._files import write_whole
+from ..addresses import (
+    leaves_by_address,
+    nearest,
+    replace_leaves,
+    require_address,
+    unit_of,
+)
+from ..campaign.dispersions import (
+    Dispersion,
+    Normal,
+    TruncatedNormal,
+    Uniform,
+    add,
+    multiply,
+    replace,
+    unit_of_draw,
+)
+from ..flight.scenario import Scenario
+from ..units import Quantity, quantity
+
+
+_DISTRIBUTIONS = {
+    "normal": (Normal, ("mean", "standard_deviation")),
+    "uniform": (Uniform, ("lower", "upper")),
+    "truncated_normal": (
+        TruncatedNormal,
+        ("mean", "standard_deviation", "lower", "upper"),
+    ),
+}
+_APPLY = {"replace": replace, "add": add, "multiply": multiply}
+
+
+@dataclasses.dataclass(frozen=True)
+class AtAddresses:
+    """A lens made of addresses; two of the same addresses are equal."""
+
+    addresses: tuple[str, ...]
+
+    def __call__(self, tree: Any) -> Any:
+        return tuple(_at(tree, address) for address in self.addresses)
+
+
+def _at(tree: Any, address: str) -> Any:
+    for step in address.split("."):
+        if isinstance(tree, Mapping):
+            tree = tree[step]
+        elif isinstance(tree, list | tuple):
+            tree = tree[int(step)]
+        else:
+            tree = getattr(tree, step)
+    return tree
+
+
+@dataclasses.dataclass(frozen=True)
+class Stated:
+    """A dispersion as a file states it; what its units mean depends on the scenario."""
+
+    distribution: type
+    addresses: tuple[str, ...]
+    numbers: Mapping[str, Quantity]
+    apply: Any
+
+
+@dataclasses.dataclass(frozen=True)
+class Overrides:
+    """What a user changes of a mission: as read, or `in_si` of a scenario."""
+
+    variant: str | None = None
+    reading: str | None = None
+    """Of the mission's dispersions"""
+    values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """By address: numbers, and lists of them for the leaves that are tables. Each is a
+    `Quantity` as read, and a float in SI"""
+    dispersions: Mapping[str, Any] | None = None
+    """By name: each is `Stated` as read, and a `Dispersion` in SI"""
+    written: Mapping[str, Any] | None = None
+    """The table of dispersions as the file has it"""
+
+    @property
+    def disperses(self) -> bool:
+        """Whether it says what is dispersed."""
+        return self.dispersions is not None or self.reading is not None
+
+
+def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overrides:
+    """Overrides of a TOML file and of assignments `ADDRESS=VALUE`, which come last.
+
+    **Raises:** `ValueError` for an unknown key, with the nearest known, and for a value
+    that is no number.
+    """
+    try:
+        return _read_overrides(path, assignments)
+    except RecursionError:
+        raise ValueError(f"{path} is no configuration: it is nested too deep") from None
+
+
+def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
+    contents = _read_toml(path) if path is not None else {}
+    _require_keys(contents, ("variant", "dispersions", "set"), "")
+    values = {
+        address: _quantities(value, f"set.{address}")
+        for address, value in _flat(contents.get("set", {})).items()
+    }
+    assigned = {}
+    for assignment in assignments:
+        address, equals, value = assignment.partition("=")
+        if not equals:
+            raise ValueError(f"--set {assignment!r}: write ADDRESS=VALUE")
+        address = address.strip()
+        if address in assigned:
+            raise ValueError(f"--set {address} is given twice: once")
+        assigned[address] = _quantity(value, f"--set {address}")
+    variant, dispersed = contents.get("variant"), contents.get("dispersions")
+    if variant is not None and not isinstance(variant, str):
+        raise ValueError(f"variant is {variant!r}: it must be a name")
+    if dispersed is not None and not isinstance(dispersed, str | Mapping):
+        raise ValueError(f"dispersions is {dispersed!r}: it must be a name")
+    table = None
+    if isinstance(dispersed, Mapping):
+        if not dispersed:
+            raise ValueError(
+                "[dispersions] is empty: leave it out for the mission's own, or write "
+                "a table for each, [dispersions.NAME]"
+            )
+        table = {name: _stated(name, entry) for name, entry in dispersed.items()}
+    return Overrides(
+        variant=variant,
+        reading=dispersed if isinstance(dispersed, str) else None,
+        values=values | assigned,
+        dispersions=table,
+        written=dispersed if isinstance(dispersed, Mapping) else None,
+    )
+
+
+def in_si(overrides: Overrides, scenario: Scenario) -> Overrides:
+    """With each number in the SI unit of the leaf that it is given for.
+
+    **Raises:** `ValueError` for an address that is not there, with the nearest, for a
+    unit of another dimension than the leaf's, and for an angle that was meant in degrees.
+    """
+    known = leaves_by_address(scenario)
+    values = {}
+    for address, value in overrides.values.items():
+        require_address(known, address)
+        values[address] = _si(value, unit_of(scenario, address), address)
+    table = overrides.dispersions
+    if table is not None:
+        table = {name: _dispersion(name, d, scenario) for name, d in table.items()}
+    return dataclasses.replace(overrides, values=values, dispersions=table)
+
+
+def apply_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+    """The scenario with other values, SI. Refuses unknown addresses, with the nearest."""
+    known = leaves_by_address(scenario)
+    for address, value in values.items():
+        require_address(known, address)
+        wanted, given = known[address].shape, np.shape(value)
+        if wanted != () and given == ():
+            raise ValueError(
+                f"{address} is a table of shape {wanted}: it cannot be set to one number"
+            )
+        if wanted != given:
+            raise ValueError(
+                f"{address} has shape {wanted} and was given a list of shape {given}"
+            )
+    return replace_leaves(scenario, values)
+
+
+def write_overrides(
+    path: Path,
+    comment: str,
+    variant: str,
+    values: Mapping[str, Any],
+    dispersions: str | Mapping[str, Any],
+) -> None:
+    """A configuration file that `read_overrides` reads back, to the last digit.
+
+    **Arguments:**
+
+    - `comment`: what the file is, in lines.
+    - `dispersions`: a reading of the mission, or the `[dispersions]` table of another
+      configuration file.
+    """
+    lines = [f"# {line}" for line in comment.splitlines()]
+    lines += [f"variant = {json.dumps(variant)}"]
+    if isinstance(dispersions, str):
+        lines += [f"dispersions = {json.dumps(dispersions)}"]
+    lines += ["", "[set]"]
+    for address, value in values.items():
+        # Finite floats, and lists of them of any depth, are alike in JSON and in TOML.
+        numbers = np.asarray(value, float).tolist()
+        lines += [f"{json.dumps(address)} = {json.dumps(numbers, allow_nan=False)}"]
+    if not isinstance(dispersions, str):
+        for name, entry in dispersions.items():
+            lines += ["", f"[dispersions.{json.dumps(name)}]"]
+            lines += [f"{key} = {json.dumps(value)}" for key, value in entry.items()]
+    write_whole(path, ("\n".join(lines) + "\n").encode())
+
+
+def read_inputs(path: Path) -> dict[str, np.ndarray]:
+    """Inputs of a Monte Carlo from a csv file: addresses in the first line, SI values."""
+    try:
+        # Spreadsheets begin a file with a mark of its encoding, which "-sig" leaves out.
+        first, *lines = path.read_text(encoding="utf-8-sig").splitlines() or [""]
+        rows = [line for line in lines if line.strip()]
+        if not rows:
+            raise ValueError("there are no rows: give each run a line")
+        table = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    header = [name.strip() for name in first.split(",")]
+    twice = sorted({name for name in header if header.count(name) > 1})
+    if twice:
+        raise ValueError(f"{path} has {', '.join(twice)} twice in its first line")
+    if table.shape[1] != len(header):
+        raise ValueError(
+            f"{path} has {len(header)} addresses in its first line and "
+            f"{table.shape[1]} columns"
+        )
+    return dict(zip(header, table.T, strict=True))
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:  # also of an integer of thousands of digits
+        raise ValueError(f"{path} is no valid TOML: {error}") from None
+
+
+def _require_keys(table: Mapping[str, Any], known: Iterable[str], place: str) -> None:
+    known = list(known)
+    for key in table:
+        if key not in known:
+            where = f" in [{place}]" if place else ""
+            raise ValueError(f"unknown key {key!r}{where}; {nearest(key, known)}")
+
+
+def _flat(table: Any, prefix: str = "") -> dict[str, Any]:
+    """Nested tables as dotted addresses: both spellings are the same in TOML."""
+    if not isinstance(table, Mapping):
+        raise ValueError(f"set is {table!r}: write a table, [set]")
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        inner = {f"{prefix}{key}": value}
+        if isinstance(value, Mapping):
+            inner = _flat(value, f"{prefix}{key}.")
+        for address in inner:
+            if address in flat:
+                raise ValueError(f"set.{address} is given twice: once")
+        flat |= inner
+    return flat
+
+
+def _quantity(value: Any, place: str) -> Quantity:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise ValueError(f"{place} is {value!r}: it must be a number")
+    try:
+        return quantity(value)
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{place}: {error}") from None
+
+
+def _quantities(value: Any, place: str) -> Any:
+    """A number, or lists of numbers that make a table."""
+    if not isinstance(value, list):
+        return _quantity(value, place)
+    rows = [_quantities(item, f"{place}[{i}]") for i, item in enumerate(value)]
+    if len({_shape(row) for row in rows}) > 1:
+        raise ValueError(f"{place} has rows of unequal length")
+    return rows
+
+
+def _shape(rows: Any) -> tuple[int, ...]:
+    if not isinstance(rows, list):
+        return ()
+    return (len(rows), *(_shape(rows[0]) if rows else ()))
+
+
+def _si(value: Any, unit: str, place: str) -> Any:
+    if isinstance(value, list):
+        return [_si(item, unit, f"{place}[{i}]") for i, item in enumerate(value)]
+    try:
+        return value.si(unit)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from None
+
+
+def _stated(name: str, entry: Any) -> Stated:
+    place = f"dispersions.{name}"
+    if not isinstance(entry, Mapping):
+        raise ValueError(f"{place} is {entry!r}: write a table, [{place}]")
+    kind = entry.get("distribution")
+    if not isinstance(kind, str) or kind not in _DISTRIBUTIONS:
+        raise ValueError(
+            f"{place}.distribution is {kind!r}: choose from {', '.join(_DISTRIBUTIONS)}"
+        )
+    distribution, parameters = _DISTRIBUTIONS[kind]
+    _require_keys(entry, ("address", "distribution", "apply", *parameters), place)
+    missing = [p for p in ("address", *parameters) if p not in entry]
+    if missing:
+        raise ValueError(f"[{place}] lacks {', '.join(missing)}")
+    addresses = entry["address"]
+    addresses = [addresses] if isinstance(addresses, str) else addresses
+    if (
+        not isinstance(addresses, list)
+        or not addresses
+        or not all(isinstance(address, str) for address in addresses)
+    ):
+        raise ValueError(
+            f"{place}.address is {addresses!r}: write one, or a list of them"
+        )
+    apply = entry.get("apply", "replace")
+    if not isinstance(apply, str) or apply not in _APPLY:
+        raise ValueError(f"{place}.apply is {apply!r}: choose from {', '.join(_APPLY)}")
+    numbers = {p: _quantity(entry[p], f"{place}.{p}") for p in parameters}
+    return Stated(distribution, tuple(addresses), numbers, _APPLY[apply])
+
+
+def _dispersion(name: str, stated: Stated, scenario: Scenario) -> Dispersion:
+    place = f"dispersions.{name}"
+    known = leaves_by_address(scenario)
+    try:
+        for address in stated.addresses:
+            require_address(known, address)
+    except ValueError as error:
+        raise ValueError(f"{place}.address: {error}") from None
+    unit = unit_of_draw(scenario, name, stated.addresses, stated.apply)
+    numbers = {p: _si(x, unit, f"{place}.{p}") for p, x in stated.numbers.items()}
+    distribution = stated.distribution(**numbers)
+    return Dispersion(AtAddresses(stated.addresses), distribution, stated.apply)

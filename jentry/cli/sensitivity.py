@@ -1,0 +1,84 @@
+"""`jentry sensitivity`: derivatives of the misses, and their predicted spread."""
+
+import math
+from typing import Annotated
+
+import typer
+
+from .options import (
+    Addresses,
+    Config,
+    Dispersions,
+    MissionName,
+    Set,
+    Step,
+    Variant,
+    Workers,
+    app,
+    chosen_scenario,
+    dispersion_table,
+    expanded,
+    set_up,
+)
+
+
+@app.command("sensitivity")
+def command(
+    mission: MissionName,
+    wrt: Addresses = None,
+    scale: Annotated[
+        list[float] | None,
+        typer.Option(
+            help="Width of the dispersions, 1 for as they are. May be repeated; 0.1 and "
+            "1 if not given."
+        ),
+    ] = None,
+    runs: Annotated[
+        int, typer.Option(help="Monte Carlo beside the prediction; 0 for none.")
+    ] = 1000,
+    differences: Annotated[
+        bool,
+        typer.Option(
+            help="Predict from mean differences over two standard deviations in place of "
+            "exact derivatives: where flights jump, as from one guidance cycle to the next."
+        ),
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
+    workers: Workers = None,
+    variant: Variant = None,
+    dispersions: Dispersions = None,
+    set_: Set = None,
+    config: Config = None,
+    step: Step = None,
+) -> None:
+    """Derivatives of the misses, and their spread predicted from one flight."""
+    set_up(workers)
+
+    from ..analysis.covariance import linear_covariance
+    from ..analysis.sensitivities import sensitivity
+    from ..campaign.dispersions import key_of, scaled_dispersions
+    from ..flight.solver import FixedStep
+    from .analysis_report import print_covariance, print_sensitivity
+    from .overrides import AtAddresses
+
+    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    _, table = dispersion_table(chosen, overrides, dispersions)
+    solver = FixedStep(step)
+    if wrt:
+        addresses = expanded(scenario, wrt, ())
+        found = sensitivity(scenario, wrt=AtAddresses(tuple(addresses)), solver=solver)
+        print_sensitivity(scenario, found)
+    factors = scale or (0.1, 1.0)
+    for factor in factors:
+        if not 0.0 < factor < math.inf:
+            raise ValueError(f"scale is {factor:g}: it must be greater than zero")
+    for factor in factors:
+        analysis = linear_covariance(
+            scenario,
+            scaled_dispersions(table, factor),
+            key=key_of(seed),
+            runs=runs,
+            solver=solver,
+            mode="difference" if differences else None,
+        )
+        print_covariance(scenario, analysis, factor)

@@ -1,0 +1,201 @@
+"""`jentry tune`: gains, or any numbers, by gradient through a Monte Carlo."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .ending import rounding_off
+from .options import (
+    Addresses,
+    Config,
+    Dispersions,
+    Fast,
+    MissionName,
+    Set,
+    Step,
+    Variant,
+    Workers,
+    app,
+    chosen_scenario,
+    dispersion_table,
+    expanded,
+    first_given,
+    set_up,
+)
+
+
+@app.command("tune")
+def command(
+    mission: MissionName,
+    gains: Addresses = None,
+    runs: Annotated[int, typer.Option(help="Draws to tune on.")] = 256,
+    steps: Annotated[int, typer.Option(help="Points to try, at most.")] = 40,
+    loss: Annotated[
+        str,
+        typer.Option(
+            help="mean-square; cvar, the mean of the worst twentieth; worst-case; or "
+            "outside, the share of flights that miss by more than 1."
+        ),
+    ] = "mean-square",
+    of: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="MISS=SCALE",
+            help="What the loss is of: a miss, and how much of it counts as 1, such as "
+            "altitude=500m. May be repeated; downrange=1km, and crossrange=1km out of "
+            "the plane, if not given.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for tuned.toml, history.csv and the record that the same "
+            "command resumes from; results/MISSION-tuned if not given."
+        ),
+    ] = None,
+    optimizer: Annotated[
+        str | None,
+        typer.Option(
+            help="lbfgs; levenberg-marquardt, for the mean square; or adam, which is "
+            "taken for fresh draws. lbfgs if not given."
+        ),
+    ] = None,
+    learning_rate: Annotated[
+        float, typer.Option(help="Of adam; 0.1 moves a gain by a tenth in a step.")
+    ] = 0.1,
+    bounds: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ADDRESS=LOW:HIGH", help="Keep a leaf between two values."
+        ),
+    ] = None,
+    scale: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ADDRESS=VALUE",
+            help="How much of a leaf is a lot, where its own size does not tell: of one "
+            "that is 0.",
+        ),
+    ] = None,
+    differences: Annotated[
+        float | None,
+        typer.Option(
+            help="Take the gradient by central differences of the loss with the same "
+            "draws, of this step (0.02 is 2 % of a gain), in place of exact derivatives: "
+            "where flights jump, as by a bank reversal."
+        ),
+    ] = None,
+    smooth: Annotated[
+        bool,
+        typer.Option(
+            help="Follow the gradient of a law with smooth switches; it is judged by "
+            "the exact one all the same."
+        ),
+    ] = False,
+    smooth_reversals: Annotated[
+        bool,
+        typer.Option(
+            help="The same with sharp switches and smooth bank reversals alone."
+        ),
+    ] = False,
+    fresh_draws: Annotated[
+        bool, typer.Option(help="New draws for each gradient (adam).")
+    ] = False,
+    patience: Annotated[
+        int, typer.Option(help="Stop after so many steps without progress.")
+    ] = 20,
+    held_out: Annotated[int, typer.Option(help="Other draws to judge by.")] = 5000,
+    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
+    workers: Workers = None,
+    variant: Variant = None,
+    dispersions: Dispersions = None,
+    set_: Set = None,
+    config: Config = None,
+    step: Step = None,
+    fast: Fast = False,
+) -> None:
+    """Tune gains, or any numbers, by gradient through a Monte Carlo."""
+    set_up(workers, fast)
+    import optax
+    import optimistix
+
+    from ..campaign.dispersions import key_of
+    from ..flight.solver import FixedStep
+    from ..tuning import smoothing
+    from ..tuning.losses import BY_NAME
+    from ..tuning.tuning import tune
+    from .overrides import AtAddresses, write_overrides
+    from .tuning_options import parse_bounds, parse_leaf_scales, parse_scales
+    from .tuning_report import print_tuned, report_step, write_history
+
+    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    variant = first_given(variant, overrides.variant, *chosen.variants)
+    reading, table = dispersion_table(chosen, overrides, dispersions)
+    if loss not in BY_NAME:
+        raise ValueError(f"loss is {loss!r}: choose from {', '.join(BY_NAME)}")
+    if smooth and smooth_reversals:
+        raise ValueError("give --smooth or --smooth-reversals, not both")
+    followed = smoothing.smooth_switching if smooth else None
+    followed = smoothing.smooth_reversals if smooth_reversals else followed
+    wanted = first_given(optimizer, "adam" if fresh_draws else "lbfgs")
+    if not 0.0 < learning_rate < math.inf:
+        raise ValueError(f"--learning-rate is {learning_rate}: it must be positive")
+    methods = {
+        "lbfgs": optimistix.LBFGS(rtol=1e-6, atol=1e-6),
+        "levenberg-marquardt": optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6),
+        "adam": optax.adam(learning_rate),
+    }
+    if wanted not in methods:
+        raise ValueError(f"optimizer is {wanted!r}: choose from {', '.join(methods)}")
+    default = [] if gains else list(chosen.gains)
+    addresses = expanded(scenario, gains or (), default)
+    folder = Path("results") / f"{mission}-tuned" if out is None else out
+    record = folder / "tuning.npz"
+    with rounding_off("the same command resumes") as look:
+
+        def report(history: list, best: int) -> None:
+            report_step(history, best)
+            look()
+
+        tuned = tune(
+            scenario,
+            AtAddresses(tuple(addresses)),
+            BY_NAME[loss](parse_scales(of or (), scenario.in_plane)),
+            methods[wanted],
+            table,
+            key_of(seed),
+            runs=runs,
+            steps=steps,
+            bounds=parse_bounds(bounds or (), scenario),
+            scales=parse_leaf_scales(scale or (), scenario),
+            **_by(differences),
+            solver=FixedStep(step),
+            fresh_draws=fresh_draws,
+            surrogate=followed,
+            patience=patience,
+            held_out=held_out,
+            record=record,
+            labels={"loss": loss, "optimizer": wanted, "learning_rate": learning_rate},
+            report=report,
+        )
+    print_tuned(chosen, scenario, tuned)
+    write_history(folder / "history.csv", tuned)
+    stepped = "" if step is None else f", --step {step:g}"
+    write_overrides(
+        folder / "tuned.toml",
+        f"{mission} tuned by jentry: {loss} over {runs} draws of seed {seed}, {wanted},\n"
+        f"{len(tuned.history)} steps{stepped}. Fly it:\n"
+        f"jentry monte-carlo {mission} --config FILE",
+        variant,
+        {**overrides.values, **tuned.values},
+        overrides.written or reading,
+    )
+    typer.echo(f"tuned scenario: {folder / 'tuned.toml'}")
+
+
+def _by(differences: float | None) -> dict[str, Any]:
+    if differences is None:
+        return {}
+    return {"mode": "difference", "difference_step": differences}

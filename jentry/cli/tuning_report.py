@@ -1,0 +1,171 @@
+"""What `jentry tune` prints and writes: steps, values, judgement, history."""
+
+import csv
+import io
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from .._files import write_whole
+from ..addresses import unit_of
+from ..flight.scenario import Scenario
+from ..missions.mission import Mission
+from ..tuning.judgement import Comparison
+from ..tuning.record import Entry
+from ..tuning.tuning import Tuned
+from .tables import at_edge, new_console, new_table, print_under, unit_of_output
+
+
+_SAME = 1e-4
+"""Of a statistic: a change that is real, and of no interest"""
+
+
+def report_step(history: list[Entry], best: int) -> None:
+    """A line for each step, on standard error."""
+    entry = history[-1]
+    line = (
+        f"step {len(history):4}  loss {entry.loss:.6g}  best {history[best].loss:.6g}"
+    )
+    line += f"  gradient {entry.gradient_norm:.3g}"
+    if np.isfinite(entry.gradient_error):
+        line += f" +- {entry.gradient_error:.2g}"
+    line += f"  {entry.seconds:.0f} s"
+    if entry.failed:
+        line += f"  {entry.failed} not finite"
+    if entry.gradients_failed:
+        line += f"  {entry.gradients_failed} without gradient"
+    Console(stderr=True, highlight=False).print(line)
+
+
+def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
+    """Values, what reached them, and the judgement on held-out draws."""
+    console = new_console()
+    first, best = tuned.history[0], tuned.history[tuned.best]
+    console.print(
+        f"stopped: {tuned.stopped}; best of {len(tuned.history)} steps is number "
+        f"{tuned.best + 1}, loss {first.loss:.6g} -> {best.loss:.6g}"
+    )
+    for remark in tuned.remarks:
+        console.print(f"NOTE: {remark}")
+    most = max(tuned.history, key=lambda entry: entry.gradients_failed)
+    if most.gradients_failed:
+        console.print(
+            f"left out of a gradient, which was not finite or beyond all measure: "
+            f"{best.gradients_failed} flights at the best step, and "
+            f"{most.gradients_failed} in the step with most of them"
+        )
+    table = new_table("address", "unit", "before", "tuned", "reached by")
+    for address, value in tuned.values.items():
+        unit, share = (
+            unit_of(before, address),
+            f"{100.0 * tuned.reached[address]:.0f} %",
+        )
+        old = first.values[address]
+        if value.shape == ():
+            table.add_row(
+                address, unit, f"{float(old):.6g}", f"{float(value):.6g}", share
+            )
+        else:
+            size = " x ".join(str(n) for n in value.shape)
+            change = np.max(np.abs(value - old))
+            table.add_row(
+                address, unit, f"table of {size}", f"{change:.3g} at most", share
+            )
+    title = f"{mission.name}: share of the flights whose gradient reaches each number"
+    print_under(console, title, table)
+    unreached = [a for a, share in tuned.reached.items() if share == 0.0]
+    if unreached:
+        console.print(
+            f"no gradient reaches {', '.join(unreached)}: it acts through a discrete "
+            "choice or behind a limit, and stays as it was"
+        )
+    print_judgement(tuned)
+
+
+def print_judgement(tuned: Tuned) -> None:
+    """Before and after on held-out draws, with 95 % intervals."""
+    console, judgement = new_console(), tuned.judgement
+    lost = judgement.not_finite_before, judgement.not_finite_after
+    if any(lost):
+        console.print(
+            f"held-out flights not finite and left out: {lost[0]} before, {lost[1]} tuned"
+        )
+    if not judgement.comparisons:
+        console.print("no two held-out flights are finite: the result is NOT judged")
+        return
+    table = new_table("", "unit", "before", "tuned", "change", "95 % interval", "")
+    for comparison in judgement.comparisons:
+        if _is_nothing(comparison):
+            continue
+        name = comparison.quantity.replace("_", " ")
+        unit = "1"
+        if comparison.quantity != "loss":
+            unit = unit_of_output(None, comparison.quantity)
+            name += f" error, {comparison.statistic}"
+        numbers = [comparison.before.value, comparison.after.value]
+        change = comparison.change
+        numbers += [change.value, change.low, change.high]
+        (before, after, moved, low, high), unit = at_edge(np.array(numbers), unit)
+        table.add_row(
+            name,
+            unit,
+            f"{before:z.4f}",
+            f"{after:z.4f}",
+            f"{moved:+z.4f}",
+            f"{low:+z.4f} to {high:+z.4f}",
+            _verdict(comparison),
+        )
+    title = f"{judgement.runs} held-out draws, exact law, the same for both"
+    print_under(console, title, table)
+    if not judgement["loss", ""].lower:
+        console.print(
+            "the loss is NOT lower on held-out draws, beyond the interval: tune on more "
+            "runs, or leave it as it was"
+        )
+
+
+def _is_nothing(comparison: Comparison) -> bool:
+    """A quantity that is not there, such as the crossrange of a flight in its plane."""
+    largest = max(abs(comparison.before.value), abs(comparison.after.value))
+    return comparison.quantity != "loss" and largest < 1e-6
+
+
+def _verdict(comparison: Comparison) -> str:
+    change = comparison.change
+    if change.low <= 0.0 <= change.high:
+        return "even"
+    if abs(change.value) < _SAME * abs(comparison.before.value):
+        return "same"
+    if comparison.statistic == "mean":
+        return "higher" if change.low > 0.0 else "lower"
+    return "lower" if comparison.lower else "HIGHER"
+
+
+def write_history(path: Path, tuned: Tuned) -> None:
+    """Loss, gradient norm and parameters of every step, as csv."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    fields = (
+        "loss",
+        "gradient_norm",
+        "failed",
+        "gradients_failed",
+        "flights",
+        "seconds",
+        "rounding",
+        "difference",
+        "difference_error",
+        "gradient_error",
+    )
+    names = []
+    for address, value in tuned.values.items():
+        one = np.shape(value) == ()
+        names += [address if one else f"{address}[{i}]" for i in range(value.size)]
+    lines = io.StringIO()
+    writer = csv.writer(lines)
+    writer.writerow(["step", *fields, *names])
+    for number, entry in enumerate(tuned.history, start=1):
+        row = [getattr(entry, field) for field in fields]
+        values = [x for a in tuned.values for x in np.ravel(entry.values[a])]
+        writer.writerow([number, *row, *map(float, values)])
+    write_whole(path, lines.getvalue().encode())

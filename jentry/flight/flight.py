@@ -1,0 +1,165 @@
+"""Fly one scenario to its end: the pure function that everything else calls."""
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
+from jaxtyping import Array, Float
+
+from .._warnings import ResultWarning
+from ..fields import Count, Flag, Scalar
+from ..motion.state import Controls, EntryState
+from .closed_loop import Lane, Peaks, caveats, command, path_constraints, start
+from .cycle import Plan
+from .end import end_of_flight
+from .loop import while_running, while_running_with_history
+from .scenario import Scenario, check
+from .solver import AbstractSolver, FixedStep
+
+
+class History(eqx.Module):
+    """A flight at equal intervals from its start; NaN after its end."""
+
+    time: Float[Array, "*n"]
+    """s"""
+    states: EntryState
+    controls: Controls
+    constraints: Peaks
+    """The constrained quantities at these times, not their peaks"""
+    decisions: Any
+    """What a sampled law holds: curves, estimates, commands. None of a continuous one"""
+
+
+class Flight(eqx.Module):
+    """How a flight ended, and on request how it went."""
+
+    time: Scalar
+    """s at the end"""
+    state: EntryState
+    """At the end"""
+    outcome: Count
+    """Code of an `Outcome`"""
+    ended_by: Count
+    """Place in `scenario.termination.names` of the end condition that was met, or beyond
+    which the flight began; without meaning for the other outcomes without an end"""
+    peaks: Peaks
+    """Largest values of the path constraints, over all steps; with the `Adaptive` solver
+    over the ends of the guidance cycles only"""
+    caveats: dict[str, Scalar]
+    """What a reader of the results must know of how the law decided, by name: shares from
+    0 to 1 (see `AbstractSampledLaw.caveats`)"""
+    history: History | None
+
+
+def fly(
+    scenario: Scenario,
+    solver: AbstractSolver = FixedStep(),
+    history: float | None = None,
+) -> Flight:
+    """Fly a scenario from its initial state to the first of its end conditions.
+
+    One flight: batch it with `jax.vmap` or `monte_carlo`. Compile it with `eqx.filter_jit`.
+    Differentiable in every leaf of the scenario, in forward mode (`jax.jvp`,
+    `jax.jacfwd`) and in reverse mode (`jax.grad`); the end is located exactly, and its
+    time moves with what is varied. Derivatives of higher order may nest the modes in any
+    order, and are exact up to the fourth. Each order flies again: a Hessian-vector product
+    costs two to three gradients, and keeps the flight and its tangents, one carry each a
+    cycle.
+
+    A derivative is that of the flight between its jumps. Where a law decides in cycles a
+    flight jumps: a bank reversal, or the last cycle before the end, comes one cycle later.
+    At a corner, where two end conditions are met at once or a command meets its limit, the
+    derivative is one-sided. The mean of the derivatives of many flights is the derivative
+    of their mean if the flights have corners, and not if they have jumps: for these see
+    `tune(mode="difference")` and `linear_covariance(mode="difference")`.
+
+    **Arguments:**
+
+    - `scenario`: what flies.
+    - `solver`: `FixedStep` (default) or `Adaptive`.
+    - `history`: interval at which to keep the flight, s; none keeps the end alone. With
+      a sampled law it must divide the guidance period or be a multiple of it.
+
+    **Raises:** `ValueError` for numbers that cannot be flown. How the flight went is in
+    `Flight.outcome`; a flight never raises because it crashed or skipped out. Where
+    `has_end(flight.outcome)` is false, since its numbers did not stay finite, it began
+    beyond an end condition or it came too close to a singular point of the equations of
+    motion, its end and derivatives say nothing: leave that flight out of a sum before
+    differentiating it.
+
+        flight = fly(scenario)
+        gradient = jax.grad(lambda s: fly(s).state.altitude)(scenario)
+    """
+    if not jax.config.read("jax_enable_x64"):
+        warnings.warn(
+            "float64 is off, and guidance far up in the atmosphere needs it: call "
+            "jentry.setup() before anything else",
+            stacklevel=2,
+        )
+    check(scenario)
+    plan = Plan.of(scenario, solver, history)
+    lane = start(scenario, plan.step)
+    if history is None:
+        kept = None
+        lane = while_running(plan.cycle, _running, scenario, lane, plan.cycles)
+    else:
+        lane, lanes = while_running_with_history(
+            plan.cycle, _running, scenario, lane, plan.cycles
+        )
+        lanes = plan.kept(scenario, lanes)
+        kept = jax.vmap(lambda lane: _observe(scenario, plan, lane))(lanes)
+    end = end_of_flight(scenario, lane)
+    told = caveats(scenario, end.lane.held)
+    warn_of(told)
+    return Flight(
+        time=end.lane.flown,
+        state=end.lane.state,
+        outcome=end.outcome,
+        ended_by=end.ended_by,
+        peaks=end.lane.peaks,
+        caveats=told,
+        history=kept,
+    )
+
+
+def warn_of(caveats: Mapping[str, Any], stacklevel: int = 3) -> None:
+    """Warn of caveats that are not zero, of one flight or of many.
+
+    Says nothing of numbers that are not known yet, as under `jit`.
+    """
+    for name, shares in caveats.items():
+        if not isinstance(shares, Tracer) and np.any(np.asarray(shares) > 0.0):
+            sentence = caveat_sentence(name, shares)
+            warnings.warn(sentence, ResultWarning, stacklevel=stacklevel)
+
+
+def caveat_sentence(name: str, shares: Any) -> str:
+    """How many of the flights have a caveat, and the largest share."""
+    shares = np.atleast_1d(np.asarray(shares))
+    return (
+        f"{np.sum(shares > 0.0)} of {shares.size} flights have {name.replace('_', ' ')}, "
+        f"up to {np.max(shares):.0%} in one flight"
+    )
+
+
+def _running(lane: Lane) -> Flag:
+    return lane.running
+
+
+def _observe(scenario: Scenario, plan: Plan, lane: Lane) -> History:
+    """One entry of the history; NaN where the flight had ended."""
+    flying = lane.on_schedule
+    # Entries past the end are not states of a flight: observe the start in their place.
+    first = scenario.initial_state
+    state = jax.tree.map(lambda a, b: jnp.where(flying, a, b), lane.state, first)
+    lane = plan.decided(scenario, eqx.tree_at(lambda lane: lane.state, lane, state))
+    controls, _ = command(scenario, lane.flown, state, lane.memory, lane.held)
+    constraints = path_constraints(scenario, state, controls)
+    decisions = jax.tree.map(jnp.asarray, lane.held)
+    seen = History(jnp.asarray(lane.flown), state, controls, constraints, decisions)
+    return jax.tree.map(lambda x: jnp.where(flying, x, jnp.nan), seen)

@@ -1,0 +1,102 @@
+"""From the acceleration that a path asks for to angle of attack and bank, within limits."""
+
+import math
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ..._math import sincos
+from ...fields import Scalar, scalar
+from ...motion.state import Controls
+from ...units import standard_gravity
+from ...world.aerodynamics import AbstractInvertibleAerodynamics
+from ...world.planet import Planet
+from ...world.vehicle import Vehicle
+from .inverse_dynamics import Acceleration
+
+
+class FlightLimits(eqx.Module):
+    """What the vehicle may do, and may be exposed to: equations (11), (13)."""
+
+    least_angle_of_attack: Scalar = scalar(unit="rad")
+    largest_angle_of_attack: Scalar = scalar(unit="rad")
+    largest_bank: Scalar = scalar(unit="rad", range=(0.0, math.pi))
+    """To either side"""
+    load_factor: Scalar = scalar(positive=True)
+    """In units of 9.80665 m/s2"""
+    dynamic_pressure: Scalar = scalar(unit="Pa", positive=True)
+    heat_rate: Scalar = scalar(unit="W/m2", positive=True)
+
+
+def lift_coefficient(
+    planet: Planet, vehicle: Vehicle, altitude: Scalar, velocity: Scalar, lift: Scalar
+) -> Scalar:
+    """That gives a specific lift (m/s2)."""
+    dynamic_pressure = 0.5 * planet.density(altitude) * velocity * velocity
+    return lift * vehicle.mass / (dynamic_pressure * vehicle.reference_area)
+
+
+def attitude(
+    planet: Planet,
+    vehicle: Vehicle,
+    limits: FlightLimits,
+    altitude: Scalar,
+    velocity: Scalar,
+    wanted: Acceleration,
+    lift_factor: Scalar,
+) -> Controls:
+    """Angle of attack and bank: equations (33) to (36), corrected.
+
+    The lower limits on the angle of attack are those of equilibrium glide: with more
+    lift the vehicle glides where the air is thinner. Its upper limits come last, that of
+    the load factor (33) among them: near the largest bank the lower ones ask for more
+    lift than the vehicle bears. Where the path asks for a bank beyond the largest one, as
+    when it bends down more than gravity does, the lift is what fits the largest best;
+    printed, it would be as large as that to the other side. The vehicle does not glide in
+    equilibrium there, and the lower limits are those of a level glide: with the bank in
+    them they ask for a lift that is eleven times as large and almost all to the side.
+
+    **Arguments:**
+
+    - `lift_factor`: actual lift in units of the model's.
+    """
+    aerodynamics = vehicle.aerodynamics
+    assert isinstance(aerodynamics, AbstractInvertibleAerodynamics)
+    radius = planet.radius + altitude
+    mach = velocity / planet.atmosphere.speed_of_sound(altitude)
+
+    total = jnp.sqrt(wanted.vertical * wanted.vertical + wanted.lateral**2)
+    cos_bank, sin_bank = wanted.vertical / total, wanted.lateral / total
+    sin_most, cos_most = sincos(limits.largest_bank)
+    beyond = cos_bank < cos_most
+    cos_bank = jnp.where(beyond, cos_most, cos_bank)
+    sin_bank = jnp.where(beyond, jnp.where(sin_bank < 0, -sin_most, sin_most), sin_bank)
+
+    # What the wanted acceleration has in the direction that is flown: all of it, unless
+    # the bank is at its limit.
+    lift = wanted.vertical * cos_bank + wanted.lateral * sin_bank
+    most_lift = limits.load_factor * standard_gravity
+
+    def angle_of_lift(lift: Scalar) -> Scalar:
+        lift = lift / lift_factor
+        return angle(lift_coefficient(planet, vehicle, altitude, velocity, lift))
+
+    def angle(coefficient: Scalar) -> Scalar:
+        return aerodynamics.angle_of_attack(coefficient, mach, velocity)
+
+    weight = planet.gravity.acceleration(radius) - velocity * velocity / radius
+    upright = jnp.where(beyond, 1.0, cos_bank)
+    loading = vehicle.mass * weight / (vehicle.reference_area * upright)
+    heating = planet.heating_coefficient * velocity**planet.heating_exponent
+    at_heat_limit = (
+        0.5 * vehicle.nose_radius * (limits.heat_rate * velocity / heating) ** 2
+    )
+    least = jnp.maximum(
+        limits.least_angle_of_attack,
+        jnp.maximum(
+            angle(loading / limits.dynamic_pressure), angle(loading / at_heat_limit)
+        ),
+    )
+    most = jnp.minimum(limits.largest_angle_of_attack, angle_of_lift(most_lift))
+    angle_of_attack = jnp.minimum(jnp.maximum(angle_of_lift(lift), least), most)
+    return Controls(angle_of_attack, cos_bank, sin_bank)

@@ -1,0 +1,234 @@
+"""How a Bézier curve is anchored anew at the vehicle as it moves along."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from ...fields import Scalar
+from .curve import (
+    BezierParameters,
+    BezierPath,
+    InnerPoints,
+    PathPoint,
+    bezier_parameters,
+    inner_points,
+)
+
+
+VelocityRate = Callable[[PathPoint, tuple[Scalar, Scalar], Scalar], Scalar]
+"""Of a point of a path, the second slopes there and the velocity: dv over the angle along
+the track, m/s/rad"""
+
+
+class Shape(eqx.Module):
+    """The two numbers by which a rule knows the curve: the second is adjusted in flight."""
+
+    first: Scalar
+    second: Scalar
+
+
+class AbstractAnchoring(eqx.Module):
+    """What stays of a curve from one guidance cycle to the next."""
+
+    @abstractmethod
+    def shape(
+        self, parameters: BezierParameters, start: PathPoint, target: PathPoint
+    ) -> Shape:
+        """Of the curve with these parameters."""
+
+    @abstractmethod
+    def inner(self, shape: Shape, start: PathPoint, target: PathPoint) -> InnerPoints:
+        """Inner points of the curve from the vehicle on."""
+
+    @abstractmethod
+    def carried(
+        self, shape: Shape, before: Scalar, start: PathPoint, target: PathPoint
+    ) -> Shape:
+        """At a new start; `before` is the along-track angle of the last one, rad."""
+
+    @abstractmethod
+    def integrated(
+        self,
+        rate: VelocityRate,
+        velocity: Scalar,
+        shape: Shape,
+        start: PathPoint,
+        target: PathPoint,
+        steps: int,
+    ) -> Scalar:
+        """Velocity at the target, if the curve is anchored anew at every instant, m/s."""
+
+    @abstractmethod
+    def features(
+        self, shape: Shape, start: PathPoint, target: PathPoint
+    ) -> tuple[Scalar, ...]:
+        """The numbers of order 1 that tell the curve, for a network."""
+
+    @abstractmethod
+    def bounds(self, start: PathPoint, target: PathPoint) -> tuple[Scalar, Scalar]:
+        """Between which the adjusted number makes sense."""
+
+
+class StoredParameters(AbstractAnchoring):
+    """The paper's rule: k1 and k2 stay, and the curve changes.
+
+    The vertical command depends on K = k2 / k1^2 only. Near the target the altitude error
+    goes as X^(1.5/K) with the distance to go X, and the command as X^(1.5/K - 2): K < 1.5
+    and k2 < 1 are needed, and above K = 0.75 the command is singular, but integrable.
+    """
+
+    def shape(
+        self, parameters: BezierParameters, start: PathPoint, target: PathPoint
+    ) -> Shape:
+        return Shape(parameters.k1, parameters.k2)
+
+    def inner(self, shape: Shape, start: PathPoint, target: PathPoint) -> InnerPoints:
+        return inner_points(BezierParameters(shape.first, shape.second), start, target)
+
+    def carried(
+        self, shape: Shape, before: Scalar, start: PathPoint, target: PathPoint
+    ) -> Shape:
+        return shape
+
+    def integrated(
+        self,
+        rate: VelocityRate,
+        velocity: Scalar,
+        shape: Shape,
+        start: PathPoint,
+        target: PathPoint,
+        steps: int,
+    ) -> Scalar:
+        length = target.along - start.along
+
+        def slopes(left, y):
+            """Over the cube root of the share of the way that is left."""
+            altitude, altitude_slope, cross, cross_slope, velocity = y
+            along = target.along - length * left**3
+            point = PathPoint(along, altitude, cross, altitude_slope, cross_slope)
+            path = BezierPath.between(point, target, self.inner(shape, point, target))
+            bend, aside = path.second_slopes(0.0 * along)
+            braking = rate(point, (bend, aside), velocity)
+            run = -3.0 * length * left * left
+            rates = altitude_slope, bend, cross_slope, aside, braking
+            return tuple(run * r for r in rates)
+
+        y = (
+            start.altitude,
+            start.altitude_slope,
+            start.cross,
+            start.cross_slope,
+            velocity,
+        )
+        # The command may be singular at the target. What is left in the end is a share of
+        # 8e-6 of the way, along which the drag is that at its beginning.
+        left = 0.02
+        y = _runge_kutta(slopes, 1.0, left, y, steps)
+        return y[-1] - slopes(left, y)[-1] * left / 3.0
+
+    def features(
+        self, shape: Shape, start: PathPoint, target: PathPoint
+    ) -> tuple[Scalar, ...]:
+        return shape.first, shape.second
+
+    def bounds(self, start: PathPoint, target: PathPoint) -> tuple[Scalar, Scalar]:
+        nothing = 0.0 * start.along
+        return nothing + 0.3, nothing + 1.05
+
+
+class Subdivision(AbstractAnchoring):
+    """Beyond the paper: the curve stays, and its parameters change.
+
+    What is left of a Bézier curve from a point on is one itself, with inner points by
+    de Casteljau's construction. The shape is the distances of the inner points from the
+    ends (rad), which stay regular where the tangents become parallel and k1 and k2 do
+    not. Moving the third control point re-plans the rest of the flight.
+    """
+
+    def shape(
+        self, parameters: BezierParameters, start: PathPoint, target: PathPoint
+    ) -> Shape:
+        inner = inner_points(parameters, start, target)
+        return Shape(inner.first, inner.last)
+
+    def inner(self, shape: Shape, start: PathPoint, target: PathPoint) -> InnerPoints:
+        return InnerPoints(shape.first, shape.second)
+
+    def carried(
+        self, shape: Shape, before: Scalar, start: PathPoint, target: PathPoint
+    ) -> Shape:
+        none = 0.0 * before
+        along = (
+            before,
+            before + shape.first,
+            target.along - shape.second,
+            target.along,
+        )
+        flat = none, none, none, none
+        curve = BezierPath(along, flat, flat)
+        inner = curve.after(curve.parameter_at(start.along)).inner
+        return Shape(inner.first, inner.last)
+
+    def integrated(
+        self,
+        rate: VelocityRate,
+        velocity: Scalar,
+        shape: Shape,
+        start: PathPoint,
+        target: PathPoint,
+        steps: int,
+    ) -> Scalar:
+        path = BezierPath.between(start, target, self.inner(shape, start, target))
+
+        def slope(tau, velocity):
+            braking = rate(path.point(tau), path.second_slopes(tau), velocity)
+            return path.run(tau) * braking
+
+        return _runge_kutta(slope, 0.0, 1.0, velocity, steps)
+
+    def features(
+        self, shape: Shape, start: PathPoint, target: PathPoint
+    ) -> tuple[Scalar, ...]:
+        per_length = 1.0 / (target.along - start.along)
+        return shape.first * per_length, shape.second * per_length
+
+    def bounds(self, start: PathPoint, target: PathPoint) -> tuple[Scalar, Scalar]:
+        to_go = target.along - start.along
+        return 0.01 * to_go, 0.9 * to_go
+
+
+def parameters_of(
+    anchoring: AbstractAnchoring, shape: Shape, start: PathPoint, target: PathPoint
+) -> BezierParameters:
+    """k1 and k2 of the curve from the vehicle on."""
+    return bezier_parameters(anchoring.inner(shape, start, target), start, target)
+
+
+def _runge_kutta(slope, start: float, end: float, y, steps: int):
+    """The classical method in equal steps; its stages are a loop, to compile once."""
+    step = (end - start) / steps
+    places = jnp.array([0.0, 0.5, 0.5, 1.0])
+    weights = jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+
+    def advance(y, index):
+        x = start + step * index
+
+        def stage(carry, place_and_weight):
+            k, total = carry
+            place, weight = place_and_weight
+            k = slope(x + place * step, _moved(y, place * step, k))
+            return (k, _moved(total, weight * step, k)), None
+
+        none = jax.tree.map(jnp.zeros_like, y)
+        (_, total), _ = lax.scan(stage, (none, y), (places, weights))
+        return total, None
+
+    return lax.scan(advance, y, jnp.arange(steps, dtype=float))[0]
+
+
+def _moved(y, by, slope):
+    return jax.tree.map(lambda a, k: a + by * k, y, slope)

@@ -1,0 +1,207 @@
+"""Guidance along a Bézier curve by inverse dynamics.
+
+Source: H. Zhou, T. Rahman, W. Chen, "Neural Network Assisted Inverse Dynamic Guidance for
+Terminally Constrained Entry Flight", Mathematical Problems in Engineering, 2014; its
+equations as corrected in `onboard.bezier`, `inverse_dynamics` and `attitude`.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ...fields import QUARTER, Scalar, scalar
+from ...motion.forces import air_data
+from ...motion.state import Controls, EntryState
+from ...onboard.estimation import Estimate, FactorEstimator
+from ...onboard.model import WorldModel
+from ...onboard.navigation import Measurement
+from ...onboard.track import Track
+from ...world.aerodynamics import AbstractInvertibleAerodynamics
+from ..cycle import AbstractTimedDecision, ShorteningCycle
+from ..law import AbstractSampledLaw
+from .allocation import FlightLimits, attitude
+from .anchoring import AbstractAnchoring, Shape, StoredParameters
+from .curve import BezierParameters, BezierPath, PathPoint
+from .inverse_dynamics import path_point, required_acceleration
+from .prediction import Glide, Situation
+from .velocity_control import AbstractVelocityControl, NoVelocityControl, Predictions
+
+
+class Arrival(eqx.Module):
+    """How the target is to be reached."""
+
+    altitude: Scalar = scalar(unit="m")
+    flight_path_angle: Scalar = scalar(unit="rad", range=QUARTER)
+    heading: Scalar = scalar(unit="rad")
+
+
+class Decision(AbstractTimedDecision):
+    """What the law holds through a guidance cycle."""
+
+    controls: Controls
+    shape: Shape
+    along: Scalar
+    """Where the curve is anchored, rad along the track"""
+    estimate: Estimate
+    duration: Scalar
+    """Of this cycle, s"""
+    count: Scalar
+    """Of the cycles decided so far"""
+    predictions: Predictions
+    """Of the velocity at the target, so far"""
+
+
+class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
+    """Flies a cubic Bézier curve to a target, anchored anew at every guidance cycle.
+
+    Position, flight-path angle and heading at the target are met by the curve; the
+    velocity there by what `velocity_control` does to it.
+
+    **Arguments:**
+
+    - `parameters`: k1 and k2 of the curve at the start.
+    - `track`, `arrival`: where to, and how.
+    - `cycle`: the guidance cycles.
+    - `anchoring`: `StoredParameters` (the paper's) or `Subdivision`.
+    - `acceleration_loop`: the commanded specific force is achieved, by the estimated
+      lift factor. Without it the model is inverted as printed, equation (34): with an
+      unknown factor of 10 % on the lift that loses a third of the flights.
+    """
+
+    parameters: BezierParameters
+    track: Track
+    arrival: Arrival
+    model: WorldModel
+    limits: FlightLimits
+    estimator: FactorEstimator = eqx.field(default_factory=FactorEstimator)
+    anchoring: AbstractAnchoring = StoredParameters()
+    velocity_control: AbstractVelocityControl = NoVelocityControl()
+    cycle: ShorteningCycle = ShorteningCycle()
+    acceleration_loop: bool = eqx.field(default=True, static=True)
+
+    def __check_init__(self):
+        aerodynamics = self.model.vehicle.aerodynamics
+        if not isinstance(aerodynamics, AbstractInvertibleAerodynamics):
+            raise ValueError(
+                f"the onboard model has {type(aerodynamics).__name__}: the law needs "
+                "aerodynamics whose lift tells the angle of attack"
+            )
+        self.velocity_control.check(self.glide)
+
+    @property
+    def glide(self) -> Glide:
+        """What flies the curve."""
+        return Glide(self.model, self.limits, self.anchoring)
+
+    def target(self) -> PathPoint:
+        """The end of the curve."""
+        track, arrival = self.track, self.arrival
+        like = EntryState(
+            altitude=arrival.altitude,
+            longitude=track.target_longitude,
+            latitude=track.target_latitude,
+            velocity=1.0,
+            flight_path_angle=arrival.flight_path_angle,
+            heading=arrival.heading,
+        )
+        place = track.position(like)
+        return path_point(self.model.planet, place, like)
+
+    def init(self, measurement: Measurement) -> tuple[tuple[()], Decision]:
+        start = self._point(measurement.state)
+        shape = self.anchoring.shape(self.parameters, start, self.target())
+        nothing = 0.0 * start.along
+        trim = self.model.vehicle.trim_angle_of_attack + nothing
+        before = Decision(
+            controls=Controls(trim, nothing + 1.0, nothing),
+            shape=shape,
+            along=start.along,
+            estimate=self.estimator.start(nothing),
+            duration=nothing + self.cycle.period,
+            count=nothing,
+            predictions=Predictions.none(nothing),
+        )
+        return (), before
+
+    def update(
+        self, time: Scalar, measurement: Measurement, memory: tuple[()], held: Decision
+    ) -> tuple[tuple[()], Decision]:
+        planet, vehicle = self.model.planet, self.model.vehicle
+        state = measurement.state
+        flown_at = held.controls.angle_of_attack
+        expected = air_data(planet, vehicle, state, flown_at)
+        estimate = self.estimator.update(
+            held.estimate,
+            (measurement.lift, measurement.drag),
+            (expected.lift, expected.drag),
+            held.duration,
+        )
+        start, target = self._point(state), self.target()
+        distance = (target.along - start.along) * (planet.radius + state.altitude)
+        seconds_to_go = distance / state.velocity
+        factors = estimate.factors
+        shape = self.anchoring.carried(held.shape, held.along, start, target)
+        shape, predictions = self.velocity_control.adjusted(
+            self.glide,
+            Situation(start, state.velocity, shape, target, factors),
+            held.count,
+            seconds_to_go,
+        )
+        inner = self.anchoring.inner(shape, start, target)
+        path = BezierPath.between(start, target, inner)
+        wanted = required_acceleration(
+            planet, start, path.second_slopes(0.0 * start.along), state.velocity
+        )
+        one = jnp.ones_like(state.velocity)
+        controls = attitude(
+            planet,
+            vehicle,
+            self.limits,
+            state.altitude,
+            state.velocity,
+            wanted,
+            factors.lift if self.acceleration_loop else one,
+        )
+        frozen = seconds_to_go < self.cycle.freeze
+        controls = _select(frozen, held.controls, controls)
+        return memory, Decision(
+            controls=controls,
+            shape=shape,
+            along=start.along,
+            estimate=estimate,
+            duration=self.cycle.duration(seconds_to_go, held.duration),
+            count=held.count + 1.0,
+            predictions=jax.tree.map(jnp.add, held.predictions, predictions),
+        )
+
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: tuple[()], held: Decision
+    ) -> tuple[Controls, tuple[()]]:
+        return held.controls, ()
+
+    def caveats(self, held: Decision) -> dict[str, Scalar]:
+        """Share of the predictions of the velocity at the target without an answer."""
+        made = held.predictions
+        share = made.unanswered / jnp.maximum(made.asked, 1.0)
+        return {"unanswered_predictions": share}
+
+    def situation(self, state: EntryState, decision: Decision) -> Situation:
+        """What a prediction of the velocity at the target starts from."""
+        return Situation(
+            point=self._point(state),
+            velocity=state.velocity,
+            shape=decision.shape,
+            target=self.target(),
+            factors=decision.estimate.factors,
+        )
+
+    def _point(self, state: EntryState) -> PathPoint:
+        return path_point(self.model.planet, self.track.position(state), state)
+
+
+def _select(condition, chosen, otherwise):
+    return Controls(
+        jnp.where(condition, chosen.angle_of_attack, otherwise.angle_of_attack),
+        jnp.where(condition, chosen.cos_bank, otherwise.cos_bank),
+        jnp.where(condition, chosen.sin_bank, otherwise.sin_bank),
+    )

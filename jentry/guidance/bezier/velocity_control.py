@@ -1,0 +1,213 @@
+"""How the curve is adjusted in flight, to reach the target at a wanted velocity."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..._batching import where_due
+from ...fields import Flag, Scalar, scalar, table
+from .anchoring import Shape, StoredParameters
+from .prediction import AbstractVelocityPredictor, FlownModel, Glide, Situation
+
+
+class Predictions(eqx.Module):
+    """How many predictions a control has asked for, and how many had no answer."""
+
+    asked: Scalar
+    unanswered: Scalar
+    """Not finite: a network was asked outside of its ranges, or a flown model ended in
+    nothing. The curve was then left as it was"""
+
+    @classmethod
+    def none(cls, like: Scalar) -> "Predictions":
+        """Of a control that has not asked yet."""
+        nothing = 0.0 * jnp.asarray(like)
+        return cls(nothing, nothing)
+
+
+class AbstractVelocityControl(eqx.Module):
+    """Moves the third control point of the curve, or leaves it."""
+
+    @abstractmethod
+    def check(self, glide: Glide) -> None:
+        """Refuse a rule of anchoring that this control cannot work with."""
+
+    @abstractmethod
+    def adjusted(
+        self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
+    ) -> tuple[Shape, Predictions]:
+        """The shape after the decision of a guidance cycle, counted from 0.
+
+        And the predictions of this cycle. Without an answer the shape is left as it is:
+        a command is not made of what nobody knows.
+        """
+
+
+class NoVelocityControl(AbstractVelocityControl):
+    """The velocity at the target is what it happens to be."""
+
+    def check(self, glide: Glide) -> None:
+        return
+
+    def adjusted(
+        self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
+    ) -> tuple[Shape, Predictions]:
+        return situation.shape, Predictions.none(cycle)
+
+
+class Epochs(eqx.Module):
+    """When the velocity is predicted: at every so many guidance cycles from the first.
+
+    Where the cycles become shorter, so does the time between the epochs. All flights of
+    a batch have them together, which is what makes them cheap.
+    """
+
+    every: int | None = eqx.field(default=25, static=True)
+    """Guidance cycles; none for the first cycle alone"""
+    last: float = eqx.field(default=60.0, static=True)
+    """No epoch in the last seconds before the target: there the third control point moves
+    far for little, at the cost of the flight-path angle"""
+
+    def __check_init__(self):
+        if self.every is not None and self.every < 1:
+            raise ValueError(f"every is {self.every} cycles: it must be 1 or more")
+
+    def due(self, cycle: Scalar, seconds_to_go: Scalar) -> Flag:
+        """Whether one falls on this cycle."""
+        now = cycle == 0.0
+        if self.every is not None:
+            now = jnp.mod(cycle, float(self.every)) == 0.0
+        return now & (seconds_to_go > self.last)
+
+
+class PolynomialAdjustment(AbstractVelocityControl):
+    """k2 by the polynomial k2(v) of the nominal flight: equations (37) and (38).
+
+    The velocity is predicted as with the nominal k2. What a disturbance changes in it is
+    taken to be the same for all k2, so that the k2 is taken with which the nominal flight
+    would end as much above its velocity as this one is predicted to end below it.
+
+    One polynomial belongs to one place on the nominal flight: there is a table of them,
+    interpolated (`planning.k2_polynomials`). With the first one at every epoch, as printed,
+    it gets worse. Where the prediction is not finite k2 is left as it is; the derivative
+    of such a flight in reverse mode is not finite, and `tune` leaves it out.
+    """
+
+    to_go: Float[Array, "..."] = table(unit="rad", increasing=True)
+    """(n,) angle to go at the places of the polynomials, increasing"""
+    nominal_k2: Scalar = scalar()
+    nominal_velocity: Float[Array, "..."] = table(unit="m/s")
+    """(n,) predicted there for the nominal flight"""
+    polynomials: Float[Array, "..."] = table()
+    """(n, 3), k2 = p0 + p1 x + p2 x^2 with x = (v - nominal) / 100 m/s"""
+    predictor: AbstractVelocityPredictor = FlownModel()
+    epochs: Epochs = Epochs(every=None)
+
+    def __check_init__(self):
+        (count,) = self.to_go.shape
+        if self.nominal_velocity.shape != (count,) or self.polynomials.shape != (
+            count,
+            3,
+        ):
+            raise ValueError(
+                f"{count} places, nominal velocities of shape "
+                f"{self.nominal_velocity.shape} and polynomials of shape "
+                f"{self.polynomials.shape}: expected ({count},) and ({count}, 3)"
+            )
+
+    def check(self, glide: Glide) -> None:
+        if not isinstance(glide.anchoring, StoredParameters):
+            raise ValueError(
+                f"the polynomial is one of k2, and {type(glide.anchoring).__name__} does "
+                "not keep it: use StoredParameters, or NewtonAdjustment"
+            )
+
+    def adjusted(
+        self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
+    ) -> tuple[Shape, Predictions]:
+        def act(before: tuple[Shape, Predictions]) -> tuple[Shape, Predictions]:
+            shape, _ = before
+            as_nominal = Shape(shape.first, self.nominal_k2)
+            predicted = self.predictor.predict(
+                glide, eqx.tree_at(lambda s: s.shape, situation, as_nominal)
+            )
+            to_go = situation.target.along - situation.point.along
+            nominal, p0, p1, p2 = (
+                jnp.interp(to_go, self.to_go, column)
+                for column in (self.nominal_velocity, *self.polynomials.T)
+            )
+            known = jnp.isfinite(nominal - predicted)
+            x = jnp.where(known, 1e-2 * (nominal - predicted), 0.0)
+            lower, upper = glide.anchoring.bounds(situation.point, situation.target)
+            second = jnp.clip(p0 + x * (p1 + x * p2), lower, upper)
+            second = jnp.where(known, second, shape.second)
+            return Shape(shape.first, second), _one(known)
+
+        before = situation.shape, Predictions.none(cycle)
+        return where_due(self.epochs.due(cycle, seconds_to_go), act, before)
+
+
+class NewtonAdjustment(AbstractVelocityControl):
+    """Beyond the paper: Newton's method on the predicted velocity at the target.
+
+    With any predictor, since all are differentiable: the flown model, or the network.
+    Where a prediction is not finite the curve is left as it is until the next epoch; the
+    derivative of such a flight in reverse mode is not finite, and `tune` leaves it out.
+
+    What it can do has an end. With little drag the third control point moves towards the
+    target, where its lower bound is 1 % of the way to go: then the vehicle is too fast
+    at the target, and the path bends in its last second more than gravity bends it. Of
+    the CAV-H mission's `normal-sensed` runs such a one (seed 4, run 265: drag at 80 %)
+    ends 5.7 m/s too fast, 0.15 m and 0.1 deg of flight-path angle off.
+    """
+
+    wanted_velocity: Scalar = scalar(unit="m/s", positive=True)
+    predictor: AbstractVelocityPredictor = FlownModel()
+    epochs: Epochs = Epochs()
+    iterations: int = eqx.field(default=1, static=True)
+    largest_step: float = eqx.field(default=0.3, static=True)
+    """Share of the room between the bounds that one iteration may move"""
+
+    def check(self, glide: Glide) -> None:
+        return
+
+    def adjusted(
+        self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
+    ) -> tuple[Shape, Predictions]:
+        lower, upper = glide.anchoring.bounds(situation.point, situation.target)
+
+        def miss(second: Scalar, first: Scalar) -> Scalar:
+            moved = eqx.tree_at(lambda s: s.shape, situation, Shape(first, second))
+            return self.predictor.predict(glide, moved) - self.wanted_velocity
+
+        def act(before: tuple[Shape, Predictions]) -> tuple[Shape, Predictions]:
+            shape, _ = before
+            second = shape.second
+            most = self.largest_step * (upper - lower)
+            answered = jnp.isfinite(second)
+            for _ in range(self.iterations):
+                value, slope = jax.jvp(
+                    lambda x: miss(x, shape.first), (second,), (jnp.ones_like(second),)
+                )
+                finite = jnp.isfinite(value) & jnp.isfinite(slope)
+                known = finite & (slope != 0.0)
+                value, slope = (
+                    jnp.where(known, value, 0.0),
+                    jnp.where(known, slope, 1.0),
+                )
+                moved = second + jnp.clip(-value / slope, -most, most)
+                second = jnp.where(known, jnp.clip(moved, lower, upper), second)
+                answered = answered & finite
+            return Shape(shape.first, second), _one(answered)
+
+        before = situation.shape, Predictions.none(cycle)
+        return where_due(self.epochs.due(cycle, seconds_to_go), act, before)
+
+
+def _one(answered: Flag) -> Predictions:
+    """One prediction."""
+    asked = jnp.ones_like(answered, dtype=float)
+    return Predictions(asked, jnp.where(answered, 0.0, asked))

@@ -1,0 +1,144 @@
+"""What is uncertain in the CAV-H mission: Table 2, sensors, air, and data for training."""
+
+import functools
+import math
+from collections.abc import Callable
+
+from ...campaign.dispersions import (
+    AbstractDistribution,
+    Constant,
+    Dispersion,
+    Normal,
+    Uniform,
+    add,
+    multiply,
+)
+from ...units import degree, km, micro_g
+
+
+RADIUS = 6371.0 * km
+"""Of the Earth, on which Table 2 counts range and cross range"""
+
+
+def _initial_state(
+    about_zero: Callable[[float], AbstractDistribution],
+) -> dict[str, Dispersion]:
+    """Table 2, each distribution by what is printed."""
+
+    def moved(where, printed):
+        return Dispersion(where, about_zero(printed), apply=add)
+
+    return {
+        "range": moved(lambda s: s.initial_state.latitude, 1.5 * km / RADIUS),
+        "cross range": moved(lambda s: s.initial_state.longitude, 1.5 * km / RADIUS),
+        "altitude": moved(lambda s: s.initial_state.altitude, 1.5 * km),
+        "velocity": moved(lambda s: s.initial_state.velocity, 75.0),
+        "flight-path angle": moved(
+            lambda s: s.initial_state.flight_path_angle, 0.06 * degree
+        ),
+        "azimuth": moved(lambda s: s.initial_state.heading, 0.06 * degree),
+    }
+
+
+def _three_sigma(printed: float) -> Normal:
+    return Normal(0.0, printed / 3.0)
+
+
+def _factors(distribution) -> dict[str, Dispersion]:
+    return {
+        "density": Dispersion(lambda s: s.planet.density_scale, distribution),
+        "lift": Dispersion(lambda s: s.vehicle.lift_scale, distribution),
+        "drag": Dispersion(lambda s: s.vehicle.drag_scale, distribution),
+    }
+
+
+@functools.cache
+def normal() -> dict[str, Dispersion]:
+    """Table 2 with the factors normal, 10 % at three sigma."""
+    return _initial_state(_three_sigma) | _factors(Normal(1.0, 0.1 / 3.0))
+
+
+@functools.cache
+def uniform() -> dict[str, Dispersion]:
+    """Table 2 with the factors uniform within 10 %."""
+    return _initial_state(_three_sigma) | _factors(Uniform(0.9, 1.1))
+
+
+@functools.cache
+def _accelerometers() -> dict[str, Dispersion]:
+    """Bias of 100 micro-g and scale factor of 300 ppm at three sigma, noise of 50
+    micro-g in each sample.
+    """
+    bias = Normal(0.0, 100.0 * micro_g / 3.0)
+    scale = Normal(0.0, 300e-6 / 3.0)
+    noise = Constant(50.0 * micro_g)
+    return {
+        "lift bias": Dispersion(lambda s: s.accelerometers.lift_bias, bias),
+        "drag bias": Dispersion(lambda s: s.accelerometers.drag_bias, bias),
+        "lift scale": Dispersion(lambda s: s.accelerometers.lift_scale_error, scale),
+        "drag scale": Dispersion(lambda s: s.accelerometers.drag_scale_error, scale),
+        "noise": Dispersion(lambda s: s.accelerometers.noise, noise),
+        "noise seed": Dispersion(lambda s: s.accelerometers.noise_seed, Uniform(0, 1)),
+    }
+
+
+def normal_sensed() -> dict[str, Dispersion]:
+    """`normal` with errors of the accelerometers."""
+    return normal() | _accelerometers()
+
+
+def uniform_sensed() -> dict[str, Dispersion]:
+    """`uniform` with errors of the accelerometers."""
+    return uniform() | _accelerometers()
+
+
+@functools.cache
+def _waves() -> dict[str, Dispersion]:
+    """As in the dispersed atmosphere of studies of the RLV: a trend of 10 % at 30 km to
+    25 % at 80 km at three sigma, and waves of 5 % (25 km) and 2 % (8 km).
+    """
+    air = lambda s: s.planet.atmosphere
+    phase = Uniform(0.0, 2.0 * math.pi)
+    return {
+        "trend": Dispersion(lambda s: air(s).trend, Normal(0.0, 1.0)),
+        "trend at 30 km": Dispersion(lambda s: air(s).share_low, Constant(0.1 / 3.0)),
+        "trend at 80 km": Dispersion(lambda s: air(s).share_high, Constant(0.25 / 3.0)),
+        "long wave": Dispersion(lambda s: air(s).waves[0].amplitude, Constant(0.05)),
+        "its phase": Dispersion(lambda s: air(s).waves[0].phase, phase),
+        "short wave": Dispersion(lambda s: air(s).waves[1].amplitude, Constant(0.02)),
+        "phase of that": Dispersion(lambda s: air(s).waves[1].phase, phase),
+    }
+
+
+def waves_sensed() -> dict[str, Dispersion]:
+    """`normal-sensed` with a density factor that varies with altitude."""
+    others = {name: d for name, d in normal().items() if name != "density"}
+    return others | _waves() | _accelerometers()
+
+
+def _wider(printed: float) -> Uniform:
+    """Half as wide again as three sigma: a normal draw is outside once in 150 000."""
+    return Uniform(-1.5 * printed, 1.5 * printed)
+
+
+@functools.cache
+def training_dispersions() -> dict[str, Dispersion]:
+    """Uniform, half as wide again as Table 2; lift and drag within 20 %.
+
+    That is the product of two factors at their limit of 10 %. k2 moves with them.
+    """
+    factor = Uniform(0.8, 1.22)
+    return _initial_state(_wider) | {
+        "lift": Dispersion(lambda s: s.vehicle.lift_scale, factor, apply=multiply),
+        "drag": Dispersion(lambda s: s.vehicle.drag_scale, factor, apply=multiply),
+        "k2": Dispersion(lambda s: s.guidance.parameters.k2, Uniform(0.3, 1.05)),
+    }
+
+
+@functools.cache
+def state_training_dispersions() -> dict[str, Dispersion]:
+    """For a network that reads the state alone, and flies one curve.
+
+    What it cannot read it can only expect: the factors are those that it will meet.
+    """
+    return _initial_state(_wider) | _factors(Normal(1.0, 0.1 / 3.0))

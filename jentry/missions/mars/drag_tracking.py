@@ -1,0 +1,285 @@
+"""Mars lander, drag tracking without drag-rate measurement.
+
+Source: H. Yan, Y. He, "Drag-Tracking Guidance for Entry Vehicles Without Drag Rate
+Measurement". What the paper leaves open is stated where it is chosen.
+"""
+
+import functools
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ...campaign.dispersions import Dispersion, Uniform, multiply
+from ...flight.scenario import Scenario, Target
+from ...flight.termination import (
+    AltitudeAbove,
+    AltitudeBelow,
+    Termination,
+    VelocityBelow,
+)
+from ...guidance.drag_tracking import (
+    ErrorGains,
+    ObserverDragTracking,
+    ObserverGains,
+    StateFeedbackDragTracking,
+)
+from ...guidance.open_loop import BankProfile
+from ...motion.state import EntryState
+from ...onboard.model import OnboardModel
+from ...onboard.profiles import PolynomialProfile
+from ...onboard.reference import (
+    AbstractIndex,
+    DragReference,
+    EnergyIndex,
+    TimeIndex,
+    VelocityIndex,
+)
+from ...planning.reference_flight import (
+    ReferenceFlight,
+    open_loop,
+    plan_bank_profile,
+    plan_drag_reference,
+    require_planned,
+)
+from ...units import degree, km
+from ...world.aerodynamics import ConstantAerodynamics
+from ...world.atmosphere import ExponentialAtmosphere
+from ...world.gravity import InverseSquareGravity
+from ...world.planet import Planet
+from ...world.vehicle import Vehicle
+from ..mission import Mission, PublishedValue, standard_deviation
+
+
+END_VELOCITY = 503.0
+"""m/s, Table 1"""
+
+TABULATED_TO = 300.0
+"""m/s; the reference goes on past the end, so that every dispersed flight has one"""
+
+
+def mars() -> Planet:
+    """Mars as the paper implies it; gravity and atmosphere are the usual values.
+
+    The radius makes the 12.2 degrees of Table 1 its 723.32 km. Temperature and gas are
+    those of an isothermal carbon dioxide atmosphere with this scale height; they give the
+    Mach number only.
+    """
+    return Planet(
+        radius=3397.0 * km,
+        gravity=InverseSquareGravity(4.28283e13),
+        atmosphere=ExponentialAtmosphere(
+            surface_density=0.0158,
+            scale_height=9354.5,
+            isothermal_temperature=183.7,
+            gas_constant=188.92,
+            heat_capacity_ratio=1.29,
+        ),
+        heating_coefficient=1.9027e-4,
+    )
+
+
+def lander() -> Vehicle:
+    """Section 4: 992 kg, 16 m2, lift-to-drag 0.18, ballistic coefficient 115 kg/m2."""
+    mass, area = 992.0, 16.0
+    drag_coefficient = mass / (115.0 * area)
+    aerodynamics = ConstantAerodynamics(0.18 * drag_coefficient, drag_coefficient)
+    return Vehicle(mass, area, aerodynamics=aerodynamics)
+
+
+def entry() -> Scenario:
+    """Table 1, with a level bank in place of the law that is still to be planned."""
+    return Scenario(
+        planet=mars(),
+        vehicle=lander(),
+        initial_state=EntryState(
+            altitude=126.1 * km,
+            longitude=0.0,
+            latitude=0.0,
+            velocity=6750.0,
+            flight_path_angle=-14.4 * degree,
+            heading=90.0 * degree,
+        ),
+        guidance=BankProfile(PolynomialProfile(jnp.ones(1))),
+        termination=Termination(
+            {
+                "velocity": VelocityBelow(velocity=END_VELOCITY),
+                "altitude": AltitudeBelow(altitude=10.0 * km),
+                "skip_out": AltitudeAbove(altitude=135.0 * km),
+            },
+            time_limit=600.0,
+        ),
+        target=Target(altitude=10.0 * km, velocity=END_VELOCITY, downrange=723.32 * km),
+        in_plane=True,
+    )
+
+
+@eqx.filter_jit
+def _plan(
+    entry: Scenario, index: AbstractIndex, gate: float, curvature: float
+) -> DragReference:
+    profile = plan_bank_profile(entry, END_VELOCITY, curvature)
+    flight = ReferenceFlight.of(open_loop(entry, profile, TABULATED_TO))
+    return plan_drag_reference(flight, index, gate)
+
+
+@functools.cache
+def reference(
+    index: AbstractIndex = EnergyIndex(), gate: float = 0.0, curvature: float = 0.0
+) -> DragReference:
+    """The planned reference drag.
+
+    The paper's profile, of its reference [1], is not available. This is the drag of the
+    bank profile cos(bank) = c0 + c1 z + c2 z^2 over the velocity that ends as Table 1
+    has it; `curvature` is c2. `gate` in m/s2.
+    """
+    planned = _plan(entry(), index, gate, curvature)
+    require_planned(planned.drag)
+    return planned
+
+
+def scenario(
+    index: AbstractIndex,
+    gains: ErrorGains,
+    observer: ObserverGains | None,
+    *,
+    gate: float = 0.0,
+    curvature: float = 0.0,
+) -> Scenario:
+    """The entry with its law: equations (24) and (25), or (14) without an observer."""
+    start = entry()
+    drag = reference(index, gate, curvature)
+    model = OnboardModel(start.planet, start.vehicle)
+    if observer is None:
+        law = StateFeedbackDragTracking(gains, drag, model)
+    else:
+        law = ObserverDragTracking(gains, observer, drag, model)
+    return eqx.tree_at(lambda s: s.guidance, start, law)
+
+
+def nominal_gains() -> ErrorGains:
+    """Of figures 1 to 10."""
+    return ErrorGains(epsilon0=5.0, a=1.982, b=3.0)
+
+
+def monte_carlo_gains() -> ErrorGains:
+    """Of figure 11 and Table 3."""
+    return ErrorGains(epsilon0=20.0, a=20.0, b=5.0)
+
+
+def monte_carlo_observer() -> ObserverGains:
+    """Of figure 11 and Table 3."""
+    return ObserverGains(epsilon=0.45, l1=2.0, l2=1.0)
+
+
+GATE = 4.0
+"""m/s2. A velocity index needs a gate of 3 to 5, since the velocity rises at first."""
+
+
+def table_3() -> Scenario:
+    """The Monte Carlo study. Its printed statistics fit a velocity index."""
+    return scenario(
+        VelocityIndex(), monte_carlo_gains(), monte_carlo_observer(), gate=GATE
+    )
+
+
+def energy_index() -> Scenario:
+    """The Monte Carlo study over energy, which needs no gate."""
+    return scenario(EnergyIndex(), monte_carlo_gains(), monte_carlo_observer())
+
+
+def time_index() -> Scenario:
+    """The Monte Carlo study over time."""
+    return scenario(TimeIndex(), monte_carlo_gains(), monte_carlo_observer())
+
+
+def state_feedback() -> Scenario:
+    """Figures 1 to 5: law (14), over energy."""
+    return scenario(EnergyIndex(), nominal_gains(), None)
+
+
+def observer_feedback() -> Scenario:
+    """Figures 6 to 10: law (24) with observer (25), over energy."""
+    observer = ObserverGains(epsilon=0.481, l1=2.0, l2=1.0)
+    return scenario(EnergyIndex(), nominal_gains(), observer)
+
+
+@functools.cache
+def _mass_and_density() -> dict[str, Dispersion]:
+    return {
+        "mass": Dispersion(
+            lambda s: s.vehicle.mass, Uniform(0.95, 1.05), apply=multiply
+        ),
+        "density": Dispersion(lambda s: s.planet.density_scale, Uniform(0.8, 1.2)),
+    }
+
+
+@functools.cache
+def lift_to_drag_held() -> dict[str, Dispersion]:
+    """Table 2 with one factor on both coefficients: the reading that Table 3 fits."""
+    both = Dispersion(
+        lambda s: (s.vehicle.lift_scale, s.vehicle.drag_scale), Uniform(0.7, 1.3)
+    )
+    return _mass_and_density() | {"coefficients": both}
+
+
+@functools.cache
+def independent() -> dict[str, Dispersion]:
+    """Table 2 to the letter. Some of these cannot reach the range at any bank."""
+    return _mass_and_density() | {
+        "lift": Dispersion(lambda s: s.vehicle.lift_scale, Uniform(0.7, 1.3)),
+        "drag": Dispersion(lambda s: s.vehicle.drag_scale, Uniform(0.7, 1.3)),
+    }
+
+
+def _downrange(name: str, value: float, statistic) -> PublishedValue:
+    """The paper counts the downrange error as desired minus actual."""
+    return PublishedValue(
+        f"downrange error, {name}",
+        value,
+        "km",
+        lambda v: statistic(-v["downrange_error"] / km),
+    )
+
+
+def _altitude(name: str, value: float, statistic) -> PublishedValue:
+    """And the altitude error, by its sign, as actual minus desired."""
+    return PublishedValue(
+        f"altitude error, {name}",
+        value,
+        "km",
+        lambda v: statistic(v["altitude_error"] / km),
+    )
+
+
+MISSION = Mission(
+    name="mars-drag-tracking",
+    title="Mars lander, drag tracking with a high-gain observer",
+    source='Yan and He, "Drag-Tracking Guidance for Entry Vehicles Without Drag Rate '
+    'Measurement"',
+    variants={
+        "table-3": table_3,
+        "energy-index": energy_index,
+        "time-index": time_index,
+        "state-feedback": state_feedback,
+        "observer-feedback": observer_feedback,
+    },
+    dispersions={
+        "lift-to-drag-held": lift_to_drag_held,
+        "independent": independent,
+    },
+    published=(
+        _downrange("minimum |.|", 0.0028, lambda e: np.min(abs(e))),
+        _downrange("maximum", 24.3249, np.max),
+        _downrange("average", 2.3957, np.mean),
+        _downrange("standard deviation", 6.7809, standard_deviation),
+        _altitude("minimum", -0.0013, np.min),
+        _altitude("maximum", 3.9263, np.max),
+        _altitude("average", 0.6369, np.mean),
+        _altitude("standard deviation", 0.8584, standard_deviation),
+    ),
+    published_note="Table 3; downrange error desired minus actual, as the paper has it",
+    published_variant="table-3",
+    published_dispersions="lift-to-drag-held",
+    published_runs=1000,
+)

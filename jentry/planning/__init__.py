@@ -1,0 +1,14 @@
+"""Floor 8: references, curves and parameters that are planned before a flight."""
+
+from .bezier_curve import (
+    k2_polynomial as k2_polynomial,
+    k2_polynomials as k2_polynomials,
+    plan_parameters as plan_parameters,
+    velocity_map as velocity_map,
+)
+from .reference_flight import (
+    ReferenceFlight as ReferenceFlight,
+    open_loop as open_loop,
+    plan_bank_profile as plan_bank_profile,
+    plan_drag_reference as plan_drag_reference,
+)

@@ -1,0 +1,17 @@
+"""Floor 8: numbers of a scenario tuned by gradient through its Monte Carlo."""
+
+from .judgement import Judgement as Judgement
+from .losses import (
+    MeanSquare as MeanSquare,
+    conditional_value_at_risk as conditional_value_at_risk,
+    control_effort as control_effort,
+    excess as excess,
+    mean_square as mean_square,
+    probability_outside as probability_outside,
+    smooth_maximum as smooth_maximum,
+)
+from .smoothing import (
+    smooth_reversals as smooth_reversals,
+    smooth_switching as smooth_switching,
+)
+from .tuning import Tuned as Tuned, tune as tune

@@ -1,0 +1,120 @@
+"""Derivatives of the mean of many flights, by central differences with the same draws.
+
+A flight may jump in what is varied: a law that decides in cycles decides one cycle later,
+or takes one cycle more to the end. Between its jumps it has an exact derivative, which
+knows nothing of them, and the mean of such derivatives is not the derivative of the mean:
+with jumps of size J at places of density p it lacks the mean of J p. (The places are
+spread by the draws, so that the mean is smooth where no flight is.) With the step h, the
+loss L and the draws held fixed,
+
+    (L(x + h) - L(x - h)) / 2h  =  d/dx of the mean of L over [x - h, x + h],
+
+jumps included and without remainder. What is left is the curvature within the step, of
+order h^2, and the luck of the draws, which with jumps is of order sqrt(J^2 p / h runs).
+Its standard error is that of the mean of what each flight adds to the difference.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .batch_gradients import Loss, loss_and_weights, where_finite
+from .parameters import Free
+
+
+@dataclasses.dataclass(frozen=True)
+class Differences:
+    """Gradient of a loss by central differences."""
+
+    gradient: Free
+    error: float
+    """Standard error: root of the sum of the squares of those of the single numbers"""
+    failed: int
+    """Flights that a difference is without, since they are not finite on both sides of
+    it; of the difference with most of them"""
+    reached: dict[str, float]
+    """Share of the flights that change with the parameter"""
+
+
+Fly = Callable[[Free], tuple[Any, np.ndarray]]
+"""Outputs of all flights at a point, and which of them are finite and count"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Slope:
+    """Central difference of a loss along a direction, over the step."""
+
+    value: float
+    error: float
+    """Standard error; zero of a single flight"""
+    flights: int
+    """Finite on both sides: the difference is of them alone"""
+    changed: float
+    """Share of them that add something"""
+
+
+def slope_along(
+    fly: Fly, loss: Loss, free: Free, direction: Free, step: float
+) -> Slope:
+    """Of the loss of the flights that are finite on both sides.
+
+    **Arguments:**
+
+    - `step`: half of the width of the difference, in units of the direction.
+    """
+    sides, finite = [], []
+    for signed in (step, -step):
+        moved = {a: x + signed * direction[a] for a, x in free.items()}
+        outputs, counts = fly(moved)
+        sides.append(outputs)
+        finite.append(counts)
+    both = finite[0] & finite[1]
+    count = int(both.sum())
+    if not count:
+        return Slope(0.0, 0.0, 0, 0.0)
+    change, each = _difference(loss, *(where_finite(x, both) for x in sides))
+    error = np.sqrt(count * np.var(each, ddof=1)) if count > 1 else 0.0
+    changed = float(np.mean(each != 0.0))
+    return Slope(change / (2.0 * step), float(error) / (2.0 * step), count, changed)
+
+
+def gradient_by_differences(
+    fly: Fly, runs: int, loss: Loss, free: Free, step: float
+) -> Differences:
+    """Number by number, each over the step; of so many runs that count."""
+    gradient, errors, failed, reached = {}, [], 0, {}
+    nothing = jax.tree.map(jnp.zeros_like, free)
+    for address, here in free.items():
+        slopes, shares = np.zeros(here.shape), [0.0]
+        for place in np.ndindex(here.shape):
+            along = nothing | {address: nothing[address].at[place].set(1.0)}
+            slope = slope_along(fly, loss, free, along, step)
+            slopes[place] = slope.value
+            errors.append(slope.error)
+            shares.append(slope.changed)
+            failed = max(failed, runs - slope.flights)
+        gradient[address], reached[address] = jnp.asarray(slopes), max(shares)
+    return Differences(gradient, float(np.linalg.norm(errors)), failed, reached)
+
+
+def _difference(loss: Loss, ahead: Any, behind: Any) -> tuple[float, np.ndarray]:
+    """Of the loss, and what each flight adds to it.
+
+    By the trapezoidal rule between the two sides: the mean of the two derivatives of the
+    loss with respect to an output, times the difference of the output.
+    """
+    ends = [loss_and_weights(loss, side) for side in (ahead, behind)]
+
+    def added(up, down, x, y):
+        each = 0.5 * (up + down) * (x - y)
+        return jnp.sum(each.reshape(len(each), -1), axis=1)
+
+    moving = [eqx.filter(side, eqx.is_inexact_array) for side in (ahead, behind)]
+    parts = jax.tree.map(added, ends[0][1], ends[1][1], *moving)
+    each = np.sum([np.asarray(x) for x in jax.tree.leaves(parts)], axis=0)
+    return float(ends[0][0] - ends[1][0]), each
