@@ -18,6 +18,7 @@ FLOORS = {
     "_math": 0,
     "_batching": 0,
     "_files": 0,
+    "_warnings": 0,
     "_dependence": 0,
     "_addresses": 0,
     "_interpolation": 0,
