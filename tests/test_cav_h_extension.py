@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers import SPREADS, most_by_chance
 
+from jentry import ResultWarning
 from jentry.campaign.monte_carlo import drawn_inputs, monte_carlo
 from jentry.flight import Outcome
 from jentry.missions import find_mission
@@ -68,9 +69,12 @@ def test_with_accelerometers():
 
 @pytest.mark.slow
 def test_with_the_network():
-    error, _ = errors("newton-network", "normal-sensed")
+    # Some leave the ranges of its training on the way, and are left on their curve there.
+    with pytest.warns(ResultWarning, match="flights have unanswered predictions"):
+        error, campaign = errors("newton-network", "normal-sensed")
     assert np.mean(error) < 5.01
-    assert few(error > 19.8, 1)
+    assert few(error > 19.8, 0)
+    assert np.max(campaign.flights.caveats["unanswered_predictions"]) < 0.8
 
 
 @pytest.mark.slow
