@@ -20,8 +20,8 @@ FOLDER = Path(__file__).parent / "networks"
 
 BETWEEN = 1600.0, 3600.0
 """m/s at the target, with which the flights end that the networks with factors learn from.
-Equation (38) asks before anything is adjusted: the dispersed vehicles of 8000 runs then end
-between 1860 and 3364 m/s with the stored curve, and as slow as 1776 with a subdivided one."""
+Equation (38) asks before anything is adjusted: 8000 dispersed vehicles then end
+between 1860 and 3364 m/s on the stored curve, and as slow as 1776 on a subdivided one."""
 
 
 class Purpose(NamedTuple):
