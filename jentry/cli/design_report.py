@@ -17,7 +17,7 @@ from ..design.linear_covariance import LinearCovariance
 from ..design.losses import ScaledMisses
 from ..design.sensitivity import Sensitivity
 from ..design.tuning import Tuned
-from ..design.tuning_record import Entry
+from ..design.tuning_record import NUMBERS, Entry
 from ..flight.misses import Misses
 from ..flight.scenario import Scenario
 from ..missions.mission import Mission
@@ -226,27 +226,15 @@ def _verdict(comparison: Comparison) -> str:
 def write_history(path: Path, tuned: Tuned) -> None:
     """Loss, gradient norm and parameters of every step, as csv."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    fields = (
-        "loss",
-        "gradient_norm",
-        "failed",
-        "gradients_failed",
-        "flights",
-        "seconds",
-        "rounding",
-        "difference",
-        "difference_error",
-        "gradient_error",
-    )
     names = []
     for address, value in tuned.values.items():
         one = np.shape(value) == ()
         names += [address if one else f"{address}[{i}]" for i in range(value.size)]
     lines = io.StringIO()
     writer = csv.writer(lines)
-    writer.writerow(["step", *fields, *names])
+    writer.writerow(["step", *NUMBERS, *names])
     for number, entry in enumerate(tuned.history, start=1):
-        row = [getattr(entry, field) for field in fields]
+        row = [getattr(entry, field) for field in NUMBERS]
         values = [x for a in tuned.values for x in np.ravel(entry.values[a])]
         writer.writerow([number, *row, *map(float, values)])
     write_whole(path, lines.getvalue().encode())
