@@ -58,7 +58,6 @@ def differences(problem, free, address, inputs, scale):
     [
         ("mars-drag-tracking", "table-3", 1e3, 1.0),
         ("mars-drag-tracking", "energy-index", 1e3, 1.0),
-        ("mars-range-tracking", "in-plane", 20.0, 1.4),
         ("mars-range-tracking", "three-dimensional", 20.0, 1.4),
     ],
 )

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers import SPREADS, most_by_chance
 
+from jentry import ResultWarning
 from jentry.campaign.campaign import drawn_inputs, monte_carlo
 from jentry.flight import Outcome
 from jentry.missions import find_mission
@@ -68,9 +69,14 @@ def test_with_accelerometers():
 
 @pytest.mark.slow
 def test_with_the_network():
-    error, _ = errors("newton-network", "normal-sensed")
+    # A quarter leaves the ranges of its training somewhere, and is left on its curve there.
+    # Four of all 8000 would end slower than any that it has learnt from, and stay so.
+    with pytest.warns(ResultWarning, match="flights have unanswered predictions"):
+        error, campaign = errors("newton-network", "normal-sensed")
     assert np.mean(error) < 5.01
-    assert few(error > 19.8, 1)
+    assert np.median(error) < 0.661 + SPREADS * 0.045
+    assert few(error > 19.8, 4)
+    assert few(campaign.flights.caveats["unanswered_predictions"] > 0.8, 4)
 
 
 @pytest.mark.slow
@@ -93,5 +99,5 @@ def test_what_a_density_wave_leaves():
     assert few(campaign.misses.distance > 1.0, 0)
     # The largest of a set.
     angle = np.max(np.abs(campaign.misses.flight_path_angle))
-    assert angle < (0.0790 + SPREADS * 0.0053) * degree
+    assert angle < (0.0755 + SPREADS * 0.0051) * degree
     assert np.mean(error) == pytest.approx(63.5, abs=SPREADS * 1.8)

@@ -1,14 +1,20 @@
 """Derivatives of any order and mode: of the loop as such, and of whole flights."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import mars_scenario
+from helpers import free_scenario, mars_scenario
 from jax import lax
+from jax.flatten_util import ravel_pytree
+from scipy.integrate import solve_ivp
 
 from jentry.flight import FixedStep, fly
+from jentry.flight.closed_loop import start, vector_field
+from jentry.flight.end import end_of_flight
 from jentry.flight.loop import while_running, while_running_with_history
 
 
@@ -191,3 +197,73 @@ def test_second_derivatives_of_a_flight(order):
     found = jax.jit(outer(inner(flown)))(X)
     assert np.all(np.abs(expected).max(axis=(1, 2)) > 1e-2)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
+
+
+def with_rate(function, s):
+    """What a function gives, and after it the derivative of all of that."""
+    value, rate = jax.jvp(function, (s,), (jnp.ones_like(s),))
+    return jnp.concatenate([jnp.atleast_2d(value), jnp.atleast_2d(rate)])
+
+
+@pytest.mark.slow
+def test_derivatives_of_the_end_up_to_the_fourth():
+    """Of time and altitude where 503 m/s are met, over the velocity shortly before.
+
+    The truth is a polynomial through ends that scipy has found, ahead and behind.
+    """
+    scenario = free_scenario()
+    lane = eqx.tree_at(
+        lambda lane: (lane.flown, lane.state.velocity, lane.state.altitude),
+        start(scenario, 0.1),
+        (jnp.asarray(100.0), jnp.asarray(503.0 + 1e-6), jnp.asarray(2e4)),
+    )
+
+    def moved(s):
+        return eqx.tree_at(lambda l: l.state.velocity, lane, replace_fn=lambda v: v + s)
+
+    def end(s):
+        ended = end_of_flight(scenario, moved(s)).lane
+        return jnp.stack([ended.flown, ended.state.altitude])
+
+    field, unravel = vector_field(scenario, None), ravel_pytree(lane.state)[1]
+
+    @jax.jit
+    def rates(y):
+        return ravel_pytree(field(jnp.asarray(0.0), (unravel(y), None))[0])[0]
+
+    place = int(np.flatnonzero(ravel_pytree(lane.state)[0] == lane.state.velocity)[0])
+
+    def found(s):
+        first = np.asarray(ravel_pytree(moved(s).state)[0])
+        met = lambda t, y: y[place] - 503.0
+        ahead = 200.0 if first[place] > 503.0 else -200.0
+        flown = solve_ivp(
+            lambda t, y: np.asarray(rates(y)),
+            (0.0, ahead),
+            first,
+            method="DOP853",
+            events=met,
+            rtol=1e-13,
+            atol=1e-13,
+        )
+        return 100.0 + flown.t_events[0][0], float(
+            unravel(flown.y_events[0][0]).altitude
+        )
+
+    reach = 12.0
+    nodes = np.polynomial.chebyshev.chebpts1(16)
+    table = np.array([found(reach * node) for node in nodes])
+    ours = end
+    for _ in range(4):
+        ours = functools.partial(with_rate, ours)
+    ours = jax.jit(ours)(jnp.asarray(0.0))
+    for order in range(1, 5):
+        truth = [
+            fit.deriv(order)(0.0) / reach**order
+            for fit in (
+                np.polynomial.Chebyshev.fit(nodes, column, 15, domain=[-1, 1])
+                for column in table.T
+            )
+        ]
+        # The last one that has been differentiated so often and no more.
+        np.testing.assert_allclose(ours[2**order - 1], truth, rtol=1e-6)

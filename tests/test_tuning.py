@@ -518,7 +518,7 @@ def test_gains_of_the_missions_are_better_on_draws_they_have_not_seen(name, unit
         mission.dispersion_table(),
         jax.random.key(0),
         runs=256,
-        steps=20,
+        steps=8,
     )
     judgement = result.judgement
     assert judgement.runs == 5000

@@ -12,7 +12,7 @@ from ..addresses import unit_of
 from ..flight.scenario import Scenario
 from ..missions.mission import Mission
 from ..tuning.judgement import Comparison
-from ..tuning.record import Entry
+from ..tuning.record import NUMBERS, Entry
 from ..tuning.tuning import Tuned
 from .tables import at_edge, new_console, new_table, print_under, unit_of_output
 
@@ -145,27 +145,15 @@ def _verdict(comparison: Comparison) -> str:
 def write_history(path: Path, tuned: Tuned) -> None:
     """Loss, gradient norm and parameters of every step, as csv."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    fields = (
-        "loss",
-        "gradient_norm",
-        "failed",
-        "gradients_failed",
-        "flights",
-        "seconds",
-        "rounding",
-        "difference",
-        "difference_error",
-        "gradient_error",
-    )
     names = []
     for address, value in tuned.values.items():
         one = np.shape(value) == ()
         names += [address if one else f"{address}[{i}]" for i in range(value.size)]
     lines = io.StringIO()
     writer = csv.writer(lines)
-    writer.writerow(["step", *fields, *names])
+    writer.writerow(["step", *NUMBERS, *names])
     for number, entry in enumerate(tuned.history, start=1):
-        row = [getattr(entry, field) for field in fields]
+        row = [getattr(entry, field) for field in NUMBERS]
         values = [x for a in tuned.values for x in np.ravel(entry.values[a])]
         writer.writerow([number, *row, *map(float, values)])
     write_whole(path, lines.getvalue().encode())

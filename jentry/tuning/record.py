@@ -94,18 +94,9 @@ class Entry:
         return self.loss < other.loss
 
 
-_NUMBERS = (
-    "loss",
-    "gradient_norm",
-    "failed",
-    "gradients_failed",
-    "flights",
-    "seconds",
-    "rounding",
-    "difference",
-    "difference_error",
-    "gradient_error",
-)
+NUMBERS = tuple(f.name for f in dataclasses.fields(Entry) if f.type in (int, float))
+"""Fields of an entry that are one number"""
+
 _BY_ADDRESS = "values", "free", "reached"
 
 
@@ -122,7 +113,7 @@ class Record:
     ) -> None:
         """Store all that resumption needs, at once or not at all."""
         arrays = {"description": np.array(json.dumps(self.description))}
-        for name in _NUMBERS:
+        for name in NUMBERS:
             arrays[name] = np.array([getattr(entry, name) for entry in history])
         for name in _BY_ADDRESS:
             for address in getattr(history[0], name):
@@ -167,7 +158,7 @@ class Record:
         columns = {name: part(name) for name in _BY_ADDRESS}
         history = []
         for i in range(len(arrays["loss"])):
-            numbers = {name: arrays[name][i].item() for name in _NUMBERS}
+            numbers = {name: arrays[name][i].item() for name in NUMBERS}
             at = {n: {a: x[i] for a, x in columns[n].items()} for n in _BY_ADDRESS}
             entry = Entry(
                 **numbers,
