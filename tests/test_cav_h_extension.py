@@ -45,6 +45,7 @@ def errors(variant, reading, runs=RUNS):
     return np.abs(campaign.misses.velocity), campaign
 
 
+@pytest.mark.slow
 def test_with_known_factors():
     """Within millimetres per second, but for the few where Newton's method fails."""
     error, _ = errors("newton", "normal")

@@ -719,6 +719,7 @@ def test_train_stores_networks_that_are_read_again(command, monkeypatch, tmp_pat
         assert network_predictor(name, tmp_path / "networks").inputs is purpose.inputs
 
 
+@pytest.mark.slow
 def test_a_mission_with_a_guidance_cycle_that_varies(command, tmp_path):
     """Its campaign is stored, resumed and drawn like any other."""
     words = ("monte-carlo", "cav-h", "--variant", "stored", "--runs", 3)

@@ -269,7 +269,13 @@ def test_any_mapping_is_a_table(key):
     assert list(given) == ["vehicle.mass"]
 
 
-@pytest.mark.parametrize("mission", ALL.values(), ids=ALL)
+@pytest.mark.parametrize(
+    "mission",
+    [
+        pytest.param(m, marks=pytest.mark.slow if name == "cav-h" else [], id=name)
+        for name, m in ALL.items()
+    ],
+)
 def test_every_declared_dispersion_changes_the_flight_when_it_alone_is_drawn_anew(
     mission, key
 ):

@@ -141,7 +141,7 @@ def scenarios():
     return table
 
 
-@pytest.mark.parametrize("history", [None, 20.0])
+@pytest.mark.parametrize("history", [None, pytest.param(20.0, marks=pytest.mark.slow)])
 def test_a_wrapper_that_forwards_all_is_the_identity(history):
     for name, scenario in scenarios().items():
         law = scenario.guidance

@@ -251,7 +251,7 @@ def test_a_network_answers_for_the_curve_that_it_was_trained_on(name):
         ({"lift": 0.5}, "lift factor is 0.5, trained from"),
         ({"lift": np.nan}, "lift factor is nan, trained from"),
         ({"second": 0.1}, "second number of the shape is 0.1, trained from"),
-        ({"second": 1.04, "drag": 1.2}, "velocity at the target is"),
+        ({"second": 0.32, "drag": 0.81}, "velocity at the target is"),
     ],
 )
 def test_outside_of_its_ranges_a_network_does_not_answer(changes, said):
