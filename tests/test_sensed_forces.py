@@ -10,6 +10,7 @@ import pytest
 from helpers import fly_compiled, mars_planet, mars_scenario, with_leaf
 
 from jentry._dependence import Traced
+from jentry.campaign import Dispersion, Uniform, monte_carlo
 from jentry.fields import Scalar
 from jentry.flight import FixedStep, fly
 from jentry.flight.closed_loop import command, start
@@ -259,6 +260,15 @@ def test_noise_needs_a_law_that_reads_at_its_cycles():
     for law in (Recording(0.2), Acting()):
         with pytest.raises(ValueError, match=f"{type(law).__name__} reads its sensors"):
             fly(noisy(law))
+        # Nor is it smuggled in by a dispersion.
+        silent = dataclasses.replace(scenario(law), accelerometers=Accelerometers())
+        table = {
+            "noise": Dispersion(lambda s: s.accelerometers.noise, Uniform(0, 1e-3))
+        }
+        with pytest.raises(
+            ValueError, match="accelerometers.noise is varied: .* reads"
+        ):
+            monte_carlo(silent, table, jax.random.key(0), 2)
     check(noisy(Held()))
 
 

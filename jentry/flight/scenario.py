@@ -83,13 +83,16 @@ def _check_noise(scenario: Scenario) -> None:
     sensors, law = scenario.accelerometers, scenario.guidance
     if not isinstance(sensors, Accelerometers) or isinstance(sensors.noise, Tracer):
         return
-    if np.asarray(sensors.noise) == 0.0:
-        return
+    if np.asarray(sensors.noise) != 0.0:
+        _require_samples(law, scenario, f"is {float(sensors.noise):g} m/s2")
+
+
+def _require_samples(law: AbstractLaw, scenario: Scenario, noise: str) -> None:
     if reads_forces_between_cycles(law, scenario.initial_state):
         raise ValueError(
-            f"accelerometers.noise is {float(sensors.noise):g} m/s2: it is one of samples, "
-            f"and {type(law).__name__} reads its sensors at every instant; take 0, or a "
-            "law that reads them at its guidance cycles"
+            f"accelerometers.noise {noise}: it is one of samples, and "
+            f"{type(law).__name__} reads its sensors at every instant; take 0, or a law "
+            "that reads them at its guidance cycles"
         )
 
 
@@ -100,7 +103,9 @@ def without_effect(scenario: Scenario) -> tuple[str, ...]:
 
 
 def require_effect(scenario: Scenario, address: str) -> None:
-    """Refuse to vary a number that an in-plane flight does not use."""
+    """Refuse to vary a number that this scenario does not use, or cannot."""
+    if address == "accelerometers.noise":
+        _require_samples(scenario.guidance, scenario, "is varied")
     if address in without_effect(scenario):
         raise ValueError(
             f"{address} has no effect in this scenario, which flies in the plane of the "
