@@ -45,19 +45,36 @@ class Bracket(eqx.Module):
     """`far` is at most this after the next step, s"""
 
 
+class Moving(eqx.Module):
+    """What is integrated, or its time derivative."""
+
+    state: EntryState
+    attitude: Any
+    """None where commands are flown at once"""
+    memory: Any
+    """Of the law"""
+
+
 class Lane(eqx.Module):
     """A flight on its way: all that the loop carries."""
 
     flown: Scalar
     """s since the start"""
-    state: EntryState
-    memory: Any
+    moving: Moving
     held: Any
     peaks: Peaks
     bracket: Bracket
     running: Flag
     singular: Flag
     """Stopped since a step came too close to a singular point of the equations of motion"""
+
+    @property
+    def state(self) -> EntryState:
+        return self.moving.state
+
+    @property
+    def memory(self) -> Any:
+        return self.moving.memory
 
     @property
     def on_schedule(self) -> Flag:
@@ -74,27 +91,26 @@ def guidance_period(scenario: Scenario) -> float | None:
 def sense(
     scenario: Scenario,
     flown: Scalar,
-    state: EntryState,
-    memory: Any,
+    moving: Moving,
     held: Any,
     sampled_at: Scalar | None = None,
 ) -> Measurement:
     """What the vehicle measures in a state, at the angle of attack that it flies.
 
-    The vehicle flies the angle of attack that its law commands, at once. `sampled_at` (s)
-    is given at the start of a guidance cycle.
+    That is the one of its attitude, or where commands are flown at once the one that its
+    law commands. `sampled_at` (s) is given at the start of a guidance cycle.
 
-    **Raises:** `ValueError` for a law whose angle of attack depends on the forces that are
-    sensed at the same instant: these are those of the angle of attack.
+    **Raises:** `ValueError` for a law whose angle of attack is flown at once and depends
+    on the forces that are sensed at the same instant: these are those of the angle of
+    attack.
     """
-    acting = _acting(scenario, flown, state, memory, held)
-    return _sensed(scenario, state, acting, sampled_at)
+    acting = _acting(scenario, flown, moving, held)
+    return _sensed(scenario, moving, acting, sampled_at)
 
 
-def _acting(
-    scenario: Scenario, flown: Scalar, state: EntryState, memory: Any, held: Any
-) -> Traced:
+def _acting(scenario: Scenario, flown: Scalar, moving: Moving, held: Any) -> Traced:
     """The command of the law, and the rate of its memory, over the sensed forces."""
+    state, memory = moving.state, moving.memory
 
     def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
         measurement = Measurement(state, lift, drag)
@@ -105,11 +121,13 @@ def _acting(
 
 def _sensed(
     scenario: Scenario,
-    state: EntryState,
+    moving: Moving,
     acting: Traced,
     sampled_at: Scalar | None = None,
 ) -> Measurement:
-    angle = acting.independent(lambda out: out[0].angle_of_attack)
+    angle = scenario.attitude.angle_of_attack(moving.attitude)
+    if angle is None:
+        angle = acting.independent(lambda out: out[0].angle_of_attack)
     if angle is None:
         law = scenario.guidance
         hold = (
@@ -120,9 +138,9 @@ def _sensed(
         raise ValueError(
             f"{type(law).__name__} commands an angle of attack that depends on the lift "
             "and drag sensed at the same instant, which depend on the angle of attack: "
-            f"{hold}"
+            f"{hold}, or give the vehicle an attitude that takes its time"
         )
-    return _measured(scenario, state, angle, sampled_at)
+    return _measured(scenario, moving.state, angle, sampled_at)
 
 
 def _measured(
@@ -165,17 +183,18 @@ def first_measurement(scenario: Scenario) -> Measurement:
 def start(scenario: Scenario, step: float) -> Lane:
     """The flight before its first step, which will be of a length (s)."""
     state = scenario.initial_state
-    memory, held = begun(scenario.guidance, first_measurement(scenario))
+    measurement = first_measurement(scenario)
+    memory, held = begun(scenario.guidance, measurement)
     flown = 0.0 * state.altitude
     conditions = scenario.termination
     margin = conditions.smallest_margin(flown, state, conditions.always)
-    controls, _ = command(scenario, flown, state, memory, held)
-    peaks = path_constraints(scenario, state, controls)
-    running = (margin > 0.0) & is_finite((state, memory, peaks))
+    first, _ = commanded(scenario.guidance, flown, measurement, memory, held)
+    moving = Moving(state, scenario.attitude.init(first), memory)
+    peaks = path_constraints(scenario, flown, moving, held)
+    running = (margin > 0.0) & is_finite((moving, peaks))
     return Lane(
         flown=flown,
-        state=state,
-        memory=memory,
+        moving=moving,
         held=held,
         peaks=peaks,
         bracket=Bracket(flown + step, margin, flown + jnp.inf, flown, flown + jnp.inf),
@@ -189,13 +208,12 @@ def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
     law = scenario.guidance
     if not isinstance(law, AbstractSampledLaw):
         return lane
-    state, memory, held = lane.state, lane.memory, lane.held
-    measurement = sense(scenario, lane.flown, state, memory, held, lane.flown)
+    measurement = sense(scenario, lane.flown, lane.moving, lane.held, lane.flown)
     decided = law.update(lane.flown, measurement, lane.memory, lane.held)
     decides = lane.on_schedule if due is None else lane.on_schedule & due
     memory, held = select(decides, decided, (lane.memory, lane.held))
     return eqx.tree_at(
-        lambda lane: (lane.memory, lane.held),
+        lambda lane: (lane.moving.memory, lane.held),
         lane,
         (memory, held),
         is_leaf=lambda x: x is None,
@@ -203,11 +221,11 @@ def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
 
 
 def command(
-    scenario: Scenario, flown: Scalar, state: EntryState, memory: Any, held: Any
+    scenario: Scenario, flown: Scalar, moving: Moving, held: Any
 ) -> tuple[Controls, Any]:
     """What the law commands, and the rate of its memory."""
-    acting = _acting(scenario, flown, state, memory, held)
-    measurement = _sensed(scenario, state, acting)
+    acting = _acting(scenario, flown, moving, held)
+    measurement = _sensed(scenario, moving, acting)
     return acting(measurement.lift, measurement.drag)
 
 
@@ -218,21 +236,36 @@ def caveats(scenario: Scenario, held: Any) -> dict[str, Scalar]:
 
 
 def vector_field(scenario: Scenario, held: Any):
-    """Time derivative of motion and memory within a cycle, `field(flown, y)`."""
+    """Time derivative of what is integrated within a cycle, `field(flown, moving)`."""
     dynamics = equatorial_dynamics if scenario.in_plane else entry_dynamics
+    attitude = scenario.attitude
 
-    def field(flown: Scalar, y: tuple[EntryState, Any]) -> tuple[EntryState, Any]:
-        state, memory = y
-        controls, memory_rate = command(scenario, flown, state, memory, held)
-        rate = dynamics(scenario.planet, scenario.vehicle, state, controls)
-        return rate, memory_rate
+    def field(flown: Scalar, moving: Moving) -> Moving:
+        wish, memory_rate = command(scenario, flown, moving, held)
+        controls = attitude.flown(moving.attitude, wish)
+        rate = dynamics(scenario.planet, scenario.vehicle, moving.state, controls)
+        return Moving(rate, attitude.rate(moving.attitude, wish), memory_rate)
 
     return field
 
 
+def controls_flown(
+    scenario: Scenario, flown: Scalar, moving: Moving, held: Any
+) -> Controls:
+    """What the vehicle flies of what its law commands."""
+    wish, _ = command(scenario, flown, moving, held)
+    return scenario.attitude.flown(moving.attitude, wish)
+
+
 def path_constraints(
-    scenario: Scenario, state: EntryState, controls: Controls
+    scenario: Scenario, flown: Scalar, moving: Moving, held: Any
 ) -> Peaks:
+    """The constrained quantities at an instant of a flight."""
+    controls = controls_flown(scenario, flown, moving, held)
+    return constrained(scenario, moving.state, controls)
+
+
+def constrained(scenario: Scenario, state: EntryState, controls: Controls) -> Peaks:
     """The constrained quantities in a state."""
     planet, vehicle = scenario.planet, scenario.vehicle
     air = air_data(planet, vehicle, state, controls.angle_of_attack)

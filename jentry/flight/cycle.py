@@ -18,7 +18,6 @@ from ..motion.singularities import is_beyond, step_is_too_long
 from .closed_loop import (
     Bracket,
     Lane,
-    command,
     decide,
     guidance_period,
     is_finite,
@@ -197,34 +196,26 @@ def _fixed_cycle(
     @functools.partial(jax.checkpoint, prevent_cse=False)
     def step(lane: Lane, _: None) -> tuple[Lane, None]:
         bracket = lane.bracket
-        y = lane.state, lane.memory
-        y = solver.advance(field, lane.flown, bracket.trial, y)
+        moving = solver.advance(field, lane.flown, bracket.trial, lane.moving)
         flown = lane.flown + bracket.trial
-        state, memory = y
-        controls, _ = command(scenario, flown, state, memory, lane.held)
-        now = path_constraints(scenario, state, controls)
+        now = path_constraints(scenario, flown, moving, lane.held)
         peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
 
         counting = conditions.counting(lane.flown, lane.state)
-        margin = conditions.smallest_margin(flown, state, counting)
-        finite = is_finite(y)
+        margin = conditions.smallest_margin(flown, moving.state, counting)
+        finite = is_finite(moving)
         taken = lane.running & finite & (margin > 0.0)
-        singular = taken & step_is_too_long(lane.state, state, scenario.in_plane)
+        singular = taken & step_is_too_long(lane.state, moving.state, scenario.in_plane)
         taken = taken & jnp.logical_not(singular)
-        flown, state, memory, peaks = select(
-            taken,
-            (flown, state, memory, peaks),
-            (lane.flown, lane.state, lane.memory, lane.peaks),
+        flown, moving, peaks = select(
+            taken, (flown, moving, peaks), (lane.flown, lane.moving, lane.peaks)
         )
         running = lane.running & finite & jnp.logical_not(singular)
         after = _next_trial(bracket, margin, taken, full_step)
         bracket = select(running, after, bracket)
         running = running & (bracket.trial > 0.0)
         singular = lane.singular | singular
-        stepped = Lane(
-            flown, state, memory, lane.held, peaks, bracket, running, singular
-        )
-        return stepped, None
+        return Lane(flown, moving, lane.held, peaks, bracket, running, singular), None
 
     return lax.scan(step, lane, None, length=steps)[0]
 
@@ -275,7 +266,7 @@ def _adaptive_cycle(
     counting = conditions.counting(lane.flown, lane.state)
 
     def smallest_margin(t, y, args, **kwargs):
-        margins = conditions.margins(t, y[0])
+        margins = conditions.margins(t, y.state)
         if counting is not None:
             margins = jnp.where(counting, margins, jnp.inf)
         return jnp.min(margins[:-1], initial=jnp.inf)
@@ -286,7 +277,7 @@ def _adaptive_cycle(
         t0=lane.flown,
         t1=flown,
         dt0=None,
-        y0=(lane.state, lane.memory),
+        y0=lane.moving,
         stepsize_controller=diffrax.PIDController(
             rtol=solver.tolerance, atol=solver.tolerance
         ),
@@ -299,22 +290,19 @@ def _adaptive_cycle(
     )
     assert solution.ts is not None
     after = solution.ts[0]
-    state, memory = jax.tree.map(lambda x: x[0], solution.ys)
+    moving = jax.tree.map(lambda x: x[0], solution.ys)
     done = solution.event_mask | (after >= scenario.termination.time_limit)
     good = (solution.result == diffrax.RESULTS.successful) | (
         solution.result == diffrax.RESULTS.event_occurred
     )
-    going = lane.running & good & is_finite((state, memory))
-    singular = going & is_beyond(state, scenario.in_plane)
+    going = lane.running & good & is_finite(moving)
+    singular = going & is_beyond(moving.state, scenario.in_plane)
     going = going & jnp.logical_not(singular)
-    controls, _ = command(scenario, after, state, memory, lane.held)
-    now = path_constraints(scenario, state, controls)
+    now = path_constraints(scenario, after, moving, lane.held)
     peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
-    flown, state, memory, peaks = select(
-        going,
-        (after, state, memory, peaks),
-        (lane.flown, lane.state, lane.memory, lane.peaks),
+    flown, moving, peaks = select(
+        going, (after, moving, peaks), (lane.flown, lane.moving, lane.peaks)
     )
     running = going & ~done
     singular = lane.singular | singular
-    return Lane(flown, state, memory, lane.held, peaks, lane.bracket, running, singular)
+    return Lane(flown, moving, lane.held, peaks, lane.bracket, running, singular)

@@ -15,7 +15,7 @@ from ..guidance.law import AbstractSampledLaw
 from ..motion.dynamics import entry_dynamics, equatorial_dynamics
 from ..motion.state import Controls
 from ..onboard.navigation import measure
-from .closed_loop import command, decide, path_constraints, start, vector_field
+from .closed_loop import constrained, decide, path_constraints, start, vector_field
 from .scenario import Scenario
 
 
@@ -83,7 +83,7 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
     return (
         state,
         dynamics(planet, vehicle, state, controls),
-        path_constraints(scenario, state, controls),
+        constrained(scenario, state, controls),
         scenario.termination.margins(time, state),
         sensed.lift,
         sensed.drag,
@@ -94,10 +94,9 @@ def _guidance(scenario: Scenario) -> Any:
     """All that one cycle computes."""
     lane = decide(scenario, start(scenario, 1.0), None)
     law = scenario.guidance
-    controls, _ = command(scenario, lane.flown, lane.state, lane.memory, lane.held)
     return (
         lane,
         law.cycle.seconds(lane.held) if isinstance(law, AbstractSampledLaw) else None,
-        vector_field(scenario, lane.held)(lane.flown, (lane.state, lane.memory)),
-        path_constraints(scenario, lane.state, controls),
+        vector_field(scenario, lane.held)(lane.flown, lane.moving),
+        path_constraints(scenario, lane.flown, lane.moving, lane.held),
     )

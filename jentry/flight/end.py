@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..fields import Count
-from .closed_loop import Lane, command, is_finite, path_constraints, vector_field
+from .closed_loop import Lane, is_finite, path_constraints, vector_field
 from .scenario import Scenario
 from .termination import Outcome
 
@@ -55,12 +55,12 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
             first, place, weight = stage
             length = place * correction
             y = jax.tree.map(lambda y, k: y + length * k, start, slope)
-            slope, _ = rates = field(flown + length, y)
+            slope = field(flown + length, y)
 
             margins, closing = jax.jvp(
                 conditions.margins,
-                (flown, start[0]),
-                (jnp.ones_like(flown), slope),
+                (flown, start.state),
+                (jnp.ones_like(flown), slope.state),
             )
             seconds_left = jnp.where(margins <= 0.0, 0.0, jnp.abs(margins / closing))
             if counting is not None:
@@ -78,8 +78,8 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
             newton = jnp.where(moves, -margins[ended_by] / closing, 0.0)
             correction = jnp.where(first, newton, correction)
             length = weight * correction
-            total = jax.tree.map(lambda y, k: y + length * k, total, rates)
-            return (rates, total, correction, ended_by, met), None
+            total = jax.tree.map(lambda y, k: y + length * k, total, slope)
+            return (slope, total, correction, ended_by, met), None
 
         nothing = jax.tree.map(jnp.zeros_like, start)
         known = nothing, start, jnp.zeros_like(flown), ended_by, met
@@ -88,16 +88,14 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
         return (flown + correction, y, ended_by, met), None
 
     unknown = jnp.full_like(lane.running, -1, int), jnp.zeros_like(lane.running)
-    landing = lane.flown, (lane.state, lane.memory), *unknown
+    landing = lane.flown, lane.moving, *unknown
     landing, _ = lax.scan(land, landing, length=_LANDINGS)
-    flown, (state, memory), ended_by, met = landing
-    controls, _ = command(scenario, flown, state, memory, lane.held)
-    now = path_constraints(scenario, state, controls)
+    flown, moving, ended_by, met = landing
+    now = path_constraints(scenario, flown, moving, lane.held)
     peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
     ended = Lane(
         flown,
-        state,
-        memory,
+        moving,
         lane.held,
         peaks,
         lane.bracket,
@@ -110,6 +108,6 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     outcome = jnp.where(beyond, Outcome.BEGAN_BEYOND_END, outcome)
     outcome = jnp.where(met, outcome, Outcome.NOT_FINITE)
     outcome = jnp.where(lane.singular, Outcome.SINGULAR, outcome)
-    finite = is_finite((flown, state, memory, peaks))
+    finite = is_finite((flown, moving, peaks))
     outcome = jnp.where(finite, outcome, Outcome.NOT_FINITE)
     return End(ended, outcome, ended_by)

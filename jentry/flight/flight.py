@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from .._warnings import ResultWarning
 from ..fields import Count, Flag, Scalar
 from ..motion.state import Controls, EntryState
-from .closed_loop import Lane, Peaks, caveats, command, path_constraints, start
+from .closed_loop import Lane, Peaks, caveats, constrained, controls_flown, start
 from .cycle import Plan
 from .end import end_of_flight
 from .loop import while_running, while_running_with_history
@@ -157,9 +157,10 @@ def _observe(scenario: Scenario, plan: Plan, lane: Lane) -> History:
     # Entries past the end are not states of a flight: observe the start in their place.
     first = scenario.initial_state
     state = jax.tree.map(lambda a, b: jnp.where(flying, a, b), lane.state, first)
-    lane = plan.decided(scenario, eqx.tree_at(lambda lane: lane.state, lane, state))
-    controls, _ = command(scenario, lane.flown, state, lane.memory, lane.held)
-    constraints = path_constraints(scenario, state, controls)
+    lane = eqx.tree_at(lambda lane: lane.moving.state, lane, state)
+    lane = plan.decided(scenario, lane)
+    controls = controls_flown(scenario, lane.flown, lane.moving, lane.held)
+    constraints = constrained(scenario, state, controls)
     decisions = jax.tree.map(jnp.asarray, lane.held)
     seen = History(jnp.asarray(lane.flown), state, controls, constraints, decisions)
     return jax.tree.map(lambda x: jnp.where(flying, x, jnp.nan), seen)

@@ -9,6 +9,7 @@ from jax.core import Tracer
 from ..addresses import field_metadata, leaves_by_address
 from ..fields import QUARTER, Scalar, optional_scalar, scalar
 from ..guidance.law import AbstractLaw, reads_forces_between_cycles
+from ..motion.attitude import AbstractAttitude, IdealAttitude
 from ..motion.state import EntryState
 from ..onboard.navigation import (
     AbstractAccelerometers,
@@ -50,6 +51,7 @@ class Scenario(eqx.Module):
     termination: Termination
     target: Target
     accelerometers: AbstractAccelerometers = PerfectAccelerometers()
+    attitude: AbstractAttitude = IdealAttitude()
     in_plane: bool = eqx.field(default=False, static=True)
     """Fly in the plane of the equator, due east, without the lateral component of lift."""
 

@@ -1,5 +1,11 @@
 """Floor 2: state, forces, equations of motion, derived quantities."""
 
+from .attitude import (
+    AbstractAttitude as AbstractAttitude,
+    IdealAttitude as IdealAttitude,
+    Response as Response,
+    SecondOrderAttitude as SecondOrderAttitude,
+)
 from .dynamics import (
     entry_dynamics as entry_dynamics,
     equatorial_dynamics as equatorial_dynamics,

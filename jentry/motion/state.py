@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._math import safe_arccos
+from .._math import safe_arccos, sincos
 from ..fields import ABOVE_GROUND, QUARTER, Scalar, scalar
 
 
@@ -34,6 +34,12 @@ class Controls(eqx.Module):
     angle_of_attack: Scalar = scalar(unit="rad")
     cos_bank: Scalar = scalar()
     sin_bank: Scalar = scalar()
+
+    @classmethod
+    def from_bank(cls, bank_angle: Scalar, angle_of_attack: Scalar) -> "Controls":
+        """Controls with a bank angle in radians."""
+        sine, cosine = sincos(bank_angle)
+        return cls(angle_of_attack, cosine, sine)
 
     @property
     def bank_angle(self) -> Scalar:

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float, PyTree
 
 from .._math import derivatives_along
 from ..fields import Scalar
-from ..flight.closed_loop import vector_field
+from ..flight.closed_loop import Moving, vector_field
 from ..flight.flight import fly
 from ..flight.miss import misses
 from ..flight.scenario import Scenario
@@ -187,8 +187,7 @@ class ReferenceFlight(eqx.Module):
 
         def flow(point):
             time, state = point
-            rate, _ = field(time, (state, None))
-            return jnp.ones_like(time), rate
+            return jnp.ones_like(time), field(time, Moving(state, None, None)).state
 
         def index_at(point):
             return index.value(planet, *point)
@@ -197,8 +196,8 @@ class ReferenceFlight(eqx.Module):
 
         def after(point, duration):
             time, state = point
-            state, _ = solver.advance(field, time, duration, (state, None))
-            return time + duration, state
+            moving = solver.advance(field, time, duration, Moving(state, None, None))
+            return time + duration, moving.state
 
         along = jnp.asarray(jax.vmap(index_at)((self.times, self.states)))
         finite = jnp.isfinite(along)
