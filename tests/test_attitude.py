@@ -1,126 +1,254 @@
-"""From accelerations to angle of attack and bank, within the limits of the vehicle."""
+"""Attitude between command and motion: responses, limits, and what is sensed and flown."""
 
 import dataclasses
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import fly_compiled, free_scenario, with_leaf
 
-from jentry.guidance.bezier.allocation import attitude
-from jentry.guidance.bezier.inverse_dynamics import Acceleration
-from jentry.missions.cav_h.scenario import stored
-from jentry.motion import EntryState, air_data
-from jentry.units import degree, km, standard_gravity
-
-
-LAW = stored().guidance
-PLANET, VEHICLE = LAW.model.planet, LAW.model.vehicle
-ALTITUDE, VELOCITY = jnp.asarray(38.0 * km), jnp.asarray(5500.0)
-
-
-UNLIMITED = {"dynamic_pressure": 1e12, "heat_rate": 1e15}
+from jentry.fields import Scalar, scalar
+from jentry.flight import FixedStep, fly
+from jentry.guidance import AbstractContinuousLaw, BankProfile
+from jentry.motion import Controls, IdealAttitude, Response, SecondOrderAttitude
+from jentry.motion.attitude import Swing
+from jentry.onboard import PolynomialProfile
+from jentry.units import degree
+from jentry.world import PolynomialAerodynamics
 
 
-def controls(vertical, lateral, factor=1.0, altitude=ALTITUDE, **limits):
-    limits = {name: jnp.asarray(value) for name, value in limits.items()}
-    wanted = Acceleration(jnp.asarray(vertical), jnp.asarray(lateral))
-    return attitude(
-        PLANET,
-        VEHICLE,
-        dataclasses.replace(LAW.limits, **limits),
-        altitude,
-        VELOCITY,
-        wanted,
-        jnp.asarray(factor),
+FREE = 1e9
+"""A limit that is none"""
+
+FREQUENCY, DAMPING = 0.6, 0.7
+
+STEP = 0.02
+
+
+def response(rate=FREE, acceleration=FREE, reach=FREE, damping=DAMPING):
+    return Response(FREQUENCY, damping, rate, acceleration, -reach, reach)
+
+
+def swings(given, command, seconds, start=(0.0, 0.0)):
+    """Angle and rate over time, by Runge-Kutta steps; (steps + 1,) each."""
+    command = jnp.asarray(command)
+
+    def step(swing, _):
+        solver = FixedStep(STEP)
+        field = lambda t, s: given.turn(s, command)
+        after = solver.advance(field, jnp.asarray(0.0), jnp.asarray(STEP), swing)
+        return after, after
+
+    first = Swing(*map(jnp.asarray, start))
+    _, path = jax.lax.scan(step, first, length=round(seconds / STEP))
+    return jax.tree.map(lambda a, b: np.append(float(a), b), first, path)
+
+
+def test_a_response_without_limits_is_that_of_the_linear_equation():
+    """1 - exp(-d w t) (cos + d / sqrt(1 - d^2) sin)(w sqrt(1 - d^2) t)."""
+    path = swings(response(), 0.3, 12.0)
+    time = STEP * np.arange(len(path.angle))
+    fall = np.exp(-DAMPING * FREQUENCY * time)
+    turn = np.sqrt(1.0 - DAMPING**2)
+    phase = FREQUENCY * turn * time
+    wave = np.cos(phase) + DAMPING / turn * np.sin(phase)
+    # What Runge-Kutta leaves in a step of 0.012 rad.
+    np.testing.assert_allclose(path.angle, 0.3 * (1.0 - fall * wave), atol=1e-9)
+    rate = 0.3 * FREQUENCY / turn * fall * np.sin(phase)
+    np.testing.assert_allclose(path.rate, rate, atol=1e-9)
+
+
+def test_limits_of_rate_and_acceleration_hold_and_are_used():
+    """A reversal from 60 to -60 degrees: full acceleration, then full rate."""
+    limit, swift = 5.0 * degree, 1.7 * degree
+    given = response(limit, swift, damping=1.0)
+    path = swings(given, -60.0 * degree, 60.0, (60.0 * degree, 0.0))
+    moved = np.abs(np.diff(path.rate)) / STEP
+    assert np.max(np.abs(path.rate)) <= limit * (1.0 + 1e-12) + swift * STEP
+    assert np.max(moved) <= swift * (1.0 + 1e-12)
+    # 5 deg/s after 2.94 s of 1.7 deg/s2, 7.35 deg on; then 5 deg/s.
+    time = STEP * np.arange(len(path.angle))
+    for seconds in (1.0, 2.5):
+        fallen = 60.0 * degree - 0.5 * swift * seconds**2
+        assert np.interp(seconds, time, path.angle) == pytest.approx(fallen, abs=1e-5)
+    for seconds in (4.0, 12.0, 18.0):
+        turned = 60.0 - 0.5 * 5.0**2 / 1.7 - 5.0 * (seconds - 5.0 / 1.7)
+        # The corner where the limit is met lies within a step.
+        found = np.interp(seconds, time, path.angle) / degree
+        assert found == pytest.approx(turned, abs=0.5 * 1.7 * STEP * 5.0)
+    assert path.angle[-1] == pytest.approx(-60.0 * degree, abs=1e-4)
+
+
+def test_an_angle_stays_within_its_limits():
+    """Neither a command nor a swing past it goes beyond."""
+    given = response(reach=0.2, damping=0.1)
+    beyond = swings(given, 0.5, 30.0)
+    # A step may end behind the stop, by what it covers.
+    assert np.max(beyond.angle) <= 0.2 + STEP * np.max(np.abs(beyond.rate))
+    assert beyond.angle[-1] == pytest.approx(0.2, abs=1e-2)
+    assert float(given.within(jnp.asarray(-0.7))) == -0.2
+
+
+class Turning(AbstractContinuousLaw[None]):
+    """A bank and an angle of attack that depends on the sensed drag of the instant."""
+
+    bank_angle: Scalar = scalar(0.9, unit="rad")
+    per_drag: Scalar = scalar(1e-3, unit="rad s2/m")
+
+    def init(self, measurement):
+        return None
+
+    def __call__(self, time, measurement, memory):
+        angle = 0.1 + self.per_drag * measurement.drag
+        return Controls.from_bank(self.bank_angle, angle), None
+
+
+def lagging(frequency=0.5, **limits):
+    axis = lambda reach: Response(
+        frequency,
+        0.9,
+        limits.get("rate", FREE),
+        limits.get("acceleration", FREE),
+        -reach,
+        reach,
+    )
+    return SecondOrderAttitude(axis(0.5), axis(80 * degree))
+
+
+def scenario(law=None, attitude=None):
+    """On Mars, with a lift that grows with the angle of attack."""
+    given = free_scenario()
+    vehicle = dataclasses.replace(
+        given.vehicle,
+        aerodynamics=PolynomialAerodynamics((0.1, 1.0), (1.2, 0.0, 1.5)),
+    )
+    return dataclasses.replace(
+        given,
+        vehicle=vehicle,
+        guidance=Turning() if law is None else law,
+        attitude=lagging() if attitude is None else attitude,
     )
 
 
-def lift(controls, altitude=ALTITUDE):
-    state = EntryState(
-        altitude, *(jnp.asarray(x) for x in (0.0, 0.0)), VELOCITY, 0.0, 0.0
+def test_forces_are_sensed_at_the_attitude_that_is_flown():
+    """So an angle of attack that follows the forces is no algebraic loop; flown at once
+    it is refused."""
+    with pytest.raises(ValueError, match="Turning commands .* attitude that takes"):
+        fly(scenario(attitude=IdealAttitude()), FixedStep(1.0))
+    flight = fly_compiled(scenario(), FixedStep(0.5), 1.0)
+    history = flight.history
+    flown = np.asarray(history.controls.angle_of_attack)
+    wanted = np.asarray(history.commands.angle_of_attack)
+    drag = np.asarray(history.constraints.drag)
+    finite = np.isfinite(flown)
+    # The command is that of the drag at the attitude that is flown.
+    np.testing.assert_allclose(wanted[finite], 0.1 + 1e-3 * drag[finite], rtol=1e-12)
+    # While the drag grows the angle of attack is late.
+    rising = finite & (np.gradient(drag) > 0.1)
+    assert np.sum(rising) > 10 and np.all(flown[rising] < wanted[rising])
+
+
+def test_an_attitude_follows_its_law_as_its_equation_says():
+    """A held bank: the same second-order response as alone, from the first command on."""
+    given = scenario(Turning(per_drag=0.0), lagging(rate=5 * degree))
+    start = with_leaf(given, lambda s: s.guidance.bank_angle, -0.4)
+
+    class Reversing(AbstractContinuousLaw[None]):
+        """-0.4 rad at the very start, 0.9 after it."""
+
+        def init(self, measurement):
+            return None
+
+        def __call__(self, time, measurement, memory):
+            bank = jnp.where(time > 0.0, 0.9, -0.4)
+            return Controls.from_bank(bank, jnp.asarray(0.1)), None
+
+    flight = fly_compiled(
+        dataclasses.replace(start, guidance=Reversing()), FixedStep(STEP), 1.0
     )
-    return float(air_data(PLANET, VEHICLE, state, controls.angle_of_attack).lift)
+    controls = flight.history.controls
+    bank = np.arctan2(controls.sin_bank, controls.cos_bank)[:20]
+    axis = Response(0.5, 0.9, 5 * degree, FREE, -80 * degree, 80 * degree)
+    alone = swings(axis, 0.9, 20.0, (-0.4, 0.0)).angle[:: round(1.0 / STEP)][:20]
+    # The first stage of the first step is still commanded as before.
+    np.testing.assert_allclose(bank, alone, atol=2e-4)
 
 
-def test_within_limits_the_acceleration_is_achieved():
-    found = controls(5.0, -2.0)
-    assert lift(found) * float(found.cos_bank) == pytest.approx(5.0, rel=1e-13)
-    assert lift(found) * float(found.sin_bank) == pytest.approx(-2.0, rel=1e-13)
-    assert float(found.bank_angle) == pytest.approx(np.arctan2(-2.0, 5.0), rel=1e-13)
+def test_a_swift_attitude_is_an_ideal_one():
+    """Of a bank and an angle of attack that change little: the error goes with the lag,
+    2 damping / frequency."""
+    law = BankProfile(PolynomialProfile([0.6, 0.2], 503.0, 6000.0), jnp.asarray(0.1))
+    ideal = fly_compiled(scenario(law, IdealAttitude()), FixedStep(0.1))
+    far = []
+    for frequency in (2.0, 4.0):
+        end = fly_compiled(scenario(law, lagging(frequency)), FixedStep(0.1))
+        far.append(float(end.state.longitude - ideal.state.longitude))
+    assert ideal.history is None and abs(far[1]) < 1e-4
+    assert far[0] / far[1] == pytest.approx(2.0, rel=0.05)
 
 
-def test_the_lift_factor_is_made_up_for():
-    assert lift(controls(5.0, 0.0, factor=1.1)) * 1.1 == pytest.approx(5.0, rel=1e-13)
+@pytest.mark.slow
+def test_gradients_reach_the_response():
+    """Of where the flight ends, by the frequency of the bank, against differences."""
+
+    def end(frequency):
+        given = scenario(attitude=lagging(rate=5 * degree, acceleration=2 * degree))
+        moved = with_leaf(
+            given, lambda s: s.attitude.bank_response.frequency, frequency
+        )
+        return fly(moved, FixedStep(0.5)).state.longitude
+
+    pushed = jax.jit(jax.jacfwd(end))(jnp.asarray(0.5))
+    pulled = jax.jit(jax.grad(end))(jnp.asarray(0.5))
+    value, h = jax.jit(end), 1e-4
+    difference = (value(jnp.asarray(0.5 + h)) - value(jnp.asarray(0.5 - h))) / (2.0 * h)
+    assert float(pulled) == pytest.approx(float(pushed), rel=1e-9)
+    # Second order of the step, and a flight of order one to 1e-13.
+    assert float(pushed) == pytest.approx(float(difference), rel=1e-5)
 
 
-def test_load_factor_is_limited():
-    found = controls(30.0, 40.0)
-    assert lift(found) == pytest.approx(2.0 * standard_gravity, rel=1e-12)
-    assert float(found.sin_bank / found.cos_bank) == pytest.approx(4 / 3, rel=1e-13)
+def test_side_by_side_is_one_by_one():
+    given = scenario(attitude=lagging(rate=5 * degree))
+
+    def end(bank):
+        moved = with_leaf(given, lambda s: s.guidance.bank_angle, bank)
+        return fly(moved, FixedStep(0.5)).state
+
+    banks = jnp.array([0.2, 0.9, 1.2])
+    together = jax.jit(jax.vmap(end))(banks)
+    alone = jax.jit(lambda x: jax.lax.map(end, x))(banks)
+    for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-11)
 
 
-def test_angle_of_attack_stays_within_its_limits():
-    high = jnp.asarray(70.0 * km)
-    assert float(controls(5.0, 0.0, altitude=high).angle_of_attack) == pytest.approx(
-        20.0 * degree
+def test_the_trim_of_the_vehicle_is_flown_where_a_law_leaves_the_angle_alone():
+    law = BankProfile(PolynomialProfile([0.6], 503.0, 6000.0))
+    ends = []
+    for trim in (0.05, 0.2):
+        given = scenario(law, IdealAttitude())
+        moved = with_leaf(given, lambda s: s.vehicle.trim_angle_of_attack, trim)
+        ends.append(fly_compiled(moved, FixedStep(0.5), 1.0))
+    for flight, trim in zip(ends, (0.05, 0.2), strict=True):
+        angle = np.asarray(flight.history.controls.angle_of_attack)
+        assert np.all(angle[np.isfinite(angle)] == trim)
+    # More lift at the larger one.
+    assert float(ends[1].time) > float(ends[0].time) + 1.0
+
+
+def test_commands_are_kept_where_they_are_not_flown_at_once():
+    shapes = eqx.filter_eval_shape(fly, scenario(), FixedStep(1.0), 1.0)
+    assert shapes.history.commands is not None
+    law = BankProfile(PolynomialProfile([0.6], 503.0, 6000.0))
+    shapes = eqx.filter_eval_shape(
+        fly, scenario(law, IdealAttitude()), FixedStep(1.0), 1.0
     )
-    low = controls(
-        0.1, 0.0, least_angle_of_attack=6 * degree, largest_angle_of_attack=7 * degree
-    )
-    assert float(low.angle_of_attack) == pytest.approx(6.0 * degree)
+    assert shapes.history.commands is None
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_bank_stays_within_its_limit(side):
-    """Bending down, the vehicle banks as far as it may, with the lift that fits best."""
-    found = controls(-0.5, side * 3.0, **UNLIMITED)
-    bank = side * 85.0 * degree
-    assert float(found.bank_angle) == pytest.approx(bank, rel=1e-13)
-    fits = -0.5 * np.cos(bank) + side * 3.0 * np.sin(bank)
-    assert lift(found) == pytest.approx(fits, rel=1e-12)
-
-
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_bending_down_is_no_turn(side):
-    """With next to nothing wanted to the side, nothing large goes there.
-
-    The lower limit of a level glide remains. With the bank of 85 degrees in it, it would
-    be 1 / cos(85 deg) = 11.5 times that, nearly all to the side: enough to turn a glider
-    by 0.05 degrees in its last tenth of a second.
-    """
-    limit = 20e3
-    found = controls(-30.0, side * 1e-3, dynamic_pressure=limit, load_factor=9.0)
-    assert float(found.bank_angle) == pytest.approx(side * 85.0 * degree, rel=1e-13)
-    radius = PLANET.radius + ALTITUDE
-    weight = float(PLANET.gravity.acceleration(radius) - VELOCITY**2 / radius)
-    density = 2.0 * limit / float(VELOCITY) ** 2
-    there = jnp.asarray(-7200.0 * np.log(density / 1.225))
-    assert lift(found, there) == pytest.approx(weight, rel=1e-12)
-
-
-def test_straight_down_asks_for_no_lift():
-    found = controls(-4.0, 0.0, least_angle_of_attack=-5 * degree, **UNLIMITED)
-    # The lower limits of equilibrium glide are those of a lift that is positive.
-    assert lift(found) == pytest.approx(0.0, abs=1e-5)
-
-
-def test_lower_limits_are_those_of_equilibrium_glide():
-    """(35): with that lift the vehicle would glide where the limit is just met."""
-    radius = PLANET.radius + ALTITUDE
-    weight = float(PLANET.gravity.acceleration(radius) - VELOCITY**2 / radius)
-    limit = 20e3
-    found = controls(0.5, 0.0, dynamic_pressure=limit, load_factor=9.0)
-    density = 2.0 * limit / float(VELOCITY) ** 2
-    there = jnp.asarray(-7200.0 * np.log(density / 1.225))
-    assert lift(found, there) == pytest.approx(weight, rel=1e-12)
-
-    limit = 0.7e6
-    found = controls(0.5, 0.0, heat_rate=limit, load_factor=9.0)
-    density = (limit / (1e-6 * float(VELOCITY) ** 3.5)) ** 2
-    there = jnp.asarray(-7200.0 * np.log(density / 1.225))
-    assert lift(found, there) == pytest.approx(weight, rel=1e-12)
-
-
-def test_no_lower_limit_asks_for_more_load_than_is_borne():
-    found = controls(-4.0, 0.1, dynamic_pressure=1e3)
-    assert lift(found) <= 2.0 * standard_gravity * (1 + 1e-12)
+@pytest.mark.parametrize("name", ["frequency", "rate_limit", "acceleration_limit"])
+def test_a_response_that_is_none_is_refused(name):
+    where = lambda s: getattr(s.attitude.bank_response, name)
+    with pytest.raises(ValueError, match=f"attitude.bank_response.{name} is 0"):
+        fly(with_leaf(scenario(), where, 0.0), FixedStep(1.0))

@@ -88,7 +88,7 @@ def cycle(
     """Before and after a decision, the forces being so many times those expected."""
     state = at() if state is None else state
     angle = number(0.23)
-    _, before = law.init(Measurement(state, number(1.0), number(1.0)))
+    _, before = law.init(Measurement(state, number(1.0), number(1.0), number(0.0)))
     before = eqx.tree_at(
         lambda d: (
             d.controls.angle_of_attack,
@@ -100,7 +100,7 @@ def cycle(
         (angle, number(count), number(duration), number(second)),
     )
     forces = expected_forces(state, angle)
-    measurement = Measurement(state, lift * forces[0], drag * forces[1])
+    measurement = Measurement(state, lift * forces[0], drag * forces[1], number(0.0))
     return before, decided(law, measurement, before)
 
 
@@ -121,7 +121,9 @@ def test_a_memory_forgets_by_the_duration_of_the_cycle():
     before, _ = cycle(law, state, duration=0.1)
     known = Estimate(Factors(1.2, 0.9), number(40.0), number(7.0))
     held = eqx.tree_at(lambda d: d.estimate, before, known)
-    after = decided(law, Measurement(state, number(lift), number(drag)), held)
+    after = decided(
+        law, Measurement(state, number(lift), number(drag), number(0.0)), held
+    )
     kept = np.exp(-0.1 / 2.0)
     for name, force, factor, weight in (
         ("lift", lift, 1.2, 40.0),
@@ -228,7 +230,7 @@ def test_the_command_is_frozen_just_before_the_target(seconds, frozen):
 
 
 def test_before_the_first_cycle_it_flies_level_at_trim():
-    _, held = LAW.init(Measurement(at(), number(3.0), number(2.0)))
+    _, held = LAW.init(Measurement(at(), number(3.0), number(2.0), number(0.0)))
     assert float(held.controls.angle_of_attack) == pytest.approx(10 * degree)
     assert float(held.controls.cos_bank) == 1.0 and float(held.controls.sin_bank) == 0.0
     assert float(held.duration) == 1.0 and float(held.count) == 0.0

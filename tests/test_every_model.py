@@ -1,5 +1,6 @@
 """Every model and law of the package is in the lists that the tests go through."""
 
+import dataclasses
 import importlib
 import pkgutil
 
@@ -14,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 import jentry
 from jentry.guidance import AbstractLaw, AbstractSampledLaw, BezierGuidance
 from jentry.motion import EntryState
-from jentry.onboard import Measurement, measure
+from jentry.onboard import measure
 from jentry.units import degree, km
 from jentry.world import (
     AbstractAerodynamics,
@@ -116,7 +117,9 @@ def measured(law, state, drag=1.002, lift=0.97):
     else:
         planet, vehicle = helpers.mars_planet(), helpers.mars_vehicle()
     truth = measure(planet, vehicle, state, vehicle.trim_angle_of_attack)
-    return Measurement(state, lift * truth.lift, drag * truth.drag)
+    return dataclasses.replace(
+        truth, state=state, lift=lift * truth.lift, drag=drag * truth.drag
+    )
 
 
 @pytest.mark.parametrize("name", helpers.all_laws)

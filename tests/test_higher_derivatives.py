@@ -13,7 +13,7 @@ from jax.flatten_util import ravel_pytree
 from scipy.integrate import solve_ivp
 
 from jentry.flight import FixedStep, fly
-from jentry.flight.closed_loop import start, vector_field
+from jentry.flight.closed_loop import Moving, start, vector_field
 from jentry.flight.end import end_of_flight
 from jentry.flight.loop import while_running, while_running_with_history
 
@@ -229,7 +229,9 @@ def test_derivatives_of_the_end_up_to_the_fourth():
 
     @jax.jit
     def rates(y):
-        return ravel_pytree(field(jnp.asarray(0.0), (unravel(y), None))[0])[0]
+        return ravel_pytree(
+            field(jnp.asarray(0.0), Moving(unravel(y), None, None)).state
+        )[0]
 
     place = int(np.flatnonzero(ravel_pytree(lane.state)[0] == lane.state.velocity)[0])
 

@@ -165,7 +165,9 @@ def history(flying=FLYING, longest=9):
     def entry(time, angle_of_attack, cos_bank, sin_bank):
         controls = Controls(angle_of_attack, cos_bank, sin_bank)
         state = EntryState(*(time for _ in range(6)))
-        return History(time, state, controls, Peaks(*(time for _ in range(4))), None)
+        return History(
+            time, state, controls, None, Peaks(*(time for _ in range(4))), None
+        )
 
     sine = np.sqrt(1.0 - COS_BANK**2) * (-1.0) ** np.arange(FLYING)
     columns = np.full((4, longest), np.nan)

@@ -13,7 +13,7 @@ from jentry._dependence import Traced
 from jentry.campaign import Dispersion, Uniform, monte_carlo
 from jentry.fields import Scalar
 from jentry.flight import FixedStep, fly
-from jentry.flight.closed_loop import command, start
+from jentry.flight.closed_loop import Moving, command, start
 from jentry.flight.scenario import check
 from jentry.guidance import (
     AbstractContinuousLaw,
@@ -154,7 +154,9 @@ def test_trim_of_the_vehicle_moves_no_sensor_alone():
     held = scenario(Recording(0.2))
     moved = with_leaf(held, lambda s: s.vehicle.trim_angle_of_attack, 0.3)
     sensed = [
-        command(s, jnp.asarray(0.0), s.initial_state, jnp.asarray(1.0), None)
+        command(
+            s, jnp.asarray(0.0), Moving(s.initial_state, None, jnp.asarray(1.0)), None
+        )
         for s in (held, moved)
     ]
     assert float(sensed[0][1]) == float(sensed[1][1])

@@ -68,7 +68,7 @@ def clairvoyant_floor(
     inputs = drawn_inputs(scenario, dispersions, key, filled)
     span = scenario.initial_state.velocity - end_velocity
     profile = PolynomialProfile(jnp.zeros(coefficients), end_velocity, span)
-    law = BankProfile(profile, scenario.vehicle.trim_angle_of_attack)
+    law = BankProfile(profile)
     open_loop = eqx.tree_at(lambda s: s.guidance, scenario, law)
     best, found = _search(
         open_loop, loss, inputs, outputs, solver, most_steps, coefficients, devices

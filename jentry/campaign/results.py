@@ -116,9 +116,11 @@ def dataset(
         both = ("run", "time")
         for name, unit in _STATE.items():
             put(name, getattr(kept.states, name), unit, _words(name), both)
-        controls = jax.vmap(jax.vmap(_angles))(kept.controls)
-        for name, unit in _CONTROLS.items():
-            put(name, controls[name], unit, _words(name), both)
+        for before, kind in (("", kept.controls), ("commanded_", kept.commands)):
+            if kind is not None:
+                angles = jax.vmap(jax.vmap(_angles))(kind)
+                for name, unit in _CONTROLS.items():
+                    put(before + name, angles[name], unit, _words(before + name), both)
         for name, unit in _CONSTRAINTS.items():
             put(name, getattr(kept.constraints, name), unit, _words(name), both)
     return xarray.Dataset(variables, coordinates)

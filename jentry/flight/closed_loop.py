@@ -111,9 +111,10 @@ def sense(
 def _acting(scenario: Scenario, flown: Scalar, moving: Moving, held: Any) -> Traced:
     """The command of the law, and the rate of its memory, over the sensed forces."""
     state, memory = moving.state, moving.memory
+    trim = scenario.vehicle.trim_angle_of_attack
 
     def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
-        measurement = Measurement(state, lift, drag)
+        measurement = Measurement(state, lift, drag, trim)
         return commanded(scenario.guidance, flown, measurement, memory, held)
 
     return Traced(act, state.altitude, state.altitude)
@@ -167,16 +168,17 @@ def first_measurement(scenario: Scenario) -> Measurement:
     attack of the vehicle: the attitude before guidance begins.
     """
     law, state = scenario.guidance, scenario.initial_state
+    trim = scenario.vehicle.trim_angle_of_attack
 
     def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
-        measurement = Measurement(state, lift, drag)
+        measurement = Measurement(state, lift, drag, trim)
         begin = begun(law, measurement)
         return commanded(law, 0.0 * state.altitude, measurement, *begin)
 
     acting = Traced(act, state.altitude, state.altitude)
     angle = acting.independent(lambda out: out[0].angle_of_attack)
     if angle is None:
-        angle = scenario.vehicle.trim_angle_of_attack
+        angle = trim
     return _measured(scenario, state, angle)
 
 
@@ -249,19 +251,12 @@ def vector_field(scenario: Scenario, held: Any):
     return field
 
 
-def controls_flown(
-    scenario: Scenario, flown: Scalar, moving: Moving, held: Any
-) -> Controls:
-    """What the vehicle flies of what its law commands."""
-    wish, _ = command(scenario, flown, moving, held)
-    return scenario.attitude.flown(moving.attitude, wish)
-
-
 def path_constraints(
     scenario: Scenario, flown: Scalar, moving: Moving, held: Any
 ) -> Peaks:
     """The constrained quantities at an instant of a flight."""
-    controls = controls_flown(scenario, flown, moving, held)
+    wish, _ = command(scenario, flown, moving, held)
+    controls = scenario.attitude.flown(moving.attitude, wish)
     return constrained(scenario, moving.state, controls)
 
 

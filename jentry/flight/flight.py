@@ -14,7 +14,7 @@ from jaxtyping import Array, Float
 from .._warnings import ResultWarning
 from ..fields import Count, Flag, Scalar
 from ..motion.state import Controls, EntryState
-from .closed_loop import Lane, Peaks, caveats, constrained, controls_flown, start
+from .closed_loop import Lane, Peaks, caveats, command, constrained, start
 from .cycle import Plan
 from .end import end_of_flight
 from .loop import while_running, while_running_with_history
@@ -29,6 +29,9 @@ class History(eqx.Module):
     """s"""
     states: EntryState
     controls: Controls
+    """That were flown"""
+    commands: Controls | None
+    """Of the law; None where it is flown at once"""
     constraints: Peaks
     """The constrained quantities at these times, not their peaks"""
     decisions: Any
@@ -159,8 +162,14 @@ def _observe(scenario: Scenario, plan: Plan, lane: Lane) -> History:
     state = jax.tree.map(lambda a, b: jnp.where(flying, a, b), lane.state, first)
     lane = eqx.tree_at(lambda lane: lane.moving.state, lane, state)
     lane = plan.decided(scenario, lane)
-    controls = controls_flown(scenario, lane.flown, lane.moving, lane.held)
-    constraints = constrained(scenario, state, controls)
-    decisions = jax.tree.map(jnp.asarray, lane.held)
-    seen = History(jnp.asarray(lane.flown), state, controls, constraints, decisions)
+    wish, _ = command(scenario, lane.flown, lane.moving, lane.held)
+    controls = scenario.attitude.flown(lane.moving.attitude, wish)
+    seen = History(
+        time=jnp.asarray(lane.flown),
+        states=state,
+        controls=controls,
+        commands=None if controls is wish else wish,
+        constraints=constrained(scenario, state, controls),
+        decisions=jax.tree.map(jnp.asarray, lane.held),
+    )
     return jax.tree.map(lambda x: jnp.where(flying, x, jnp.nan), seen)

@@ -178,7 +178,7 @@ class StateFeedbackDragTracking(AbstractContinuousLaw[None]):
             None,
             self.switching,
         )
-        angle_of_attack = self.model.vehicle.trim_angle_of_attack
+        angle_of_attack = measurement.trim_angle_of_attack
         return vertical_lift_command(tracking.u, angle_of_attack), None
 
 
@@ -203,7 +203,7 @@ class ObserverDragTracking(AbstractContinuousLaw[ObserverState]):
         self, time: Scalar, measurement: Measurement, memory: ObserverState
     ) -> tuple[Controls, ObserverState]:
         tracking = self._track(time, measurement, memory)
-        angle_of_attack = self.model.vehicle.trim_angle_of_attack
+        angle_of_attack = measurement.trim_angle_of_attack
         rate = observe(self.gains, self.observer, self.switching, tracking, memory)
         return vertical_lift_command(tracking.u, angle_of_attack), rate
 

@@ -22,10 +22,12 @@ class AbstractLaw(eqx.Module):
     A law reads a `Measurement`, never the truth, and remembers nothing itself: its
     memory travels beside the state of the vehicle. It is one of two kinds, below.
 
-    The vehicle flies the angle of attack that the law commands, at once, and the forces
-    are sensed there. Hence a command may not depend on the forces of its own instant by
-    its angle of attack: a flight with such a law is refused. `Sampled` breaks the loop,
-    since the forces are then those of the angle of attack that is held.
+    The forces are sensed at the attitude that is flown. With an ideal attitude that is the
+    command of the same instant. Hence its angle of attack may not depend on the forces: a
+    flight with such a law is refused. `Sampled` breaks the loop, since the forces are then
+    those of the angle of attack that is held, and so does an attitude that takes its time.
+
+    A law that turns the bank alone commands `measurement.trim_angle_of_attack`.
     """
 
 
@@ -143,9 +145,9 @@ def reads_forces_between_cycles(law: AbstractLaw, state: EntryState) -> bool:
     if isinstance(law, AbstractContinuousLaw):
         return True
     force = 0.0 * state.altitude
-    before = begun(law, Measurement(state, force, force))
+    before = begun(law, Measurement(state, force, force, force))
 
     def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
-        return commanded(law, force, Measurement(state, lift, drag), *before)
+        return commanded(law, force, Measurement(state, lift, drag, force), *before)
 
     return Traced(act, force, force).depends()

@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from ..fields import Scalar, scalar
+from ..fields import Scalar, optional_scalar
 from ..motion.state import Controls
 from ..onboard.navigation import Measurement
 from ..onboard.profiles import AbstractProfile
@@ -10,14 +10,15 @@ from .law import AbstractContinuousLaw
 
 
 class BankProfile(AbstractContinuousLaw[None]):
-    """Cosine of the bank as a function of velocity, at a constant angle of attack.
+    """Cosine of the bank as a function of velocity, at one angle of attack.
 
     Bank is to the right throughout, and its cosine is clipped to [-1, 1].
     """
 
     cos_bank: AbstractProfile
     """Over velocity, m/s"""
-    angle_of_attack: Scalar = scalar(0.0, unit="rad")
+    angle_of_attack: Scalar | None = optional_scalar(unit="rad")
+    """None for that at which the vehicle trims"""
 
     def init(self, measurement: Measurement) -> None:
         return None
@@ -26,7 +27,9 @@ class BankProfile(AbstractContinuousLaw[None]):
         self, time: Scalar, measurement: Measurement, memory: None
     ) -> tuple[Controls, None]:
         cos_bank = self.cos_bank(measurement.state.velocity)
-        return vertical_lift_command(cos_bank, self.angle_of_attack), None
+        angle = self.angle_of_attack
+        angle = measurement.trim_angle_of_attack if angle is None else angle
+        return vertical_lift_command(cos_bank, angle), None
 
 
 def vertical_lift_command(

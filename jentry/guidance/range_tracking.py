@@ -271,7 +271,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
         held: Decision,
     ) -> tuple[Controls, ObserverState]:
         tracking = self._track(time, measurement, memory, held)
-        angle_of_attack = self.model.vehicle.trim_angle_of_attack
+        angle_of_attack = measurement.trim_angle_of_attack
         controls = vertical_lift_command(tracking.u, angle_of_attack, held.bank_sign)
         rate = observe(self.gains, self.observer, self.switching, tracking, memory)
         return controls, rate

@@ -21,6 +21,8 @@ class Measurement(eqx.Module):
     """Sensed specific force across the relative wind, m/s2"""
     drag: Scalar
     """Sensed specific force along the relative wind, m/s2"""
+    trim_angle_of_attack: Scalar
+    """At which the vehicle flies where its law leaves the angle of attack alone, rad"""
 
 
 class AbstractAccelerometers(eqx.Module):
@@ -91,4 +93,4 @@ def measure(
     """
     air = air_data(planet, vehicle, state, angle_of_attack)
     lift, drag = accelerometers.read(air, sampled_at)
-    return Measurement(state=state, lift=lift, drag=drag)
+    return Measurement(state, lift, drag, vehicle.trim_angle_of_attack)

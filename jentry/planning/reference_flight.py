@@ -134,7 +134,7 @@ def open_loop(
         lambda s: (s.guidance, s.termination),
         scenario,
         (
-            BankProfile(cos_bank, scenario.vehicle.trim_angle_of_attack),
+            BankProfile(cos_bank),
             Termination(
                 {"velocity": VelocityBelow(velocity=end_velocity)},
                 scenario.termination.time_limit,
@@ -263,8 +263,11 @@ def plan_drag_reference(
         raise ValueError(f"the reference flies {type(law).__name__}, not a BankProfile")
     planet, vehicle = scenario.planet, scenario.vehicle
 
+    angle = law.angle_of_attack
+    angle = vehicle.trim_angle_of_attack if angle is None else angle
+
     def drag(time, state):
-        return air_data(planet, vehicle, state, law.angle_of_attack).drag
+        return air_data(planet, vehicle, state, angle).drag
 
     first_value = None
     if gate > 0.0:
