@@ -1,5 +1,7 @@
 """The guidance cycle is data of a law: a wrapper that forwards all changes nothing."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -193,3 +195,44 @@ def test_most_cycles_of_a_flight():
     assert FixedCycle(3.0).most_cycles(10.0) == 4
     cycle = ShorteningCycle(1.0, shorter=((120.0, 0.1), (15.0, 0.02)))
     assert cycle.most_cycles(2000.0) == 2000 + 2400 + 1500
+
+
+class Odd(AbstractContinuousLaw):
+    """Gives what it is told to."""
+
+    given: Callable = eqx.field(static=True)
+
+    def init(self, measurement):
+        return jnp.zeros(2)
+
+    def __call__(self, time, measurement, memory):
+        return self.given(memory)
+
+
+LEVEL = Controls.from_bank(jnp.asarray(0.0), jnp.asarray(0.0))
+
+ODD = {
+    "no pair": (lambda memory: LEVEL, "Odd.__call__ gives .*two things, its command"),
+    "an angle": (
+        lambda memory: (jnp.asarray(0.3), memory),
+        r"Odd commands .*: it must be Controls, such as Controls.from_bank",
+    ),
+    "many": (
+        lambda memory: (eqx.tree_at(lambda c: c.cos_bank, LEVEL, memory), memory),
+        r"Odd commands a cos_bank of shape \(2,\): it must be one number",
+    ),
+    "another shape": (
+        lambda memory: (LEVEL, jnp.zeros(3)),
+        r"rate of its memory of Odd is \(3,\): it must be like .*, \(2,\)",
+    ),
+    "another tree": (
+        lambda memory: (LEVEL, {"a": memory}),
+        "rate of its memory of Odd is PyTreeDef.*'a'",
+    ),
+}
+
+
+@pytest.mark.parametrize("given, said", ODD.values(), ids=ODD)
+def test_a_law_that_gives_something_else_is_named(given, said):
+    with pytest.raises(ValueError, match=said):
+        eqx.filter_eval_shape(fly, mars_scenario(Odd(given)), FixedStep(1.0))

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from .._dependence import Traced
 from ..fields import Flag, Scalar
-from ..guidance.law import AbstractSampledLaw, begun, commanded
+from ..guidance.law import AbstractSampledLaw, begun, commanded, decided
 from ..motion.dynamics import entry_dynamics, equatorial_dynamics
 from ..motion.forces import air_data
 from ..motion.quantities import convective_heat_rate, load_factor
@@ -211,9 +211,9 @@ def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
     if not isinstance(law, AbstractSampledLaw):
         return lane
     measurement = sense(scenario, lane.flown, lane.moving, lane.held, lane.flown)
-    decided = law.update(lane.flown, measurement, lane.memory, lane.held)
+    after = decided(law, lane.flown, measurement, lane.memory, lane.held)
     decides = lane.on_schedule if due is None else lane.on_schedule & due
-    memory, held = select(decides, decided, (lane.memory, lane.held))
+    memory, held = select(decides, after, (lane.memory, lane.held))
     return eqx.tree_at(
         lambda lane: (lane.moving.memory, lane.held),
         lane,

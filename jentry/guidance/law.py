@@ -4,6 +4,8 @@ from abc import abstractmethod
 from typing import Any, Generic, TypeVar
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 
 from .._dependence import Traced
 from ..fields import Scalar
@@ -122,9 +124,26 @@ class Sampled(AbstractSampledLaw[Memory, Controls]):
 def begun(law: AbstractLaw, measurement: Measurement) -> tuple[Any, Any]:
     """Memory at the start of guidance, and what a sampled law holds; else None."""
     if isinstance(law, AbstractSampledLaw):
-        return law.init(measurement)
+        memory, held = _pair(law, "init", law.init(measurement))
+        return memory, held
     assert isinstance(law, AbstractContinuousLaw)
     return law.init(measurement), None
+
+
+def decided(
+    law: AbstractSampledLaw,
+    time: Scalar,
+    measurement: Measurement,
+    memory: Any,
+    held: Any,
+) -> tuple[Any, Any]:
+    """What a sampled law decides at the start of a cycle: memory, and what it holds."""
+    after = _pair(law, "update", law.update(time, measurement, memory, held))
+    for what, given, before in zip(
+        ("memory", "decision"), after, (memory, held), strict=True
+    ):
+        _require_like(law, what, given, before)
+    return after
 
 
 def commanded(
@@ -132,9 +151,50 @@ def commanded(
 ) -> tuple[Controls, Any]:
     """Command of a law of either kind, and the time derivative of its memory."""
     if isinstance(law, AbstractSampledLaw):
-        return law(time, measurement, memory, held)
-    assert isinstance(law, AbstractContinuousLaw)
-    return law(time, measurement, memory)
+        given = law(time, measurement, memory, held)
+    else:
+        assert isinstance(law, AbstractContinuousLaw)
+        given = law(time, measurement, memory)
+    controls, rate = _pair(law, "__call__", given)
+    if not isinstance(controls, Controls):
+        raise ValueError(
+            f"{type(law).__name__} commands {controls!r}: it must be Controls, such as "
+            "Controls.from_bank(bank_angle, angle_of_attack)"
+        )
+    for name, value in vars(controls).items():
+        if jnp.shape(value) != ():
+            raise ValueError(
+                f"{type(law).__name__} commands a {name} of shape {jnp.shape(value)}: "
+                "it must be one number"
+            )
+    _require_like(law, "rate of its memory", rate, memory)
+    return controls, rate
+
+
+def _pair(law: AbstractLaw, method: str, given: Any) -> tuple[Any, Any]:
+    if isinstance(given, tuple) and len(given) == 2:
+        return given
+    expected = {
+        "init": "its memory and what it holds",
+        "update": "its memory and what it holds",
+        "__call__": "its command and the time derivative of its memory",
+    }
+    raise ValueError(
+        f"{type(law).__name__}.{method} gives {given!r}: it must give two things, "
+        f"{expected[method]}"
+    )
+
+
+def _require_like(law: AbstractLaw, what: str, given: Any, memory: Any) -> None:
+    """Refuse what cannot take the place of another pytree, or be its rate."""
+    shapes = [jax.tree.map(jnp.shape, tree) for tree in (given, memory)]
+    if jax.tree.structure(given) != jax.tree.structure(memory):
+        shapes = [jax.tree.structure(tree) for tree in (given, memory)]
+    if shapes[0] != shapes[1]:
+        raise ValueError(
+            f"the {what} of {type(law).__name__} is {shapes[0]}: it must be like what "
+            f"was before, {shapes[1]}"
+        )
 
 
 def reads_forces_between_cycles(law: AbstractLaw, state: EntryState) -> bool:

@@ -25,7 +25,7 @@ class EntryState(eqx.Module):
 
 
 class Controls(eqx.Module):
-    """What a law commands: angle of attack and bank.
+    """What a law commands, and what the vehicle flies of it: angle of attack and bank.
 
     Bank is carried as its cosine and sine, since the dynamics needs no more. It turns
     the lift about the velocity; positive bank turns right.
