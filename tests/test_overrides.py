@@ -390,7 +390,7 @@ def test_lists_that_are_no_tables_are_refused(written, value, message):
         ("cos_bank.coefficients", [[1.0], [2.0]], r"\(2,\) .* of shape \(2, 1\)"),
         ("cos_bank.coefficients", [], r"\(2,\) .* of shape \(0,\)"),
         ("cos_bank.coefficients", 0.5, r"table of shape \(2,\): .* one number"),
-        ("angle_of_attack", [0.1], r"shape \(\) .* a list of shape \(1,\)"),
+        ("cos_bank.origin", [0.1], r"shape \(\) .* a list of shape \(1,\)"),
     ],
 )
 def test_a_list_of_wrong_shape_is_refused(address, value, message):

@@ -15,7 +15,7 @@ from helpers import fly_compiled, mars_entry, mars_scenario, with_leaf
 
 from jentry.flight import FixedStep, Outcome
 from jentry.missions.cav_h.scenario import stored
-from jentry.onboard import EnergyIndex, PolynomialProfile
+from jentry.onboard import EnergyIndex, PolynomialProfile, measure
 from jentry.planning import (
     k2_polynomial,
     open_loop,
@@ -157,7 +157,12 @@ def test_an_open_loop_flies_its_profile_at_trim_to_its_velocity():
     )
     profile = PolynomialProfile([0.3])
     flown = open_loop(scenario, profile, 700.0)
-    assert float(flown.guidance.angle_of_attack) == 0.125
+    assert flown.guidance.angle_of_attack is None
+    start = measure(
+        flown.planet, flown.vehicle, flown.initial_state, jnp.asarray(0.125)
+    )
+    controls, _ = flown.guidance(jnp.asarray(0.0), start, None)
+    assert float(controls.angle_of_attack) == 0.125
     assert eqx.tree_equal(flown.guidance.cos_bank, profile)
     assert flown.termination.names == ("velocity", "time_limit")
     assert float(flown.termination.conditions["velocity"].velocity) == 700.0
