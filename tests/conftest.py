@@ -23,6 +23,14 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
+@pytest.fixture(autouse=True)
+def forgetting(request):
+    """What a slow test has traced and compiled would fill the memory, gigabytes in all."""
+    yield
+    if request.node.get_closest_marker("slow"):
+        jax.clear_caches()
+
+
 @pytest.fixture
 def key():
     return jax.random.key(20261121)
