@@ -1,6 +1,5 @@
 """One guidance cycle of a flight: the law decides, then the motion is integrated."""
 
-import functools
 import math
 
 import diffrax
@@ -193,7 +192,6 @@ def _fixed_cycle(
     field = vector_field(scenario, lane.held)
     conditions = scenario.termination
 
-    @functools.partial(jax.checkpoint, prevent_cse=False)
     def step(lane: Lane, _: None) -> tuple[Lane, None]:
         bracket = lane.bracket
         moving = solver.advance(field, lane.flown, bracket.trial, lane.moving)

@@ -16,7 +16,8 @@ from jax import lax
 from jaxtyping import PyTree
 
 from .._batching import any_lane
-from ..fields import Count, Scalar
+from .._linear_solve import linear_solve
+from ..fields import Count
 
 
 Carry = TypeVar("Carry", bound=PyTree)
@@ -98,6 +99,21 @@ def _run(parameters, carry, cycle, running, max_cycles, keep):
 _loop = eqx.filter_custom_jvp(_run)
 
 
+class _Flown(eqx.Module):
+    """The flight that is linearized."""
+
+    varied: PyTree
+    """What is varied of the parameters"""
+    fixed: PyTree
+    """The other arrays of the parameters"""
+    moving: PyTree
+    """What is differentiated of the carries at the starts of all cycles, stacked"""
+    discrete: PyTree
+    """The rest of them"""
+    count: Count
+    """Cycles"""
+
+
 class _Path(eqx.Module):
     """The linearized flight as a whole: what the sweeps give, and what they are given."""
 
@@ -125,26 +141,27 @@ def _loop_jvp(primals, tangents):
     varied, fixed = eqx.partition(parameters, differentiated)
     moving, _ = eqx.partition(carry, eqx.is_inexact_array)
     moving_stack, discrete_stack = eqx.partition(history, eqx.is_inexact_array)
+    fixed, static = eqx.partition(fixed, eqx.is_array)
     carry_tangents = eqx.combine(
         eqx.filter(carry_tangents, eqx.is_inexact_array),
         jax.tree.map(jnp.zeros_like, moving),
     )
 
-    def linearized(varied, index):
+    def linearized(flown, index):
         """The cycle at its place in the flight, over what is differentiated only."""
-        discrete = _take(discrete_stack, index)
+        discrete = _take(flown.discrete, index)
 
         def advance(varied, moving):
-            given = eqx.combine(varied, fixed), eqx.combine(moving, discrete)
-            after = _advance(cycle, *given)
+            parameters = eqx.combine(varied, flown.fixed, static)
+            after = _advance(cycle, parameters, eqx.combine(moving, discrete))
             return eqx.filter(after, eqx.is_inexact_array)
 
-        return advance, (varied, _take(moving_stack, index))
+        return advance, (flown.varied, _take(flown.moving, index))
 
-    def push(path):
+    def push(flown, path):
         def body(loop):
             index, tangent, stack = loop
-            advance, at = linearized(varied, index)
+            advance, at = linearized(flown, index)
             _, tangent = jax.jvp(advance, at, (path.varied, tangent))
             tangent = _add(tangent, _take(path.stack, index + 1))
             return index + 1, tangent, _put(stack, index + 1, tangent)
@@ -152,88 +169,68 @@ def _loop_jvp(primals, tangents):
         tangent = _add(path.first, _take(path.stack, 0))
         stack = _put(path.stack, 0, tangent)
         _, tangent, stack = lax.while_loop(
-            lambda loop: loop[0] < count, body, (0, tangent, stack)
+            lambda loop: loop[0] < flown.count, body, (0, tangent, stack)
         )
         return _Path(path.varied, path.first, stack, _add(path.final, tangent))
 
-    def pull(path):
+    def pull(flown, path):
         def body(loop):
             index, parameter_cotangent, cotangent, stack = loop
             index = index - 1
-            advance, at = linearized(varied, index)
+            advance, at = linearized(flown, index)
             _, transpose = jax.vjp(advance, *at)
             more, cotangent = transpose(cotangent)
             cotangent = _add(cotangent, _take(path.stack, index))
             stack = _put(stack, index, cotangent)
             return index, _add(parameter_cotangent, more), cotangent, stack
 
-        cotangent = _add(path.final, _take(path.stack, count))
-        stack = _put(path.stack, count, cotangent)
+        cotangent = _add(path.final, _take(path.stack, flown.count))
+        stack = _put(path.stack, flown.count, cotangent)
         _, parameter_cotangent, cotangent, stack = lax.while_loop(
-            lambda loop: loop[0] > 0, body, (count, path.varied, cotangent, stack)
+            lambda loop: loop[0] > 0,
+            body,
+            (flown.count, path.varied, cotangent, stack),
         )
         return _Path(
             parameter_cotangent, _add(path.first, cotangent), stack, path.final
         )
 
-    def equations(path):
+    def equations(flown, path):
         """Left-hand sides of the equations that the sweeps solve.
 
         x[0] - first, x[k+1] - J[k] x[k] and final - x[count], where J[k] is the derivative
         of a cycle at its place in the flight. Evaluated for derivatives of higher order
         only, which differentiate J.
         """
-        places = varied, moving_stack
-        one = 1.0 + _nothing_of(places)
 
         def of_cycle(index):
             # Behind the end of the loop there is no place to linearize about.
-            flown = index < count
-            at = jnp.where(flown, index, 0)
-            advance, at = linearized(varied, at)
+            going = index < flown.count
+            advance, at = linearized(flown, jnp.where(going, index, 0))
             before = path.varied, _take(path.stack, index)
             _, after = jax.jvp(advance, at, before)
-            after = jax.tree.map(lambda a: jnp.where(flown, a, 0.0), after)
+            after = jax.tree.map(lambda a: jnp.where(going, a, 0.0), after)
             return jax.tree.map(jnp.subtract, _take(path.stack, index + 1), after)
 
         rows = lax.map(jax.checkpoint(of_cycle), jnp.arange(max_cycles))
         start = jax.tree.map(
             lambda x, first: x[:1] - first[None], path.stack, path.first
         )
-        sides = _Path(
+        return _Path(
             path.varied,
             path.first,
             jax.tree.map(lambda a, b: jnp.concatenate([a, b]), start, rows),
-            jax.tree.map(jnp.subtract, path.final, _take(path.stack, count)),
+            jax.tree.map(jnp.subtract, path.final, _take(path.stack, flown.count)),
         )
-        return jax.tree.map(lambda side: one * side, sides)
 
-    # `custom_linear_solve` lets a linear map carry its own transpose through jvp,
-    # transposition and vmap, and its equations tell what derivatives of it are. It
-    # insists that all that it is given is linear in the tangents.
-    nothing = _nothing_of((parameter_tangents, carry_tangents))
+    flown = _Flown(varied, fixed, moving_stack, discrete_stack, count)
     given = _Path(
         parameter_tangents,
         carry_tangents,
         _stack_of(moving, max_cycles + 1),
         jax.tree.map(jnp.zeros_like, moving),
     )
-    given = jax.tree.map(lambda t: t + nothing, given)
-    path = lax.custom_linear_solve(
-        equations,
-        given,
-        solve=lambda _, given: push(given),
-        transpose_solve=lambda _, given: pull(given),
-    )
+    path = linear_solve(equations, push, pull, flown, given)
     stack = jax.tree.map(lambda x: x[:-1], path.stack) if keep else None
     out = final, history if keep else None, count
     return out, (path.final, stack, None)
-
-
-def _nothing_of(tree: PyTree) -> Scalar:
-    """Zero that depends on all numbers of a tree, as far as JAX can tell.
-
-    A product with zero would be NaN where a number is, and would be computed.
-    """
-    total = sum(jnp.sum(x) for x in jax.tree.leaves(tree))
-    return jnp.where(False, total, 0.0)
