@@ -1,6 +1,5 @@
 """The figures of a campaign: what is flown for them, and where they go."""
 
-import jax
 import numpy as np
 
 from ..addresses import leaves_by_address
@@ -24,26 +23,20 @@ def draw_figures(folder, mission: Mission, scenario: Scenario, results, solver):
     """Draw the figures of stored results into `figures` below their folder."""
     from ..plots import campaign_figures, overview, save_figures
 
-    addresses = [name for name in results.data_vars if name in _addresses(scenario)]
-    if "time" in results.dims:
-        trajectories = results
-    else:
-        first = results.isel(run=slice(0, _TRAJECTORIES))
-        inputs = {str(name): first[name].values for name in addresses}
-        trajectories = _fly(scenario, inputs, solver)
-    nominal_inputs = {
-        str(a): np.atleast_1d(leaves_by_address(scenario)[str(a)]) for a in addresses
-    }
-    nominal = _fly(scenario, nominal_inputs, solver)
+    known = leaves_by_address(scenario)
+    addresses = [str(name) for name in results.data_vars if name in known]
+    # The nominal flight is one more run, so that one program flies them all.
+    few = 0 if "time" in results.dims else _TRAJECTORIES
+    first = results.isel(run=slice(0, few))
+    inputs = {a: np.append(first[a].values, known[a]) for a in addresses}
+    flown = _fly(scenario, inputs, solver)
+    nominal = flown.isel(run=[-1])
+    trajectories = flown.isel(run=slice(0, -1)) if few else results
     figures = campaign_figures(results, trajectories, nominal, mission.title)
     figures["overview"] = overview(results, trajectories, nominal)
     target = folder / "figures"
     save_figures(figures, target)
     return target
-
-
-def _addresses(scenario: Scenario) -> dict[str, jax.Array]:
-    return leaves_by_address(scenario)
 
 
 def _fly(scenario: Scenario, inputs, solver: AbstractSolver):
