@@ -30,9 +30,9 @@ from jentry.guidance import (
     AbstractSampledLaw,
     Aim,
     BankProfile,
+    CrossrangeCorridor,
     ErrorGains,
     FixedCycle,
-    LateralCorridor,
     ObserverDragTracking,
     ObserverGains,
     RangeTracking,
@@ -224,7 +224,7 @@ def range_tracking(reference) -> RangeTracking:
         model=model,
         aim=Aim(mars_entry(), 723.32 * km, 0.0, 10 * km, 503.0),
         limits=ScaleLimits(0.5, 2.0, 10 * km),
-        corridor=LateralCorridor(300.0, 4e-4),
+        lateral=CrossrangeCorridor(300.0, 4e-4),
     )
 
 

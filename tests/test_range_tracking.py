@@ -303,18 +303,18 @@ def test_bank_is_reversed_where_the_flight_would_pass_the_aim(
     law = with_leaf(law, lambda law: law.aim.crossrange, passing - off)
     measurement = sensed(scenario(), turned)
     memory, held = law.init(measurement)
-    held = with_leaf(held, lambda h: h.bank_sign, side * before)
+    held = with_leaf(held, lambda h: h.side, side * before)
     _, decided = law.update(jnp.asarray(0.0), measurement, memory, held)
-    assert decided.bank_sign == side * after
+    assert decided.side == side * after
 
 
 def test_the_first_bank_is_to_the_chosen_side():
     law = scenario().guidance
     for side in (1.0, -1.0):
-        chosen = with_leaf(law, lambda law: law.first_bank_sign, side)
+        chosen = with_leaf(law, lambda law: law.lateral.first_sign, side)
         measurement = sensed(scenario(), state_at(nominal(), 60))
         memory, held = chosen.init(measurement)
-        assert held.bank_sign == side
+        assert held.side == side
         assert held.scale == held.lift_factor == 1.0
         controls, _ = chosen(jnp.asarray(60.0), measurement, memory, held)
         assert np.sign(controls.sin_bank) == side
@@ -381,7 +381,7 @@ def test_mirrored_scenario_flies_the_mirrored_flight():
                 s.target.crossrange,
                 s.guidance.aim.crossrange,
                 s.guidance.aim.origin.heading,
-                s.guidance.first_bank_sign,
+                s.guidance.lateral.first_sign,
             ),
             dispersed(),
             tuple(
@@ -547,7 +547,7 @@ def test_some_reversals_keep_the_crossrange():
     assert np.all(count >= 3)
     assert np.all(count <= 10)
     # Between two cycles and after the last reversal it may leave the corridor a little.
-    corridor = scenario().guidance.corridor
+    corridor = scenario().guidance.lateral
     velocity = jnp.asarray(flown.flights.state.velocity)
     width = jax.vmap(corridor.half_width)(velocity)
     assert np.all(abs(flown.misses.crossrange) < 1.5 * width)

@@ -475,7 +475,7 @@ def test_reversals_contradict_their_gradient_and_differences_do_not_need_it():
     mission = find_mission("mars-range-tracking")
     given = (
         mission.scenario("three-dimensional"),
-        lambda s: (s.guidance.gains.epsilon0, s.guidance.corridor.floor),
+        lambda s: (s.guidance.gains.epsilon0, s.guidance.lateral.floor),
         MeanSquare(lambda misses: misses.crossrange / 100.0),
         optimistix.LBFGS(rtol=1e-6, atol=1e-6),
         mission.dispersion_table(),
@@ -484,10 +484,10 @@ def test_reversals_contradict_their_gradient_and_differences_do_not_need_it():
     how = {"runs": 256, "steps": 1, "held_out": 64, "solver": FixedStep(0.25)}
     with pytest.warns(UserWarning, match="a difference of the loss along it"):
         result = tune(*given, **how)
-    assert result.reached["guidance.corridor.floor"] == 0.0
+    assert result.reached["guidance.lateral.floor"] == 0.0
     result = tune(*given, **how, mode="difference", difference_step=0.1)
     (entry,) = result.history
-    assert result.remarks == () and result.reached["guidance.corridor.floor"] > 0.5
+    assert result.remarks == () and result.reached["guidance.lateral.floor"] > 0.5
     # That of the floor, which is most of it, within four standard errors.
     assert abs(entry.gradient_norm - 15.1) < 4.0 * np.hypot(1.1, entry.gradient_error)
 

@@ -35,8 +35,16 @@ from .drag_tracking import (
     ObserverGains as ObserverGains,
     StateFeedbackDragTracking as StateFeedbackDragTracking,
 )
-from .lateral import LateralCorridor as LateralCorridor
+from .lateral import (
+    AbstractLateralLogic as AbstractLateralLogic,
+    CrossrangeCorridor as CrossrangeCorridor,
+    Destination as Destination,
+    FixedSide as FixedSide,
+    HeadingCorridor as HeadingCorridor,
+    VelocityReversals as VelocityReversals,
+)
 from .law import (
+    AbstractBankLaw as AbstractBankLaw,
     AbstractContinuousLaw as AbstractContinuousLaw,
     AbstractLaw as AbstractLaw,
     AbstractSampledLaw as AbstractSampledLaw,

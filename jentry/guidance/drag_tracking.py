@@ -13,7 +13,8 @@ from ..motion.state import Controls
 from ..onboard.model import OnboardModel
 from ..onboard.navigation import Measurement
 from ..onboard.reference import DragReference
-from .law import AbstractContinuousLaw
+from .lateral import AbstractLateralLogic, FixedSide
+from .law import AbstractBankLaw
 from .open_loop import vertical_lift_command
 from .switching import AbstractSwitching, Sharp
 
@@ -155,18 +156,19 @@ def observe(
     )
 
 
-class StateFeedbackDragTracking(AbstractContinuousLaw[None]):
+class StateFeedbackDragTracking(AbstractBankLaw[None]):
     """Drag tracking with the drag rate of the onboard model, equation (14)."""
 
     gains: ErrorGains
     reference: DragReference
     model: OnboardModel
     switching: AbstractSwitching = Sharp()
+    lateral: AbstractLateralLogic = FixedSide()
 
     def init(self, measurement: Measurement) -> None:
         return None
 
-    def __call__(
+    def to_the_right(
         self, time: Scalar, measurement: Measurement, memory: None
     ) -> tuple[Controls, None]:
         tracking = track(
@@ -182,7 +184,7 @@ class StateFeedbackDragTracking(AbstractContinuousLaw[None]):
         return vertical_lift_command(tracking.u, angle_of_attack), None
 
 
-class ObserverDragTracking(AbstractContinuousLaw[ObserverState]):
+class ObserverDragTracking(AbstractBankLaw[ObserverState]):
     """Drag tracking without drag-rate measurement, equations (24) and (25).
 
     Memory is the state of the high-gain observer; it starts at the drag error and zero.
@@ -193,13 +195,14 @@ class ObserverDragTracking(AbstractContinuousLaw[ObserverState]):
     reference: DragReference
     model: OnboardModel
     switching: AbstractSwitching = Sharp()
+    lateral: AbstractLateralLogic = FixedSide()
 
     def init(self, measurement: Measurement) -> ObserverState:
         zero = 0.0 * measurement.drag
         tracking = self._track(zero, measurement, None)
         return ObserverState(tracking.x1, zero)
 
-    def __call__(
+    def to_the_right(
         self, time: Scalar, measurement: Measurement, memory: ObserverState
     ) -> tuple[Controls, ObserverState]:
         tracking = self._track(time, measurement, memory)

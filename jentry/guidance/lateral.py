@@ -1,30 +1,298 @@
-"""Steer across the entry plane: predicted crossrange, and when to reverse the bank."""
+"""Lateral logic: to which side a law banks, and when it reverses the bank."""
+
+from abc import abstractmethod
+from typing import Any, Generic, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 
 from .._math import sincos
-from ..fields import Scalar, scalar
+from ..fields import QUARTER, Scalar, Vector, scalar, table
 from ..motion.quantities import ground_track
-from ..motion.state import EntryState
+from ..motion.state import Controls, EntryState
+from ..onboard.navigation import Measurement
 from ..world.planet import Planet
 from .switching import AbstractSwitching, Sharp
 
 
-class LateralCorridor(eqx.Module):
-    """Where a predicted crossrange is left alone: |crossrange| < floor + widening V^2.
+Side = TypeVar("Side")
 
-    It narrows along the flight as what one bank can still change does, so that the
-    reversals spread over the flight: a wide corridor has few, a low floor ends close.
+
+class Destination(eqx.Module):
+    """The point on the ground that a law steers to, as the law believes it."""
+
+    planet: Planet
+    origin: EntryState
+    """From here downrange and crossrange are counted, as in `ground_track`"""
+    downrange: Scalar
+    """m"""
+    crossrange: Scalar
+    """m, positive to the left"""
+
+
+class AbstractLateralLogic(eqx.Module, Generic[Side]):
+    """The choice of the side to which a law banks; every law that turns a bank has one.
+
+    It decides at the start of a guidance cycle. Its memory, called the side, is a pytree
+    of numbers that is held until the next decision; what the law tracks has no part in it.
+    A logic whose side is None has nothing to decide, and can be flown without a cycle.
+    """
+
+    @abstractmethod
+    def init(self, measurement: Measurement) -> Side:
+        """The side at the start of guidance, before the first decision."""
+
+    @abstractmethod
+    def update(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        side: Side,
+        destination: Destination | None,
+    ) -> Side:
+        """The decision at the start of a guidance cycle.
+
+        **Arguments:**
+
+        - `time`: s since the start.
+        - `side`: what was decided before.
+        - `destination`: where the law steers to; None if it has no such point.
+        """
+
+    @abstractmethod
+    def sign(self, side: Side) -> Scalar | float:
+        """1 if the bank is to the right, -1 if it is to the left."""
+
+
+class FixedSide(AbstractLateralLogic[None]):
+    """Banks to one side for the whole flight: to the right if not told otherwise."""
+
+    to_the_left: bool = eqx.field(default=False, static=True)
+
+    def init(self, measurement: Measurement) -> None:
+        return None
+
+    def update(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        side: None,
+        destination: Destination | None,
+    ) -> None:
+        return None
+
+    def sign(self, side: None) -> float:
+        return -1.0 if self.to_the_left else 1.0
+
+
+class CrossrangeCorridor(AbstractLateralLogic[Scalar]):
+    """Reverses the bank when the flight would pass the destination of its law too far off.
+
+    The crossrange there is predicted along the great circle that is flown now. It is left
+    alone where |crossrange error| <= floor + widening V^2. This corridor narrows along the
+    flight as what one bank can still change does, so that the reversals spread over the
+    flight: a wide corridor has few, a low floor ends close. The side is the sign of the
+    bank.
     """
 
     floor: Scalar = scalar(unit="m", positive=True)
     widening: Scalar = scalar(0.0, unit="s2/m")
+    first_sign: Scalar = scalar(1.0)
+    """Of the bank at the start: 1 to the right, -1 to the left"""
+    switching: AbstractSwitching = Sharp()
+
+    def __check_init__(self):
+        _check_sign(self.first_sign)
 
     def half_width(self, velocity: Scalar) -> Scalar:
         """m"""
         return self.floor + self.widening * velocity * velocity
+
+    def init(self, measurement: Measurement) -> Scalar:
+        return self.first_sign + 0.0 * measurement.drag
+
+    def update(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        side: Scalar,
+        destination: Destination | None,
+    ) -> Scalar:
+        if destination is None:
+            raise ValueError(
+                "a CrossrangeCorridor is about the destination of its law, and this law "
+                "has none: take a HeadingCorridor, which has a target of its own"
+            )
+        planet, origin, state = (
+            destination.planet,
+            destination.origin,
+            measurement.state,
+        )
+        downrange, _ = ground_track(planet, origin, state)
+        to_go = destination.downrange - downrange
+        passing = predicted_crossrange(planet, origin, state, to_go)
+        half_width = self.half_width(state.velocity)
+        miss = passing - destination.crossrange
+        return reverse_bank(side, miss, half_width, self.switching)
+
+    def sign(self, side: Scalar) -> Scalar:
+        return side
+
+
+class HeadingCorridor(AbstractLateralLogic[Scalar]):
+    """Reverses the bank when the heading is too far off the bearing of a target.
+
+    The heading error is left alone up to a half width that is a piecewise linear function
+    of the velocity, constant beyond its ends; two points make it a straight line. The side
+    is the sign of the bank.
+    """
+
+    longitude: Scalar = scalar(unit="rad")
+    """Of the target"""
+    latitude: Scalar = scalar(unit="rad", range=QUARTER)
+    """Of the target"""
+    radius: Scalar = scalar(unit="m", positive=True)
+    """Of the planet. Only a surrogate needs it, which shares a reversal out over the
+    distance by which the target would be passed"""
+    velocities: Vector = table(unit="m/s", positive=True, increasing=True)
+    half_widths: Vector = table(unit="rad", positive=True)
+    """At the velocities"""
+    first_sign: Scalar = scalar(1.0)
+    """Of the bank at the start: 1 to the right, -1 to the left"""
+    switching: AbstractSwitching = Sharp()
+
+    def __check_init__(self):
+        _check_sign(self.first_sign)
+        shapes = jnp.shape(self.velocities), jnp.shape(self.half_widths)
+        if shapes[0] != shapes[1] or len(shapes[0]) != 1 or shapes[0][0] == 0:
+            raise ValueError(
+                f"velocities and half_widths have the shapes {shapes[0]} and {shapes[1]}: "
+                "they must be two lists of one length"
+            )
+
+    def half_width(self, velocity: Scalar) -> Scalar:
+        """rad"""
+        return jnp.interp(velocity, self.velocities, self.half_widths)
+
+    def heading_error(self, state: EntryState) -> Scalar:
+        """Bearing of the target less the heading, rad in [-pi, pi].
+
+        Positive if the target is to the right.
+        """
+        ahead, right, _ = self._direction(state)
+        return jnp.arctan2(right, ahead)
+
+    def init(self, measurement: Measurement) -> Scalar:
+        return self.first_sign + 0.0 * measurement.drag
+
+    def update(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        side: Scalar,
+        destination: Destination | None,
+    ) -> Scalar:
+        state = measurement.state
+        ahead, right, down = self._direction(state)
+        distance = self.radius * jnp.arctan2(
+            jnp.sqrt(ahead * ahead + right * right), down
+        )
+        # As a length, in which the surrogates measure how far a limit is exceeded.
+        miss = jnp.arctan2(right, ahead) * distance
+        half_width = self.half_width(state.velocity) * distance
+        return reverse_bank(side, miss, half_width, self.switching)
+
+    def sign(self, side: Scalar) -> Scalar:
+        return side
+
+    def _direction(self, state: EntryState) -> tuple[Scalar, Scalar, Scalar]:
+        """Unit vector to the target: along the heading, to its right, and upwards."""
+        sin_there, cos_there = sincos(self.latitude)
+        sin_here, cos_here = sincos(state.latitude)
+        sin_between, cos_between = sincos(self.longitude - state.longitude)
+        sin_heading, cos_heading = sincos(state.heading)
+        east = cos_there * sin_between
+        north = sin_there * cos_here - cos_there * sin_here * cos_between
+        up = sin_there * sin_here + cos_there * cos_here * cos_between
+        ahead = east * sin_heading + north * cos_heading
+        return ahead, east * cos_heading - north * sin_heading, up
+
+
+class Reversals(eqx.Module):
+    """What is remembered of reversals at given velocities."""
+
+    sign: Scalar
+    """Of the bank: 1 to the right, -1 to the left"""
+    stages: Vector
+    """Of each reversal: `_WAITING`, `_AHEAD` or `_DONE`"""
+
+
+_WAITING, _AHEAD, _DONE = 0.0, 1.0, 2.0
+"""The velocity has not been above that of the reversal; it has; it has fallen to it"""
+
+
+class VelocityReversals(AbstractLateralLogic[Reversals]):
+    """Reverses the bank each time that the velocity has fallen to one of given values.
+
+    Each value counts once, in the first guidance cycle that begins at or below it, and
+    only where the velocity has been above it before: so neither an entry that first
+    becomes faster nor one that begins below some of the values reverses too often. Two
+    values that are passed within one cycle are two reversals, which leave the side as it
+    was.
+    """
+
+    velocities: Vector = table(unit="m/s", positive=True)
+    first_sign: Scalar = scalar(1.0)
+    """Of the bank at the start: 1 to the right, -1 to the left"""
+
+    def __check_init__(self):
+        _check_sign(self.first_sign)
+        if jnp.ndim(self.velocities) != 1:
+            raise ValueError(
+                f"velocities have the shape {jnp.shape(self.velocities)}: they must be "
+                "a list"
+            )
+        if isinstance(self.velocities, Tracer):
+            return
+        values, counts = np.unique(np.asarray(self.velocities), return_counts=True)
+        if np.any(counts > 1):
+            raise ValueError(
+                f"velocities have {values[np.argmax(counts)]:g} m/s more than once: two "
+                "reversals at the same velocity are none"
+            )
+
+    def init(self, measurement: Measurement) -> Reversals:
+        above = measurement.state.velocity > self.velocities
+        return Reversals(
+            self.first_sign + 0.0 * measurement.drag, jnp.where(above, _AHEAD, _WAITING)
+        )
+
+    def update(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        side: Reversals,
+        destination: Destination | None,
+    ) -> Reversals:
+        above = measurement.state.velocity > self.velocities
+        passed = (side.stages == _AHEAD) & jnp.logical_not(above)
+        begins = (side.stages == _WAITING) & above
+        stages = jnp.where(begins, _AHEAD, jnp.where(passed, _DONE, side.stages))
+        odd = jnp.sum(passed) % 2 == 1
+        return Reversals(jnp.where(odd, -side.sign, side.sign), stages)
+
+    def sign(self, side: Reversals) -> Scalar:
+        return side.sign
+
+
+def turned(controls: Controls, sign: Scalar | float) -> Controls:
+    """A command that banks to the right, on the side of a sign of the bank."""
+    return Controls(
+        controls.angle_of_attack, controls.cos_bank, sign * controls.sin_bank
+    )
 
 
 def reverse_bank(
@@ -65,3 +333,12 @@ def predicted_crossrange(
     now, slope = jax.jvp(crossrange, (state.longitude, state.latitude), ahead)
     sine, cosine = sincos(distance / planet.radius)
     return now * cosine + slope * sine
+
+
+def _check_sign(sign: Any) -> None:
+    if isinstance(sign, Tracer) or not eqx.is_array(sign):
+        return
+    if jnp.ndim(sign) != 0 or abs(float(sign)) != 1.0:
+        raise ValueError(
+            f"first_sign is {np.asarray(sign)}: it must be 1, to the right, or -1"
+        )

@@ -1,7 +1,7 @@
 """What a guidance law is: two protocols. Only this file asks which of them a law is."""
 
 from abc import abstractmethod
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import equinox as eqx
 import jax
@@ -12,6 +12,7 @@ from ..fields import Scalar
 from ..motion.state import Controls, EntryState
 from ..onboard.navigation import Measurement
 from .cycle import AbstractCycle, FixedCycle
+from .lateral import AbstractLateralLogic, turned
 
 
 Memory = TypeVar("Memory")
@@ -48,6 +49,39 @@ class AbstractContinuousLaw(AbstractLaw, Generic[Memory]):
         self, time: Scalar, measurement: Measurement, memory: Memory
     ) -> tuple[Controls, Memory]:
         """Command, and the time derivative of the memory."""
+
+
+class AbstractBankLaw(AbstractContinuousLaw[Memory]):
+    """A continuous law that turns the bank, to the side that its lateral logic chooses.
+
+    The law says how it banks to the right. A lateral logic that decides does so at the
+    guidance cycle, which `Sampled(law, period)` gives it.
+    """
+
+    if TYPE_CHECKING:  # a field would be the first argument of every such law
+
+        @property
+        def lateral(self) -> AbstractLateralLogic: ...
+    else:
+        lateral: eqx.AbstractVar[AbstractLateralLogic]
+
+    @abstractmethod
+    def to_the_right(
+        self, time: Scalar, measurement: Measurement, memory: Memory
+    ) -> tuple[Controls, Memory]:
+        """Command if the bank is to the right, and the time derivative of the memory."""
+
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: Memory
+    ) -> tuple[Controls, Memory]:
+        if self.lateral.init(measurement) is not None:
+            name = type(self).__name__
+            raise ValueError(
+                f"{name} has a {type(self.lateral).__name__}, which decides at guidance "
+                f"cycles, and {name} has none: take Sampled(law, period), or FixedSide()"
+            )
+        controls, rate = self.to_the_right(time, measurement, memory)
+        return turned(controls, self.lateral.sign(None)), rate
 
 
 class AbstractSampledLaw(AbstractLaw, Generic[Memory, Held]):
@@ -87,11 +121,20 @@ class AbstractSampledLaw(AbstractLaw, Generic[Memory, Held]):
         """Command within the cycle, and the time derivative of the memory."""
 
 
-class Sampled(AbstractSampledLaw[Memory, Controls]):
+class HeldCommand(eqx.Module):
+    """A command that is held through a guidance cycle."""
+
+    controls: Controls
+    side: Any
+    """By the lateral logic of the law; None where that has nothing to decide"""
+
+
+class Sampled(AbstractSampledLaw[Memory, HeldCommand]):
     """A continuous law whose command is held through each guidance cycle.
 
     Its memory (an observer, a filter) goes on continuously. As the period tends to zero
-    the flight tends to that of the continuous law, at first order.
+    the flight tends to that of the continuous law, at first order. The lateral logic of
+    an `AbstractBankLaw` decides at the cycle.
     """
 
     law: AbstractContinuousLaw[Memory]
@@ -102,23 +145,38 @@ class Sampled(AbstractSampledLaw[Memory, Controls]):
         self.law = law
         self.cycle = FixedCycle(period)
 
-    def init(self, measurement: Measurement) -> tuple[Memory, Controls]:
-        memory = self.law.init(measurement)
+    def init(self, measurement: Measurement) -> tuple[Memory, HeldCommand]:
+        law = self.law
+        memory = law.init(measurement)
         time = 0.0 * measurement.drag
-        command, _ = self.law(time, measurement, memory)
-        return memory, command
+        bank = isinstance(law, AbstractBankLaw)
+        side = law.lateral.init(measurement) if bank else None
+        command, _ = self._acting(time, measurement, memory, side)
+        return memory, HeldCommand(command, side)
 
     def update(
-        self, time: Scalar, measurement: Measurement, memory: Memory, held: Controls
-    ) -> tuple[Memory, Controls]:
-        command, _ = self.law(time, measurement, memory)
-        return memory, command
+        self, time: Scalar, measurement: Measurement, memory: Memory, held: HeldCommand
+    ) -> tuple[Memory, HeldCommand]:
+        law, side = self.law, held.side
+        if isinstance(law, AbstractBankLaw):
+            side = law.lateral.update(time, measurement, side, None)
+        command, _ = self._acting(time, measurement, memory, side)
+        return memory, HeldCommand(command, side)
 
     def __call__(
-        self, time: Scalar, measurement: Measurement, memory: Memory, held: Controls
+        self, time: Scalar, measurement: Measurement, memory: Memory, held: HeldCommand
     ) -> tuple[Controls, Memory]:
-        _, rate = self.law(time, measurement, memory)
-        return held, rate
+        _, rate = self._acting(time, measurement, memory, held.side)
+        return held.controls, rate
+
+    def _acting(
+        self, time: Scalar, measurement: Measurement, memory: Memory, side: Any
+    ) -> tuple[Controls, Memory]:
+        law = self.law
+        if not isinstance(law, AbstractBankLaw):
+            return law(time, measurement, memory)
+        controls, rate = law.to_the_right(time, measurement, memory)
+        return turned(controls, law.lateral.sign(side)), rate
 
 
 def begun(law: AbstractLaw, measurement: Measurement) -> tuple[Any, Any]:

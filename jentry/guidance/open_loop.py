@@ -6,24 +6,26 @@ from ..fields import Scalar, optional_scalar
 from ..motion.state import Controls
 from ..onboard.navigation import Measurement
 from ..onboard.profiles import AbstractProfile
-from .law import AbstractContinuousLaw
+from .lateral import AbstractLateralLogic, FixedSide
+from .law import AbstractBankLaw
 
 
-class BankProfile(AbstractContinuousLaw[None]):
+class BankProfile(AbstractBankLaw[None]):
     """Cosine of the bank as a function of velocity, at one angle of attack.
 
-    Bank is to the right throughout, and its cosine is clipped to [-1, 1].
+    The cosine is clipped to [-1, 1].
     """
 
     cos_bank: AbstractProfile
     """Over velocity, m/s"""
     angle_of_attack: Scalar | None = optional_scalar(unit="rad")
     """None for that at which the vehicle trims"""
+    lateral: AbstractLateralLogic = FixedSide()
 
     def init(self, measurement: Measurement) -> None:
         return None
 
-    def __call__(
+    def to_the_right(
         self, time: Scalar, measurement: Measurement, memory: None
     ) -> tuple[Controls, None]:
         cos_bank = self.cos_bank(measurement.state.velocity)
@@ -32,15 +34,12 @@ class BankProfile(AbstractContinuousLaw[None]):
         return vertical_lift_command(cos_bank, angle), None
 
 
-def vertical_lift_command(
-    cos_bank: Scalar, angle_of_attack: Scalar, sign: Scalar | float = 1.0
-) -> Controls:
-    """Bank with a wanted cosine, the wish clipped to [-1, 1]; to the right by default.
+def vertical_lift_command(cos_bank: Scalar, angle_of_attack: Scalar) -> Controls:
+    """Bank to the right with a wanted cosine, the wish clipped to [-1, 1].
 
-    A `sign` of -1 banks to the left. The sine has derivative zero where the wish is
-    clipped.
+    The sine has derivative zero where the wish is clipped.
     """
     clipped = jnp.clip(cos_bank, -1.0, 1.0)
     inside = jnp.abs(clipped) < 1.0
     sine = jnp.sqrt(jnp.where(inside, 1.0 - clipped * clipped, 1.0))
-    return Controls(angle_of_attack, clipped, sign * jnp.where(inside, sine, 0.0))
+    return Controls(angle_of_attack, clipped, jnp.where(inside, sine, 0.0))

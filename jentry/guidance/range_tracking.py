@@ -4,6 +4,8 @@ Beyond H. Yan, Y. He, "Drag-Tracking Guidance for Entry Vehicles Without Drag Ra
 Measurement", in the same family: between the cycles it is their law with the observer.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -25,7 +27,7 @@ from .drag_tracking import (
     observe,
     track,
 )
-from .lateral import LateralCorridor, predicted_crossrange, reverse_bank
+from .lateral import AbstractLateralLogic, Destination, turned
 from .law import AbstractSampledLaw
 from .open_loop import vertical_lift_command
 from .switching import AbstractSwitching, Sharp
@@ -68,8 +70,8 @@ class Decision(eqx.Module):
     """K, of the reference drag"""
     lift_factor: Scalar
     """Sensed over modelled lift-to-drag ratio"""
-    bank_sign: Scalar
-    """1 to the right, -1 to the left"""
+    side: Any
+    """By the lateral logic"""
 
 
 def scale_to_reach(
@@ -149,8 +151,9 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
 
     And from the start on
 
-    - the sign of the bank: it is reversed when the crossrange at which the flight would
-      pass the target leaves the corridor.
+    - the side to which it banks, by its lateral logic; with a `CrossrangeCorridor` the
+      bank is reversed when the crossrange at which the flight would pass the aim leaves
+      the corridor.
     """
 
     gains: ErrorGains
@@ -162,8 +165,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
     model: OnboardModel
     aim: Aim
     limits: ScaleLimits
-    corridor: LateralCorridor
-    first_bank_sign: Scalar = scalar(1.0)
+    lateral: AbstractLateralLogic
     switching: AbstractSwitching = Sharp()
     cycle: FixedCycle = FixedCycle(1.0)
 
@@ -176,7 +178,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
 
     def init(self, measurement: Measurement) -> tuple[ObserverState, Decision]:
         zero = 0.0 * measurement.drag
-        held = Decision(1.0 + zero, 1.0 + zero, self.first_bank_sign + zero)
+        held = Decision(1.0 + zero, 1.0 + zero, self.lateral.init(measurement))
         tracking = self._track(zero, measurement, None, held)
         return ObserverState(tracking.x1, zero), held
 
@@ -211,16 +213,11 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
         lift_factor = (measurement.lift / measurement.drag) / (
             believed.lift / believed.drag
         )
-        passing = predicted_crossrange(planet, aim.origin, state, range_to_go)
+        destination = Destination(planet, aim.origin, aim.downrange, aim.crossrange)
         decided = Decision(
             scale=jnp.where(scales, scale, held.scale),
             lift_factor=jnp.where(sensed, lift_factor, held.lift_factor),
-            bank_sign=reverse_bank(
-                held.bank_sign,
-                passing - aim.crossrange,
-                self.corridor.half_width(state.velocity),
-                self.switching,
-            ),
+            side=self.lateral.update(time, measurement, held.side, destination),
         )
         jump = decided.scale - held.scale
         return self._shifted(time, measurement, memory, jump), decided
@@ -272,6 +269,6 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
     ) -> tuple[Controls, ObserverState]:
         tracking = self._track(time, measurement, memory, held)
         angle_of_attack = measurement.trim_angle_of_attack
-        controls = vertical_lift_command(tracking.u, angle_of_attack, held.bank_sign)
+        controls = vertical_lift_command(tracking.u, angle_of_attack)
         rate = observe(self.gains, self.observer, self.switching, tracking, memory)
-        return controls, rate
+        return turned(controls, self.lateral.sign(held.side)), rate

@@ -11,7 +11,7 @@ import equinox as eqx
 
 from ...flight.scenario import Scenario
 from ...guidance.drag_tracking import ObserverGains
-from ...guidance.lateral import LateralCorridor
+from ...guidance.lateral import CrossrangeCorridor
 from ...guidance.range_tracking import Aim, RangeTracking, ScaleLimits
 from ...motion.quantities import ground_track
 from ...onboard.model import OnboardModel
@@ -85,7 +85,7 @@ def three_dimensional() -> Scenario:
             velocity=target.velocity,
         ),
         limits=ScaleLimits(lower=0.5, upper=2.0, last_range=LAST_RANGE),
-        corridor=LateralCorridor(floor=300.0, widening=4e-4),
+        lateral=CrossrangeCorridor(floor=300.0, widening=4e-4),
     )
     guided = eqx.tree_at(lambda s: s.guidance, start, law)
     return dataclasses.replace(guided, in_plane=False)
