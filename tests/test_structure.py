@@ -16,6 +16,8 @@ FLOORS = {
     "fields": 0,
     "units": 0,
     "_math": 0,
+    "_integrate": 0,
+    "_newton": 0,
     "_batching": 0,
     "_files": 0,
     "_warnings": 0,

@@ -1,17 +1,15 @@
 """Solvers: how the closed loop is integrated through one guidance cycle."""
 
-import functools
 import math
 from collections.abc import Callable
 from typing import TypeVar
 
 import diffrax
 import equinox as eqx
-import jax
 import jax.numpy as jnp
-from jax import lax
 from jaxtyping import PyTree
 
+from .._integrate import runge_kutta_step
 from ..fields import Scalar
 
 
@@ -44,24 +42,12 @@ class RungeKutta4(diffrax.AbstractSolver):
 
     def step(self, terms, t0, t1, y0, args, solver_state, made_jump):
         del solver_state, made_jump
-        duration = t1 - t0
 
-        # In a loop nothing is there to be merged with what is computed again.
-        @functools.partial(jax.checkpoint, prevent_cse=False)
-        def stage(carry, place_and_weight):
-            slope, total = carry
-            place, weight = place_and_weight
-            y = jax.tree.map(lambda y, k: y + place * duration * k, y0, slope)
-            slope = terms.vf(t0 + place * duration, y, args)
-            total = jax.tree.map(lambda s, k: s + weight * duration * k, total, slope)
-            return (slope, total), None
+        def slope(t, y):
+            return terms.vf(t, y, args)
 
-        places = jnp.array([0.0, 0.5, 0.5, 1.0])
-        weights = jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
-        start = jax.tree.map(jnp.zeros_like, y0), y0
-        (_, y1), _ = lax.scan(
-            stage, start, (places, weights), unroll=4 if self.unroll else 1
-        )
+        start, duration = jnp.asarray(t0), jnp.asarray(t1 - t0)
+        y1 = runge_kutta_step(slope, start, y0, duration, self.unroll)
         return y1, None, {"y0": y0, "y1": y1}, None, diffrax.RESULTS.successful
 
 

@@ -1,9 +1,11 @@
 """Equations of motion of a point mass over a rotating sphere."""
 
 from collections.abc import Callable
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import PyTree
 
 from .._math import sincos
 from ..fields import Scalar
@@ -11,6 +13,9 @@ from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 from .forces import aerodynamic_acceleration
 from .state import Controls, EntryState
+
+
+Y = TypeVar("Y", bound=PyTree)
 
 
 def entry_dynamics(
@@ -95,8 +100,8 @@ def equatorial_dynamics(
 
 
 def with_respect_to(
-    flow: Callable[[EntryState], EntryState], quantity: Callable[[EntryState], Scalar]
-) -> Callable[[EntryState], EntryState]:
+    flow: Callable[[Y], Y], quantity: Callable[[Y], Scalar]
+) -> Callable[[Y], Y]:
     """The same motion with another independent variable than time: energy, velocity, ...
 
     `flow(state)` is the time derivative; the result divides it by the rate of
@@ -105,7 +110,7 @@ def with_respect_to(
         over_energy = with_respect_to(flow, lambda state: energy(planet, state))
     """
 
-    def rate_form(state: EntryState) -> EntryState:
+    def rate_form(state: Y) -> Y:
         rates = flow(state)
         _, rate = jax.jvp(quantity, (state,), (rates,))
         return jax.tree.map(lambda x: x / rate, rates)

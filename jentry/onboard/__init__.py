@@ -24,6 +24,12 @@ from .profiles import (
     QuinticProfile as QuinticProfile,
     quintic_profile as quintic_profile,
 )
+from .propagation import (
+    NO_END as NO_END,
+    Prediction as Prediction,
+    propagate as propagate,
+    propagate_over as propagate_over,
+)
 from .reference import (
     AbstractIndex as AbstractIndex,
     DragReference as DragReference,

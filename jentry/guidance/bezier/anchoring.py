@@ -4,10 +4,8 @@ from abc import abstractmethod
 from collections.abc import Callable
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
-from jax import lax
 
+from ..._integrate import runge_kutta
 from ...fields import Scalar
 from .curve import (
     BezierParameters,
@@ -127,7 +125,7 @@ class StoredParameters(AbstractAnchoring):
         # The command may be singular at the target. What is left in the end is a share of
         # 8e-6 of the way, along which the drag is that at its beginning.
         left = 0.02
-        y = _runge_kutta(slopes, 1.0, left, y, steps)
+        y = runge_kutta(slopes, 1.0, left, y, steps)
         return y[-1] - slopes(left, y)[-1] * left / 3.0
 
     def features(
@@ -188,7 +186,7 @@ class Subdivision(AbstractAnchoring):
             braking = rate(path.point(tau), path.second_slopes(tau), velocity)
             return path.run(tau) * braking
 
-        return _runge_kutta(slope, 0.0, 1.0, velocity, steps)
+        return runge_kutta(slope, 0.0, 1.0, velocity, steps)
 
     def features(
         self, shape: Shape, start: PathPoint, target: PathPoint
@@ -206,29 +204,3 @@ def parameters_of(
 ) -> BezierParameters:
     """k1 and k2 of the curve from the vehicle on."""
     return bezier_parameters(anchoring.inner(shape, start, target), start, target)
-
-
-def _runge_kutta(slope, start: float, end: float, y, steps: int):
-    """The classical method in equal steps; its stages are a loop, to compile once."""
-    step = (end - start) / steps
-    places = jnp.array([0.0, 0.5, 0.5, 1.0])
-    weights = jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
-
-    def advance(y, index):
-        x = start + step * index
-
-        def stage(carry, place_and_weight):
-            k, total = carry
-            place, weight = place_and_weight
-            k = slope(x + place * step, _moved(y, place * step, k))
-            return (k, _moved(total, weight * step, k)), None
-
-        none = jax.tree.map(jnp.zeros_like, y)
-        (_, total), _ = lax.scan(stage, (none, y), (places, weights))
-        return total, None
-
-    return lax.scan(advance, y, jnp.arange(steps, dtype=float))[0]
-
-
-def _moved(y, by, slope):
-    return jax.tree.map(lambda a, k: a + by * k, y, slope)

@@ -1,0 +1,55 @@
+"""The classical Runge-Kutta method, for flights and for what is predicted on board."""
+
+import functools
+from collections.abc import Callable
+from typing import TypeVar
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import PyTree
+
+from .fields import Scalar
+
+
+Y = TypeVar("Y", bound=PyTree)
+Slope = Callable[[Scalar, Y], Y]
+"""dy/dx over the independent variable x and over y"""
+
+
+def runge_kutta_step(
+    slope: Slope, x: Scalar, y: Y, step: Scalar | float, unroll: bool = False
+) -> Y:
+    """y after one step of the classical fourth-order method from x to x + step.
+
+    Each stage adds to the sum and is forgotten. The stages are a loop, which compiles
+    once; `unroll` writes them out.
+    """
+
+    # In a loop nothing is there to be merged with what is computed again.
+    @functools.partial(jax.checkpoint, prevent_cse=False)
+    def stage(carry, place_and_weight):
+        k, total = carry
+        place, weight = place_and_weight
+        at = jax.tree.map(lambda y, k: y + place * step * k, y, k)
+        k = slope(x + place * step, at)
+        total = jax.tree.map(lambda s, k: s + weight * step * k, total, k)
+        return (k, total), None
+
+    places = jnp.array([0.0, 0.5, 0.5, 1.0])
+    weights = jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+    start = jax.tree.map(jnp.zeros_like, y), y
+    (_, after), _ = lax.scan(stage, start, (places, weights), unroll=4 if unroll else 1)
+    return after
+
+
+def runge_kutta(
+    slope: Slope, start: Scalar | float, end: Scalar | float, y: Y, steps: int
+) -> Y:
+    """y at the end, integrated from the start in so many equal steps."""
+    step = (end - start) / steps
+
+    def advance(y, index):
+        return runge_kutta_step(slope, start + step * index, y, step), None
+
+    return lax.scan(advance, y, jnp.arange(steps, dtype=float))[0]

@@ -1,0 +1,132 @@
+"""Newton's method with safeguards: a fixed number of steps, which end within bounds."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+from ._interpolation import clamp
+from .fields import Flag, Scalar
+
+
+Point = Scalar | Float[Array, " 2"]
+"""One unknown, or two of them"""
+Slope = Scalar | Float[Array, "2 2"]
+"""Derivative of one value, or of each of two values (rows) in each unknown (columns)"""
+ValueAndSlope = Callable[[Point], tuple[Point, Slope]]
+
+
+class Root(NamedTuple):
+    """Where Newton's method has come to."""
+
+    x: Point
+    value: Point
+    """Of the function where the last step began"""
+    step: Point
+    """The last step: small where the method has converged"""
+    known: Flag
+    """Whether the function and its derivative were finite wherever they were asked for"""
+
+
+def newton(
+    value_and_slope: ValueAndSlope,
+    x: Point,
+    steps: int,
+    *,
+    lower: Scalar | float | None = None,
+    upper: Scalar | float | None = None,
+    largest_step: Scalar | float | None = None,
+    falls: bool = False,
+    unroll: bool = False,
+) -> Root:
+    """Look for a zero of a function of one or of two unknowns.
+
+    Always as many steps as asked for, none of which leaves the bounds: what cannot be
+    reached ends at a bound. Where the function is not finite, or its slope is zero, x
+    stays. The derivative of the result is that of the steps. Begun at a zero that is not
+    differentiated, `stop_gradient(x)`, one step has the first derivative of the implicit
+    function, two steps have the first three.
+
+    **Arguments:**
+
+    - `value_and_slope`: of the function, such as `by_jvp(function)`.
+    - `x`: where to begin.
+    - `lower`, `upper`: bounds on each unknown.
+    - `largest_step`: bound on each step of each unknown.
+    - `falls`: the function of one unknown is known to fall from a positive value at the
+      lower bound to a negative one at the upper bound. The bounds then close in on the
+      zero, and a step that would leave them goes to the middle between them.
+    - `unroll`: write the steps out, in place of a loop that compiles once.
+    """
+    if falls and (lower is None or upper is None or jnp.ndim(x) != 0):
+        raise ValueError("falls=True needs one unknown with a lower and an upper bound")
+
+    def improve(carry, _):
+        (x, _, _, known), low, high = carry
+        value, slope = value_and_slope(x)
+        finite = jnp.all(jnp.isfinite(value)) & jnp.all(jnp.isfinite(slope))
+        usable = finite & (determinant(slope) != 0.0)
+        none, one = jnp.zeros_like(value), jnp.zeros_like(slope) + _identity(slope)
+        at, slope = jnp.where(usable, value, none), jnp.where(usable, slope, one)
+        step = -solve(slope, at)
+        if largest_step is not None:
+            step = clamp(step, -largest_step, largest_step)
+        moved = x + step
+        if falls:
+            low, high = jnp.where(at > 0.0, x, low), jnp.where(at < 0.0, x, high)
+            inside = (moved >= low) & (moved <= high)
+            moved = jnp.where(inside, moved, 0.5 * (low + high))
+        if lower is not None:
+            moved = jnp.where(moved < lower, lower, moved)
+        if upper is not None:
+            moved = jnp.where(moved > upper, upper, moved)
+        moved = jnp.where(usable, moved, x)
+        return (Root(moved, value, step, known & finite), low, high), None
+
+    known = jnp.all(jnp.isfinite(x))
+    first = Root(x, jnp.full_like(x, jnp.inf), jnp.full_like(x, jnp.inf), known)
+    start = first, _like(lower, x), _like(upper, x)
+    (found, _, _), _ = lax.scan(
+        improve, start, length=steps, unroll=steps if unroll else 1
+    )
+    return found
+
+
+def by_jvp(function: Callable[[Point], Point]) -> ValueAndSlope:
+    """Value and slope of a function, by forward-mode derivatives."""
+
+    def value_and_slope(x: Point) -> tuple[Point, Slope]:
+        if jnp.ndim(x) == 0:
+            return jax.jvp(function, (x,), (jnp.ones_like(x),))
+        values, columns = jax.vmap(lambda t: jax.jvp(function, (x,), (t,)))(jnp.eye(2))
+        return values[0], columns.T
+
+    return value_and_slope
+
+
+def determinant(slope: Slope) -> Scalar:
+    """Zero where the equations have no solution, or more than one."""
+    if jnp.ndim(slope) == 0:
+        return slope
+    (a, b), (c, d) = slope  # pyright: ignore[reportGeneralTypeIssues]
+    return a * d - b * c
+
+
+def solve(slope: Slope, right: Point) -> Point:
+    """Solution of one linear equation, or of two by Cramer's rule."""
+    if jnp.ndim(slope) == 0:
+        return right / slope
+    (a, b), (c, d) = slope  # pyright: ignore[reportGeneralTypeIssues]
+    e, f = right  # pyright: ignore[reportGeneralTypeIssues]
+    return jnp.stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)
+
+
+def _identity(slope: Slope) -> Array | float:
+    return 1.0 if jnp.ndim(slope) == 0 else jnp.eye(2)
+
+
+def _like(bound: Scalar | float | None, x: Point) -> Array:
+    return jnp.zeros_like(x) if bound is None else jnp.zeros_like(x) + bound
