@@ -16,9 +16,15 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ._api import *  # noqa: F403
 
+    __version__: str
+
 
 def __getattr__(name: str) -> Any:
     """Imported when first asked for: JAX takes seconds, and a command may be `--help`."""
+    if name == "__version__":
+        return import_module("importlib.metadata").version(__name__)
+    if name == "__all__":
+        return _names()
     if not name.startswith("_"):
         api = import_module("._api", __name__)
         if name in globals():  # a module of ours, which is there by now
@@ -29,5 +35,10 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
+    return sorted({*globals(), *_names(), "__all__", "__version__"})
+
+
+def _names() -> list[str]:
+    """What is offered: `__all__`, with nothing that is there for another reason."""
     api = import_module("._api", __name__)
-    return sorted({*globals(), *(name for name in vars(api) if name[0] != "_")})
+    return sorted(name for name in vars(api) if not name.startswith("_"))

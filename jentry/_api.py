@@ -2,28 +2,145 @@
 
 from ._setup import setup as setup
 from ._warnings import ResultWarning as ResultWarning
-from .analysis import linear_covariance as linear_covariance, sensitivity as sensitivity
+from .analysis import (
+    LinearCovariance as LinearCovariance,
+    Sensitivity as Sensitivity,
+    clairvoyant_floor as clairvoyant_floor,
+    linear_covariance as linear_covariance,
+    sensitivity as sensitivity,
+)
 from .campaign import (
+    AbstractDistribution as AbstractDistribution,
     Campaign as Campaign,
     CampaignError as CampaignError,
+    Constant as Constant,
     Dispersion as Dispersion,
     Normal as Normal,
     TruncatedNormal as TruncatedNormal,
     Uniform as Uniform,
+    add as add,
     monte_carlo as monte_carlo,
+    multiply as multiply,
     open_campaign as open_campaign,
+    replace as replace,
     run_campaign as run_campaign,
 )
+from .fields import (
+    Count as Count,
+    Flag as Flag,
+    Scalar as Scalar,
+    Vector as Vector,
+    optional_scalar as optional_scalar,
+    scalar as scalar,
+    table as table,
+)
 from .flight import (
+    AbstractEndCondition as AbstractEndCondition,
     Adaptive as Adaptive,
+    AltitudeAbove as AltitudeAbove,
+    AltitudeBelow as AltitudeBelow,
+    Apoapsis as Apoapsis,
+    Crossing as Crossing,
     FixedStep as FixedStep,
     Flight as Flight,
+    History as History,
+    Misses as Misses,
     Outcome as Outcome,
+    Periapsis as Periapsis,
     Scenario as Scenario,
     Target as Target,
+    TargetPassed as TargetPassed,
     Termination as Termination,
+    VelocityAbove as VelocityAbove,
+    VelocityBelow as VelocityBelow,
+    check as check,
     fly as fly,
+    has_end as has_end,
     misses as misses,
 )
-from .missions import find_mission as find_mission
-from .tuning import tune as tune
+from .guidance import (
+    AbstractContinuousLaw as AbstractContinuousLaw,
+    AbstractCycle as AbstractCycle,
+    AbstractLaw as AbstractLaw,
+    AbstractSampledLaw as AbstractSampledLaw,
+    AbstractTimedDecision as AbstractTimedDecision,
+    BankProfile as BankProfile,
+    FixedCycle as FixedCycle,
+    Sampled as Sampled,
+    ShorteningCycle as ShorteningCycle,
+)
+from .missions import (
+    Mission as Mission,
+    PublishedValue as PublishedValue,
+    find_mission as find_mission,
+)
+from .motion import (
+    AbstractAttitude as AbstractAttitude,
+    Controls as Controls,
+    EntryState as EntryState,
+    IdealAttitude as IdealAttitude,
+    Response as Response,
+    SecondOrderAttitude as SecondOrderAttitude,
+    energy as energy,
+    ground_track as ground_track,
+    load_factor as load_factor,
+)
+from .onboard import (
+    AbstractAccelerometers as AbstractAccelerometers,
+    AbstractProfile as AbstractProfile,
+    Accelerometers as Accelerometers,
+    Measurement as Measurement,
+    OnboardModel as OnboardModel,
+    PerfectAccelerometers as PerfectAccelerometers,
+    PolynomialProfile as PolynomialProfile,
+    QuinticProfile as QuinticProfile,
+    Track as Track,
+    quintic_profile as quintic_profile,
+)
+from .tuning import (
+    MeanSquare as MeanSquare,
+    Tuned as Tuned,
+    conditional_value_at_risk as conditional_value_at_risk,
+    control_effort as control_effort,
+    excess as excess,
+    mean_square as mean_square,
+    probability_outside as probability_outside,
+    smooth_maximum as smooth_maximum,
+    smooth_reversals as smooth_reversals,
+    smooth_switching as smooth_switching,
+    tune as tune,
+)
+from .units import (
+    deg as deg,
+    foot as foot,
+    hour as hour,
+    km as km,
+    minute as minute,
+    nautical_mile as nautical_mile,
+    pound as pound,
+    slug as slug,
+    standard_gravity as standard_gravity,
+)
+from .world import (
+    AbstractAerodynamics as AbstractAerodynamics,
+    AbstractAtmosphere as AbstractAtmosphere,
+    AbstractGravity as AbstractGravity,
+    AbstractInvertibleAerodynamics as AbstractInvertibleAerodynamics,
+    AbstractWind as AbstractWind,
+    ConstantAerodynamics as ConstantAerodynamics,
+    ConstantGravity as ConstantGravity,
+    ConstantWind as ConstantWind,
+    DensityWave as DensityWave,
+    ExponentialAerodynamics as ExponentialAerodynamics,
+    ExponentialAtmosphere as ExponentialAtmosphere,
+    InverseSquareGravity as InverseSquareGravity,
+    PerturbedAtmosphere as PerturbedAtmosphere,
+    Planet as Planet,
+    PolynomialAerodynamics as PolynomialAerodynamics,
+    StillAir as StillAir,
+    TabulatedAerodynamics as TabulatedAerodynamics,
+    TabulatedAtmosphere as TabulatedAtmosphere,
+    TabulatedWind as TabulatedWind,
+    USStandardAtmosphere1976 as USStandardAtmosphere1976,
+    Vehicle as Vehicle,
+)

@@ -1,10 +1,18 @@
 """One explicit call that settles precision, cores, compilation cache and XLA options."""
 
+import contextvars
+import functools
 import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import ParamSpec, TypeVar
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 _FAST_OPTIONS = (
@@ -91,6 +99,43 @@ def setup(
         jax.config.update("jax_compilation_cache_dir", str(directory))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+
+
+_SAID: contextvars.ContextVar[bool] = contextvars.ContextVar("_SAID", default=False)
+"""Whether what is running has been called by a function that has looked for float64"""
+
+
+def needs_float64(function: Callable[P, R]) -> Callable[P, R]:
+    """Make a function of the public face warn, by its name, where float64 is off.
+
+    Of functions that call one another the outermost warns, and no other.
+    """
+
+    @functools.wraps(function)
+    def looking(*given: P.args, **options: P.kwargs) -> R:
+        if _SAID.get():
+            return function(*given, **options)
+        _warn_without_float64(function.__qualname__)
+        token = _SAID.set(True)
+        try:
+            return function(*given, **options)
+        finally:
+            _SAID.reset(token)
+
+    return looking
+
+
+def _warn_without_float64(name: str) -> None:
+    import warnings
+
+    import jax
+
+    if not jax.config.read("jax_enable_x64"):
+        warnings.warn(
+            f"{name}: float64 is off, and guidance far up in the atmosphere needs it: "
+            "call jentry.setup() before anything else",
+            stacklevel=3,
+        )
 
 
 def fast_options_are_on() -> bool:

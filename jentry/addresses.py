@@ -124,3 +124,32 @@ def field_metadata(tree: PyTree, address: str) -> Mapping[str, Any]:
 def unit_of(tree: PyTree, address: str) -> str:
     """Unit of the leaf at an address; "1" for a plain number."""
     return field_metadata(tree, address).get("unit", "1")
+
+
+def with_leaves(tree: Tree) -> Tree:
+    """The tree with every Python number in it made a leaf, where its field says how.
+
+    To JAX a Python number is a part of the program: it is compiled anew for each value,
+    and has no gradient and no address. `eqx.tree_at` leaves such numbers in fields made
+    by `scalar()`: these become arrays. Raises `ValueError` for one in any other field.
+    """
+    paths, structure = jtu.tree_flatten_with_path(tree)
+    if not any(isinstance(leaf, int | float | complex) for _, leaf in paths):
+        return tree
+    leaves = [_as_leaf(tree, _address(path), leaf) for path, leaf in paths]
+    return jtu.tree_unflatten(structure, leaves)
+
+
+def _as_leaf(tree: PyTree, address: str, leaf: Any) -> Any:
+    number = isinstance(leaf, int | float | complex) and not isinstance(leaf, bool)
+    if not number or eqx.is_array(leaf):
+        return leaf
+    if "unit" in field_metadata(tree, address):
+        return jnp.asarray(leaf, dtype=float)
+    name = address.rsplit(".", 1)[-1]
+    raise ValueError(
+        f"{address} is the Python number {leaf!r}, which has no gradient and cannot be "
+        "dispersed, and is compiled anew for each value: declare its field as a number, "
+        f"`{name}: Scalar = jentry.scalar()`, or, if it is a count or a setting, as "
+        "`eqx.field(static=True)`"
+    )

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 km = 1000.0
 degree = math.pi / 180.0
+deg = degree
 foot = 0.3048
 nautical_mile = 1852.0
 slug = 14.593902937206364

@@ -10,11 +10,12 @@ import numpy as np
 import optimistix
 from jaxtyping import Array, Key
 
+from .._setup import needs_float64
 from ..campaign.batch import filled_up, over_runs
 from ..campaign.campaign import drawn_inputs, fly_run
 from ..campaign.dispersions import Dispersion, check_dispersions
 from ..flight.miss import misses
-from ..flight.scenario import Scenario, check
+from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
 from ..guidance.open_loop import BankProfile
 from ..onboard.profiles import PolynomialProfile
@@ -22,6 +23,7 @@ from ..tuning.batch_gradients import Outputs
 from ..tuning.losses import MeanSquare
 
 
+@needs_float64
 def clairvoyant_floor(
     scenario: Scenario,
     loss: MeanSquare,
@@ -53,7 +55,7 @@ def clairvoyant_floor(
 
     **Returns:** the outputs, each of shape (runs, ...), and the coefficients, (runs, n).
     """
-    check(scenario)
+    scenario = checked(scenario)
     if scenario.dynamics.has_crossrange:
         raise ValueError(
             "a bank profile to one side cannot meet a crossrange: take a scenario with "

@@ -14,11 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from .._setup import needs_float64
 from ..campaign.batch import LANES, filled_up
 from ..campaign.campaign import check_draws
 from ..campaign.dispersions import Dispersion, check_dispersions
 from ..flight.miss import misses
-from ..flight.scenario import Scenario, check
+from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
 from ..tuning.batch_gradients import Outputs
 from .linear_models import (
@@ -88,6 +89,7 @@ class LinearCovariance:
     of which nothing is predicted"""
 
 
+@needs_float64
 def linear_covariance(
     scenario: Scenario,
     dispersions: Mapping[str, Dispersion],
@@ -118,7 +120,7 @@ def linear_covariance(
         analysis = linear_covariance(scenario, dispersions)
         analysis.spreads["downrange"].standard_deviation
     """
-    check(scenario)
+    scenario = checked(scenario)
     if not dispersions:
         raise ValueError("nothing is dispersed: give dispersions")
     check_dispersions(scenario, dispersions)

@@ -10,10 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._setup import needs_float64
 from ..addresses import addresses_of, leaves_by_address
 from ..campaign.campaign import fly_run
 from ..flight.miss import misses
-from ..flight.scenario import Scenario, check, require_effect, without_effect
+from ..flight.scenario import Scenario, checked, require_effect, without_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome, has_end
 from ..tuning.batch_gradients import FORWARD_UP_TO, Outputs
@@ -32,6 +33,7 @@ class Sensitivity:
     the flight"""
 
 
+@needs_float64
 def sensitivity(
     scenario: Scenario,
     outputs: Outputs = misses,
@@ -65,7 +67,7 @@ def sensitivity(
         s = sensitivity(scenario, wrt=lambda s: s.planet.density_scale)
         s.jacobian["downrange"]["planet.density_scale"]
     """
-    check(scenario)
+    scenario = checked(scenario)
     if mode not in (None, "forward", "reverse"):
         raise ValueError(f'mode is {mode!r}: it must be "forward" or "reverse"')
     known = leaves_by_address(scenario)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+from .._setup import needs_float64
 from ..addresses import (
     addresses_of,
     field_metadata,
@@ -21,7 +22,7 @@ from ..addresses import (
 from ..flight.cycle import Plan
 from ..flight.flight import Flight, fly, warn_of
 from ..flight.miss import Misses, misses
-from ..flight.scenario import Scenario, check, check_values, require_effect
+from ..flight.scenario import Scenario, check_values, checked, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from .batch import in_blocks, over_runs
 from .dispersions import Dispersion, check_dispersions, check_runs, dispersed_inputs
@@ -42,6 +43,7 @@ class Campaign(eqx.Module):
     misses: Misses
 
 
+@needs_float64
 def monte_carlo(
     scenario: Scenario,
     dispersions: Mapping[str, Dispersion] | None = None,
@@ -94,7 +96,7 @@ def fly_in_blocks(
     history: float | None = None,
 ) -> Iterator[Campaign]:
     """As `monte_carlo`, part by part in the order of the runs, in constant memory."""
-    check(scenario)
+    scenario = checked(scenario)
     Plan.of(scenario, solver, history)  # refuses a step or an interval
     given = None
     count = 1000

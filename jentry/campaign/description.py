@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from .._setup import fast_options_are_on
-from ..addresses import addresses_of, leaves_by_address, unit_of
+from ..addresses import addresses_of, leaves_by_address, unit_of, with_leaves
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
 from .dispersions import Dispersion
@@ -23,7 +23,7 @@ def describe(
     solver: AbstractSolver,
     history: float | None,
     inputs: Mapping[str, Any] | None = None,
-    **labels: str,
+    **labels: Any,
 ) -> dict[str, Any]:
     """What a campaign is, as plain values: two that are equal fly the same runs."""
     leaves = leaves_by_address(scenario)
@@ -42,7 +42,7 @@ def describe(
                 **{
                     field: float(value)
                     for field, value in leaves_by_address(
-                        dispersion.distribution
+                        with_leaves(dispersion.distribution)
                     ).items()
                 },
                 "apply": _name(dispersion.apply),

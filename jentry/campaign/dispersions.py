@@ -15,7 +15,13 @@ from jax.core import Tracer
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Float, Int, Key
 
-from ..addresses import addresses_of, field_metadata, leaves_by_address, unit_of
+from ..addresses import (
+    addresses_of,
+    field_metadata,
+    leaves_by_address,
+    unit_of,
+    with_leaves,
+)
 from ..fields import Scalar, scalar
 from ..flight.effect import require_felt
 from ..flight.scenario import Scenario, check_values, require_effect
@@ -339,6 +345,10 @@ def check_dispersions(
                 _refuse_factor_on_zero(name, address, leaves[address])
         moved.update(reached)
         distribution = dispersion.distribution
+        try:
+            distribution = with_leaves(distribution)
+        except ValueError as error:
+            raise ValueError(f"dispersions.{name}.{error}") from None
         numbers = leaves_by_address(distribution)
         for field, value in numbers.items():
             metadata = field_metadata(distribution, field)

@@ -16,9 +16,10 @@ import jax
 import numpy as np
 
 from .._files import remove_unfinished, write_whole
+from .._setup import needs_float64
 from ..flight.flight import Flight
 from ..flight.miss import misses
-from ..flight.scenario import Scenario
+from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
 from .campaign import Campaign, fly_in_blocks
 from .description import describe
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     import xarray
 
 
+@needs_float64
 def run_campaign(
     out: Path | str,
     scenario: Scenario,
@@ -53,7 +55,7 @@ def run_campaign(
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
     report: Callable[[int], None] = lambda stored: None,
-    **labels: str,
+    **labels: Any,
 ) -> None:
     """Fly a campaign into a folder, or what of it is not there yet.
 
@@ -73,6 +75,7 @@ def run_campaign(
     run included, before the first flight.
     """
     out = Path(out)
+    scenario = checked(scenario)
     key = None if inputs is not None else key_of(seed)
 
     def blocks_of(runs: int | np.ndarray) -> Iterator[Campaign]:
@@ -114,7 +117,7 @@ def write_flight(
     flight: Flight,
     solver: AbstractSolver,
     history: float | None,
-    **labels: str,
+    **labels: Any,
 ) -> None:
     """Write one flight as a campaign of one run, a netCDF file."""
     flown = flight, misses(scenario, flight)

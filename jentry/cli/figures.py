@@ -1,5 +1,7 @@
 """The figures of a campaign: what is flown for them, and where they go."""
 
+import math
+
 import numpy as np
 
 from ..addresses import leaves_by_address
@@ -8,7 +10,7 @@ from ..campaign.results import dataset
 from ..flight.cycle import varies
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
-from ..guidance.law import AbstractSampledLaw
+from ..guidance.law import AbstractLaw, AbstractSampledLaw
 from ..missions.mission import Mission
 
 
@@ -39,11 +41,20 @@ def draw_figures(folder, mission: Mission, scenario: Scenario, results, solver):
     return target
 
 
+def _interval(law: AbstractLaw) -> float:
+    """At which a history can be kept, s: about `_INTERVAL`, in step with the cycle."""
+    if not isinstance(law, AbstractSampledLaw):
+        return _INTERVAL
+    period = law.cycle.period
+    if varies(law):
+        return period
+    if period > _INTERVAL:
+        return period / math.ceil(period / _INTERVAL - 1e-9)
+    return period * max(1, round(_INTERVAL / period))
+
+
 def _fly(scenario: Scenario, inputs, solver: AbstractSolver):
-    law = scenario.guidance
-    interval = _INTERVAL
-    if isinstance(law, AbstractSampledLaw) and varies(law):
-        interval = law.cycle.period
+    interval = _interval(scenario.guidance)
     campaign = monte_carlo(
         scenario,
         runs=len(next(iter(inputs.values()))),

@@ -48,5 +48,5 @@ def command(
     flight = eqx.filter_jit(fly)(scenario, solver, history)
     print_flight(chosen, scenario, flight)
     if out is not None:
-        write_flight(out, scenario, flight, solver, history, mission=mission)
+        write_flight(out, scenario, flight, solver, history, **chosen.labels)
         typer.echo(f"written: {out}")

@@ -1,12 +1,32 @@
 """`jentry list`: the missions, their variants and their dispersions."""
 
+from typing import Annotated
+
+import typer
+
 from .options import app
 
 
 @app.command("list")
-def command() -> None:
+def command(
+    missions: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[MISSION]...",
+            help="Names, or files of your own that define MISSION; all missions of "
+            "jentry and of installed packages if not given.",
+        ),
+    ] = None,
+) -> None:
     """The missions, their variants and their dispersions."""
-    from ..missions import ALL
+    from ..missions import every_mission, find_mission
     from .report import print_missions
 
-    print_missions(ALL.values())
+    if missions:
+        print_missions(map(find_mission, missions))
+        return
+    found = list(every_mission())
+    print_missions(m for m in found if not isinstance(m, ValueError))
+    for error in found:
+        if isinstance(error, ValueError):
+            typer.echo(f"jentry: {error}", err=True)

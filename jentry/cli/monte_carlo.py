@@ -67,6 +67,7 @@ def command(
     import_meanwhile("xarray", "h5netcdf", "rich.table", "rich.progress")
     from ..campaign.store import open_campaign, run_campaign
     from ..flight.solver import FixedStep
+    from .dispersions_report import print_what_is_flown
     from .figures import draw_figures
     from .overrides import read_inputs
     from .report import print_campaign, progress
@@ -91,7 +92,9 @@ def command(
             raise ValueError(f"--runs is {runs}, and {inputs} has {rows}: give no more")
     elif runs is None:
         runs = 1000
-    folder = Path("results") / mission if out is None else out
+    if given is None:
+        print_what_is_flown(chosen, scenario, overrides, reading, table)
+    folder = Path("results") / chosen.name if out is None else out
     solver = FixedStep(step)
     with rounding_off("the same command resumes") as look, progress(runs) as told:
 
@@ -109,8 +112,8 @@ def command(
             solver=solver,
             history=history,
             report=report,
-            mission=mission,
             variant=variant,
+            **chosen.labels,
         )
     results = open_campaign(folder, runs)
     print_campaign(chosen, results, as_published)

@@ -16,7 +16,11 @@ app = typer.Typer(
 )
 
 MissionName = Annotated[
-    str, typer.Argument(help="Name of a mission: see `jentry list`.")
+    str,
+    typer.Argument(
+        help="Name of a mission, see `jentry list`; or a file of your own that defines "
+        "MISSION, my_mission.py."
+    ),
 ]
 Variant = Annotated[
     str | None, typer.Option(help="Variant of the mission: see `jentry list`.")
@@ -106,13 +110,25 @@ def chosen_scenario(name, variant, config, assignments):
 
 
 def dispersion_table(mission, overrides, reading):
-    """Name of the reading, and the dispersions by it or by the configuration."""
-    if reading is not None and overrides.dispersions is not None:
-        raise ValueError("dispersions are given by --dispersions and by --config: once")
-    reading = first_given(reading, overrides.reading, *mission.dispersions)
-    if overrides.dispersions is not None:
-        return reading, overrides.dispersions
-    return reading, mission.dispersion_table(reading)
+    """Name of the reading, and its dispersions as the configuration has changed them."""
+    if overrides.replaces and reading is not None:
+        raise ValueError(
+            "dispersions are given by --dispersions and by --config, whose replace = true "
+            "leaves out those of the mission: give one of them"
+        )
+    reading = first_given(reading, overrides.reading, *mission.dispersions, "")
+    return reading, {
+        **dispersions_before(mission, overrides, reading),
+        **(overrides.dispersions or {}),
+    }
+
+
+def dispersions_before(mission, overrides, reading):
+    """The dispersions of a reading that the configuration changes or adds to."""
+    none = not mission.dispersions and not reading and overrides.dispersions is not None
+    if overrides.replaces or none:
+        return {}
+    return mission.dispersion_table(reading)
 
 
 def first_given(*options: str | None) -> str:

@@ -12,8 +12,10 @@
     lower = 0.7
     upper = 1.3
 
-A `[dispersions]` table takes the place of the mission's own; `dispersions =
-"independent"` chooses one of the mission's readings.
+A `[dispersions.NAME]` table changes the mission's dispersion of that name, or is added
+to them. In `[dispersions]`, `reading = "independent"` chooses which of the mission's
+readings are changed, and `replace = true` leaves out all of them. `dispersions =
+"independent"` chooses a reading and changes nothing.
 """
 
 import dataclasses
@@ -101,6 +103,8 @@ class Overrides:
     `Quantity` as read, and a float in SI"""
     dispersions: Mapping[str, Any] | None = None
     """By name: each is `Stated` as read, and a `Dispersion` in SI"""
+    replaces: bool = False
+    """Whether they take the place of the mission's, or are added to them"""
     written: Mapping[str, Any] | None = None
     """The table of dispersions as the file has it"""
 
@@ -108,6 +112,12 @@ class Overrides:
     def disperses(self) -> bool:
         """Whether it says what is dispersed."""
         return self.dispersions is not None or self.reading is not None
+
+    def written_with(self, reading: str) -> str | Mapping[str, Any]:
+        """What a file has to say of dispersions for the same, with a reading chosen."""
+        if self.written is None or self.dispersions is None:
+            return reading
+        return self.written if self.replaces else {**self.written, "reading": reading}
 
 
 def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overrides:
@@ -143,21 +153,50 @@ def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
         raise ValueError(f"variant is {variant!r}: it must be a name")
     if dispersed is not None and not isinstance(dispersed, str | Mapping):
         raise ValueError(f"dispersions is {dispersed!r}: it must be a name")
-    table = None
     if isinstance(dispersed, Mapping):
-        if not dispersed:
-            raise ValueError(
-                "[dispersions] is empty: leave it out for the mission's own, or write "
-                "a table for each, [dispersions.NAME]"
-            )
-        table = {name: _stated(name, entry) for name, entry in dispersed.items()}
+        table, reading, replaces = _read_dispersions(dispersed)
+    else:
+        table, reading, replaces = None, dispersed, False
     return Overrides(
         variant=variant,
-        reading=dispersed if isinstance(dispersed, str) else None,
+        reading=reading,
         values=values | assigned,
         dispersions=table,
+        replaces=replaces,
         written=dispersed if isinstance(dispersed, Mapping) else None,
     )
+
+
+def _read_dispersions(
+    dispersed: Mapping[str, Any],
+) -> tuple[dict[str, Stated] | None, str | None, bool]:
+    """The dispersions of a table, the reading that they change, whether they replace it."""
+    # A table of one of these names is a dispersion like any other.
+    settings = {
+        key: value
+        for key, value in dispersed.items()
+        if key in ("reading", "replace") and not isinstance(value, Mapping)
+    }
+    entries = {key: value for key, value in dispersed.items() if key not in settings}
+    reading, replaces = settings.get("reading"), settings.get("replace", False)
+    if not isinstance(replaces, bool):
+        raise ValueError(
+            f"dispersions.replace is {replaces!r}: it must be true or false"
+        )
+    if reading is not None and not isinstance(reading, str):
+        raise ValueError(f"dispersions.reading is {reading!r}: it must be a name")
+    if replaces and reading is not None:
+        raise ValueError(
+            f"dispersions.reading is {reading!r}, and dispersions.replace leaves out the "
+            "dispersions of the mission: give one of them"
+        )
+    if not entries and reading is None:
+        raise ValueError(
+            "[dispersions] is empty: leave it out for the mission's own, or write "
+            "a table for each, [dispersions.NAME]"
+        )
+    table = {name: _stated(name, entry) for name, entry in entries.items()}
+    return table or None, reading, replaces
 
 
 def in_si(overrides: Overrides, scenario: Scenario) -> Overrides:
@@ -219,7 +258,13 @@ def write_overrides(
         numbers = np.asarray(value, float).tolist()
         lines += [f"{json.dumps(address)} = {json.dumps(numbers, allow_nan=False)}"]
     if not isinstance(dispersions, str):
+        lines += ["", "[dispersions]"]
         for name, entry in dispersions.items():
+            if not isinstance(entry, Mapping):
+                lines += [f"{name} = {json.dumps(entry)}"]
+        for name, entry in dispersions.items():
+            if not isinstance(entry, Mapping):
+                continue
             lines += ["", f"[dispersions.{json.dumps(name)}]"]
             lines += [f"{key} = {json.dumps(value)}" for key, value in entry.items()]
     write_whole(path, ("\n".join(lines) + "\n").encode())

@@ -18,6 +18,7 @@ from rich.table import Table
 
 from ..addresses import field_metadata, leaves_by_address, unit_of
 from ..campaign.populations import finite_flights, is_output, population, sets_of
+from ..flight.effect import unfelt
 from ..flight.flight import Flight, caveat_sentence
 from ..flight.miss import misses
 from ..flight.scenario import Scenario, allowed
@@ -42,13 +43,14 @@ def print_missions(missions: Iterable[Mission]) -> None:
     for mission in missions:
         console.print(mission.name, style="bold", end="")
         console.print(f": {mission.title}")
-        console.print(f"  source       {mission.source}")
+        if mission.source:
+            console.print(f"  source       {mission.source}")
         console.print(f"  variants     {', '.join(mission.variants)}")
         console.print(f"  dispersions  {', '.join(mission.dispersions)}")
 
 
 def print_leaves(scenario: Scenario) -> None:
-    """Address, value and unit of every leaf."""
+    """Address, value and unit of every leaf, and which of them have no effect."""
     table = new_table("address", "value", "unit", "allowed")
     for address, leaf in leaves_by_address(scenario).items():
         shape = " x ".join(str(n) for n in leaf.shape)
@@ -58,6 +60,9 @@ def print_leaves(scenario: Scenario) -> None:
     console = new_console()
     console.width = max(console.width, 100)
     print_under(console, "scenario", table)
+    idle = unfelt(scenario)
+    if idle:
+        console.print(f"without effect in this scenario: {', '.join(idle)}")
 
 
 def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:

@@ -59,10 +59,12 @@ def command(
     from ..campaign.dispersions import key_of, scaled_dispersions
     from ..flight.solver import FixedStep
     from .analysis_report import print_covariance, print_sensitivity
+    from .dispersions_report import print_what_is_flown
     from .overrides import AtAddresses
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
-    _, table = dispersion_table(chosen, overrides, dispersions)
+    reading, table = dispersion_table(chosen, overrides, dispersions)
+    print_what_is_flown(chosen, scenario, overrides, reading, table)
     solver = FixedStep(step)
     if wrt:
         addresses = expanded(scenario, wrt, ())

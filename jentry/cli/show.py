@@ -1,17 +1,42 @@
-"""`jentry show`: every number of a mission."""
+"""`jentry show`: every number of a mission, and what is dispersed of them."""
 
-from .options import Config, MissionName, Set, Variant, app, chosen_scenario, set_up
+from .options import (
+    Config,
+    Dispersions,
+    MissionName,
+    Set,
+    Variant,
+    app,
+    chosen_scenario,
+    dispersion_table,
+    set_up,
+)
 
 
 @app.command("show")
 def command(
     mission: MissionName,
     variant: Variant = None,
+    dispersions: Dispersions = None,
     set_: Set = None,
     config: Config = None,
 ) -> None:
-    """Every number of a mission: address, value and unit."""
+    """Every number of a mission, what has no effect, and what is dispersed.
+
+    Dispersions are those that would be flown, if one reading is chosen or changed, and all
+    readings of the mission if not.
+    """
     set_up(workers=1)
+    from .dispersions_report import print_dispersions, print_what_is_flown
     from .report import print_leaves
 
-    print_leaves(chosen_scenario(mission, variant, config, set_)[1])
+    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    print_leaves(scenario)
+    if overrides.dispersions is not None:
+        reading, table = dispersion_table(chosen, overrides, dispersions)
+        print_what_is_flown(chosen, scenario, overrides, reading, table)
+        return
+    one = dispersions if dispersions is not None else overrides.reading
+    for reading in chosen.dispersions if one is None else [one]:
+        table = chosen.dispersion_table(reading)
+        print_dispersions(f"dispersions: {reading}", scenario, table)

@@ -1,6 +1,7 @@
 """`jentry tune`: gains, or any numbers, by gradient through a Monte Carlo."""
 
 import math
+import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -126,6 +127,7 @@ def command(
     from ..tuning import smoothing
     from ..tuning.losses import BY_NAME
     from ..tuning.tuning import tune
+    from .dispersions_report import print_what_is_flown
     from .overrides import AtAddresses, write_overrides
     from .tuning_options import parse_bounds, parse_leaf_scales, parse_scales
     from .tuning_report import print_tuned, report_step, write_history
@@ -151,8 +153,9 @@ def command(
         raise ValueError(f"optimizer is {wanted!r}: choose from {', '.join(methods)}")
     default = [] if gains else list(chosen.gains)
     addresses = expanded(scenario, gains or (), default)
-    folder = Path("results") / f"{mission}-tuned" if out is None else out
+    folder = Path("results") / f"{chosen.name}-tuned" if out is None else out
     record = folder / "tuning.npz"
+    print_what_is_flown(chosen, scenario, overrides, reading, table)
     with rounding_off("the same command resumes") as look:
 
         def report(history: list, best: int) -> None:
@@ -177,7 +180,12 @@ def command(
             patience=patience,
             held_out=held_out,
             record=record,
-            labels={"loss": loss, "optimizer": wanted, "learning_rate": learning_rate},
+            labels={
+                "loss": loss,
+                "optimizer": wanted,
+                "learning_rate": learning_rate,
+                **{f"code of {file}": is_ for file, is_ in chosen.code.items()},
+            },
             report=report,
         )
     print_tuned(chosen, scenario, tuned)
@@ -185,12 +193,12 @@ def command(
     stepped = "" if step is None else f", --step {step:g}"
     write_overrides(
         folder / "tuned.toml",
-        f"{mission} tuned by jentry: {loss} over {runs} draws of seed {seed}, {wanted},\n"
-        f"{len(tuned.history)} steps{stepped}. Fly it:\n"
-        f"jentry monte-carlo {mission} --config FILE",
+        f"{chosen.name} tuned by jentry: {loss} over {runs} draws of seed {seed},\n"
+        f"{wanted}, {len(tuned.history)} steps{stepped}. Fly it:\n"
+        f"jentry monte-carlo {shlex.quote(mission)} --config FILE",
         variant,
         {**overrides.values, **tuned.values},
-        overrides.written or reading,
+        overrides.written_with(reading),
     )
     typer.echo(f"tuned scenario: {folder / 'tuned.toml'}")
 

@@ -5,6 +5,7 @@ from .miss import Misses as Misses, misses as misses
 from .scenario import Scenario as Scenario, Target as Target, check as check
 from .solver import Adaptive as Adaptive, FixedStep as FixedStep
 from .termination import (
+    AbstractEndCondition as AbstractEndCondition,
     AltitudeAbove as AltitudeAbove,
     AltitudeBelow as AltitudeBelow,
     Apoapsis as Apoapsis,

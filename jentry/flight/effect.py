@@ -15,7 +15,7 @@ from ..guidance.law import AbstractSampledLaw
 from ..motion.state import Controls
 from ..onboard.navigation import measure
 from .closed_loop import constrained, decide, path_constraints, start, vector_field
-from .scenario import Scenario
+from .scenario import Scenario, without_effect
 
 
 def require_felt(scenario: Scenario, addresses: Iterable[str]) -> None:
@@ -33,6 +33,18 @@ def require_felt(scenario: Scenario, addresses: Iterable[str]) -> None:
         raise ValueError(
             f"{address} has no effect in this scenario: no equation of its flight uses it"
         )
+
+
+def unfelt(scenario: Scenario) -> tuple[str, ...]:
+    """Addresses of the numbers that no equation of the flight uses, in their order."""
+    used = _used(_motion_and_sensors, scenario) | _used(_guidance, scenario)
+    idle = without_effect(scenario)
+    return tuple(
+        address
+        for address in leaves_by_address(scenario)
+        if address in idle
+        or (address not in used and not address.startswith("target."))
+    )
 
 
 def _used(equations: Callable[[Scenario], Any], scenario: Scenario) -> set[str]:

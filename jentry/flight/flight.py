@@ -11,6 +11,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from .._setup import needs_float64
 from .._warnings import ResultWarning
 from ..fields import Count, Flag, Scalar
 from ..motion.state import Controls, EntryState
@@ -18,7 +19,7 @@ from .closed_loop import Lane, Peaks, caveats, command, constrained, start
 from .cycle import Plan
 from .end import end_of_flight
 from .loop import while_running, while_running_with_history
-from .scenario import Scenario, check
+from .scenario import Scenario, checked
 from .solver import AbstractSolver, FixedStep
 
 
@@ -59,6 +60,7 @@ class Flight(eqx.Module):
     history: History | None
 
 
+@needs_float64
 def fly(
     scenario: Scenario,
     solver: AbstractSolver = FixedStep(),
@@ -98,13 +100,7 @@ def fly(
         flight = fly(scenario)
         gradient = jax.grad(lambda s: fly(s).state.altitude)(scenario)
     """
-    if not jax.config.read("jax_enable_x64"):
-        warnings.warn(
-            "float64 is off, and guidance far up in the atmosphere needs it: call "
-            "jentry.setup() before anything else",
-            stacklevel=2,
-        )
-    check(scenario)
+    scenario = checked(scenario)
     plan = Plan.of(scenario, solver, history)
     lane = start(scenario, plan.step)
     if history is None:
@@ -130,7 +126,7 @@ def fly(
     )
 
 
-def warn_of(caveats: Mapping[str, Any], stacklevel: int = 3) -> None:
+def warn_of(caveats: Mapping[str, Any], stacklevel: int = 4) -> None:
     """Warn of caveats that are not zero, of one flight or of many.
 
     Says nothing of numbers that are not known yet, as under `jit`.

@@ -3,10 +3,11 @@
 from collections.abc import Mapping
 
 import equinox as eqx
+import jax
 import numpy as np
 from jax.core import Tracer
 
-from ..addresses import field_metadata, leaves_by_address, unit_of
+from ..addresses import field_metadata, leaves_by_address, unit_of, with_leaves
 from ..fields import QUARTER, Scalar, optional_scalar, scalar
 from ..guidance.law import AbstractLaw, reads_forces_between_cycles
 from ..motion.attitude import AbstractAttitude, IdealAttitude
@@ -63,11 +64,27 @@ def check(scenario: Scenario) -> None:
     that are not known yet (under `jit`, `vmap` or `grad`) are left to the outcome of
     the flight.
     """
+    with_leaves(scenario)
     _check_kept(scenario.dynamics, scenario.initial_state)
     _check_noise(scenario)
     for address, leaf in leaves_by_address(scenario).items():
+        if jax.config.read("jax_enable_x64") and leaf.dtype == np.float32:
+            raise ValueError(
+                f"{address} is of single precision: it was made before jentry.setup(), "
+                "which comes first, or with dtype=float32"
+            )
         if not isinstance(leaf, Tracer):
             check_values(address, np.asarray(leaf), field_metadata(scenario, address))
+
+
+def checked(scenario: Scenario) -> Scenario:
+    """A scenario that can be flown, with every number a leaf; see `with_leaves`.
+
+    Raises `ValueError` as `check` does.
+    """
+    scenario = with_leaves(scenario)
+    check(scenario)
+    return scenario
 
 
 def _check_kept(dynamics: AbstractDynamics, start: EntryState) -> None:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
+from .._setup import needs_float64
 from ..campaign.campaign import Campaign, monte_carlo
 from ..campaign.dispersions import Dispersion
 from ..fields import Scalar
@@ -54,6 +55,7 @@ class Samples(eqx.Module):
         return jax.tree.map(lambda x: np.asarray(x)[chosen], self)
 
 
+@needs_float64
 def fly_samples(
     scenario: Scenario,
     dispersions: Mapping[str, Dispersion],

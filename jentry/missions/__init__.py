@@ -1,18 +1,73 @@
 """Floor 9: the missions, a folder each."""
 
+from collections.abc import Iterator
+from pathlib import Path
+
 from ..addresses import nearest
 from .cav_h import MISSION as CAV_H
 from .mars.drag_tracking import MISSION as DRAG_TRACKING
 from .mars.range_tracking import MISSION as RANGE_TRACKING
 from .mission import Mission as Mission, PublishedValue as PublishedValue
+from .own import (
+    is_file,
+    mission_in_file,
+    mission_of_package,
+    packaged_missions,
+    where_from,
+)
 
 
 ALL = {mission.name: mission for mission in (DRAG_TRACKING, RANGE_TRACKING, CAV_H)}
-"""Every mission by its name."""
+"""Every mission of jentry by its name."""
 
 
-def find_mission(name: str) -> Mission:
-    """A mission by its name. Raises `ValueError` with the nearest names otherwise."""
+def find_mission(name: str | Path) -> Mission:
+    """A mission by its name, or one of your own by its file.
+
+    A name is one of jentry's missions, or one that an installed package offers in the
+    entry-point group `jentry.missions`. A file is a path that ends in `.py`; it defines
+    `MISSION`. It may import other files of its folder.
+
+    **Raises:** `ValueError` for an unknown name, with the nearest ones; for a file that
+    cannot be imported, with the line, or defines no mission; for a name that two
+    missions have.
+
+        find_mission("mars-drag-tracking")
+        find_mission("missions/my_lander.py")
+    """
+    if is_file(str(name)):
+        mission = mission_in_file(Path(name))
+        rivals = _places(mission.name)
+        if rivals:
+            raise ValueError(
+                f"MISSION of {name} is named {mission.name!r}, which is also the name of "
+                f"{rivals[0]}: give yours another name"
+            )
+        return mission
+    packaged = packaged_missions()
+    places = _places(str(name))
+    if len(places) > 1:
+        raise ValueError(f"{' and '.join(places)} have the same name, {name!r}")
+    if name in packaged:
+        return mission_of_package(packaged[str(name)][0])
     if name not in ALL:
-        raise ValueError(f"no mission {name!r}; {nearest(name, ALL)}")
-    return ALL[name]
+        file = Path(f"{name}.py")
+        beside = f"; did you mean {file}?" if file.exists() else ""
+        known = nearest(str(name), {**ALL, **packaged})
+        raise ValueError(f"no mission {name!r}; {known}{beside}")
+    return ALL[str(name)]
+
+
+def every_mission() -> Iterator[Mission | ValueError]:
+    """Those of jentry and of installed packages, or why one of them cannot be had."""
+    for name in dict.fromkeys((*ALL, *packaged_missions())):
+        try:
+            yield find_mission(name)
+        except ValueError as error:
+            yield error
+
+
+def _places(name: str) -> list[str]:
+    """Where there are missions of a name."""
+    own = [f"the mission {name} of jentry"] if name in ALL else []
+    return own + [where_from(point) for point in packaged_missions().get(name, ())]

@@ -1,13 +1,20 @@
 """What a mission is: a scenario with a name, its dispersions and its published table."""
 
 import dataclasses
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
+from .._setup import needs_float64
 from ..campaign.dispersions import Dispersion
 from ..flight.scenario import Scenario
+
+
+_NAME = re.compile(r"\w[\w.-]*")
+_EXAMPLES = {"variants": "scenario", "dispersions": "dispersions"}
+_RETURNED = {"variants": "a Scenario", "dispersions": "a table of dispersions"}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -23,16 +30,31 @@ class PublishedValue:
 
 @dataclasses.dataclass(frozen=True)
 class Mission:
-    """One published system, whole."""
+    """A system, whole: what flies, what of it is uncertain, what has been published.
+
+    MISSION = Mission(
+        name="my-lander",
+        title="Lander with a law of my own",
+        variants={"nominal": scenario},
+        dispersions={"all": dispersions},
+    )
+
+    A file that defines `MISSION` is flown by `jentry fly my_lander.py`; a package that
+    names its own in the entry-point group `jentry.missions`, by `jentry fly my-lander`.
+    """
 
     name: str
+    """Of letters, digits, dots, dashes and underscores: results go to a folder of it"""
     title: str
-    source: str
     variants: Mapping[str, Callable[[], Scenario]]
     """Builders of the scenario; the first is the mission's own"""
-    dispersions: Mapping[str, Callable[[], Mapping[str, Dispersion]]]
+    dispersions: Mapping[str, Callable[[], Mapping[str, Dispersion]]] = (
+        dataclasses.field(default_factory=dict)
+    )
     """Readings of the dispersion table; the first is the mission's own. Functions, so
     that importing a mission makes no array"""
+    source: str = ""
+    """The paper, if there is one"""
     gains: tuple[str, ...] = ("guidance.gains", "guidance.observer")
     """What `jentry tune` tunes unless told otherwise: addresses, or the beginnings of
     some; those that a variant does not have are left out"""
@@ -45,19 +67,69 @@ class Mission:
     """What the published values belong to"""
     published_runs: int = 1000
     """Of which the published statistics are: the size of the sets they are compared with"""
+    code: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """Of a mission that is none of jentry's, what its files were when it was imported, by
+    name; filled in by `find_mission`, stored with results, compared on resumption"""
 
+    def __post_init__(self):
+        if not _NAME.fullmatch(self.name):
+            raise ValueError(
+                f"the name of a mission is {self.name!r}: it must be of letters, digits, "
+                "dots, dashes and underscores"
+            )
+        for what in ("variants", "dispersions"):
+            named = getattr(self, what)
+            if not isinstance(named, Mapping) or (what == "variants" and not named):
+                raise ValueError(
+                    f"mission {self.name} has {what} {named!r}: they must be functions "
+                    f'by name, such as {{"nominal": {_EXAMPLES[what]}}}'
+                )
+            for name, function in named.items():
+                if not callable(function):
+                    raise ValueError(
+                        f"{what} {name!r} of mission {self.name} is a "
+                        f"{type(function).__name__}: it must be a function without "
+                        f"arguments that returns {_RETURNED[what]}"
+                    )
+        if isinstance(self.gains, str):
+            raise ValueError(
+                f"gains of mission {self.name} is {self.gains!r}: it must be a tuple, "
+                f"({self.gains!r},)"
+            )
+
+    @property
+    def labels(self) -> dict[str, Any]:
+        """By which its results are known: its name, and its code if that is its own."""
+        return {"mission": self.name} | ({"code": dict(self.code)} if self.code else {})
+
+    @needs_float64
     def scenario(self, variant: str | None = None) -> Scenario:
         """The nominal scenario. Raises `ValueError` for an unknown variant."""
-        return _choose(self.variants, variant, "variant", self.name)()
+        scenario = _choose(self.variants, variant, "variant", self.name)()
+        if not isinstance(scenario, Scenario):
+            raise ValueError(
+                f"a variant of mission {self.name} is a {type(scenario).__name__}: it "
+                "must be a function that returns a Scenario"
+            )
+        return scenario
 
     def dispersion_table(self, reading: str | None = None) -> Mapping[str, Dispersion]:
         """What is dispersed. Raises `ValueError` for an unknown reading."""
-        return _choose(self.dispersions, reading, "dispersions", self.name)()
+        table = _choose(self.dispersions, reading, "dispersions", self.name)()
+        for name, dispersion in table.items():
+            if not isinstance(dispersion, Dispersion):
+                raise ValueError(
+                    f"dispersion {name!r} of mission {self.name} is a "
+                    f"{type(dispersion).__name__}: it must be a Dispersion"
+                )
+        return table
 
 
 def _choose(
     options: Mapping[str, Any], name: str | None, what: str, mission: str
 ) -> Any:
+    if not options:
+        raise ValueError(f"mission {mission} has no {what}")
     if name is None:
         return next(iter(options.values()))
     if name not in options:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._setup import needs_float64
 from ..campaign.campaign import monte_carlo
 from ..flight.flight import fly
 from ..flight.scenario import Scenario
@@ -32,6 +33,7 @@ def bezier_law(scenario: Scenario) -> BezierGuidance:
     return law
 
 
+@needs_float64
 def plan_parameters(
     scenario: Scenario,
     velocity: float,
@@ -99,6 +101,7 @@ class VelocityMap(NamedTuple):
     """(n, m), m/s; NaN where the flight does not reach the target"""
 
 
+@needs_float64
 def velocity_map(
     scenario: Scenario,
     k1: np.ndarray,
@@ -149,6 +152,7 @@ _ROOM = np.linspace(-0.3, 0.3, 9)
 """About the nominal k2, over which the polynomials are fitted"""
 
 
+@needs_float64
 @eqx.filter_jit
 def k2_polynomials(
     scenario: Scenario,

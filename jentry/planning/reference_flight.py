@@ -11,6 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
 
 from .._math import derivatives_along
+from .._setup import needs_float64
 from ..fields import Scalar
 from ..flight.closed_loop import Moving, vector_field
 from ..flight.flight import fly
@@ -25,6 +26,7 @@ from ..onboard.profiles import PolynomialProfile, QuinticProfile, quintic_profil
 from ..onboard.reference import AbstractIndex, DragReference
 
 
+@needs_float64
 def plan_bank_profile(
     scenario: Scenario,
     end_velocity: Scalar | float,
@@ -247,6 +249,7 @@ class ReferenceFlight(eqx.Module):
         return quintic_profile(nodes[0], nodes[1] - nodes[0], value, slope, bend)
 
 
+@needs_float64
 def plan_drag_reference(
     flight: ReferenceFlight,
     index: AbstractIndex,

@@ -12,6 +12,7 @@ import optax
 import optimistix
 from jaxtyping import Array, Key
 
+from .._setup import needs_float64
 from .._warnings import ResultWarning
 from ..addresses import addresses_of, replace_leaves
 from ..campaign.batch import filled_up
@@ -19,7 +20,7 @@ from ..campaign.campaign import check_draws, drawn_inputs
 from ..campaign.description import describe
 from ..campaign.dispersions import Dispersion, check_dispersions
 from ..flight.miss import misses
-from ..flight.scenario import Scenario, check
+from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
 from .batch_gradients import FORWARD_UP_TO, Loss, Outputs, Problem
 from .course import COARSE_STEP, Course
@@ -65,6 +66,7 @@ class Tuned:
         return self.history[self.best].reached
 
 
+@needs_float64
 def tune(
     scenario: Scenario,
     where: Callable[[Any], Any],
@@ -161,7 +163,7 @@ def tune(
         )
         tuned.scenario, tuned.judgement["downrange", "std"]
     """
-    check(scenario)
+    scenario = checked(scenario)
     if not dispersions:
         raise ValueError("nothing is dispersed: give dispersions")
     check_dispersions(scenario, dispersions)
@@ -211,7 +213,7 @@ def tune(
         stored = Record(Path(record), description)
     remarks = parameters.near_bounds()
     for remark in remarks:
-        warnings.warn(remark, ResultWarning, stacklevel=2)
+        warnings.warn(remark, ResultWarning, stacklevel=3)
     course = Course(parameters.start())
     if stored is not None and stored.path.exists():
         course.resume(stored, evaluate)
@@ -220,7 +222,7 @@ def tune(
         course.advance(evaluate, stepper, parameters)
         if len(course.entries) == 1 and course.entries[0].contradicted:
             said = _contradiction(course.entries[0])
-            warnings.warn(said, ResultWarning, stacklevel=2)
+            warnings.warn(said, ResultWarning, stacklevel=3)
         if stored is not None:
             course.store(stored)
         if report is not None:

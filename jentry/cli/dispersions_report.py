@@ -1,0 +1,85 @@
+"""What the commands print of the dispersions that are flown."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..addresses import leaves_by_address
+from ..campaign.dispersions import (
+    AbstractDistribution,
+    Dispersion,
+    add,
+    addresses_of_dispersion,
+    multiply,
+    replace,
+    unit_of_draw,
+)
+from ..flight.scenario import Scenario
+from ..missions.mission import Mission
+from .options import dispersions_before
+from .overrides import Overrides
+from .tables import new_console, new_table, print_under
+
+
+_HOW: dict[Any, str] = {
+    replace: "in place of",
+    add: "added to",
+    multiply: "a factor on",
+}
+
+
+def print_dispersions(
+    title: str,
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion],
+    before: Mapping[str, Dispersion] | None = None,
+) -> None:
+    """Name, distribution, unit and leaves of each; in SI.
+
+    Those that are other than `before`, if that is given, are said to be.
+    """
+    columns = ["dispersion", "drawn", "unit", "", "leaves"]
+    table = new_table(*columns, *([] if before is None else ["--config"]))
+    for column in table.columns[3:]:
+        column.justify = "left"
+    for name, dispersion in dispersions.items():
+        reached = addresses_of_dispersion(scenario, name, dispersion)
+        own = getattr(dispersion.apply, "__name__", "")
+        cells = [
+            name,
+            _in_words(dispersion.distribution),
+            unit_of_draw(scenario, name, reached, dispersion.apply),
+            _HOW.get(dispersion.apply, own),
+            ", ".join(reached),
+        ]
+        if before is not None:
+            known = before.get(name)
+            marked = "added" if known is None else "changed"
+            cells.append("" if known is dispersion else marked)
+        table.add_row(*cells)
+    print_under(new_console(), title, table)
+
+
+def print_what_is_flown(
+    mission: Mission,
+    scenario: Scenario,
+    overrides: Overrides,
+    reading: str,
+    dispersions: Mapping[str, Dispersion],
+) -> None:
+    """The name of the reading, or all dispersions where a file has changed some."""
+    if overrides.dispersions is None:
+        new_console().print(f"dispersions: {reading}, see jentry show")
+        return
+    before = dispersions_before(mission, overrides, reading)
+    title = f"dispersions: {reading}, changed by --config"
+    if not before:
+        title = "dispersions: of --config alone"
+    print_dispersions(title, scenario, dispersions, before)
+
+
+def _in_words(distribution: AbstractDistribution) -> str:
+    numbers = leaves_by_address(distribution).items()
+    words = [f"{name.replace('_', ' ')} {float(x):.6g}" for name, x in numbers]
+    kind = type(distribution).__name__
+    spaced = "".join(f" {c.lower()}" if c.isupper() else c for c in kind).strip()
+    return ", ".join([spaced, *words])
