@@ -22,6 +22,7 @@ FLOORS = {
     "_files": 0,
     "_warnings": 0,
     "_dependence": 0,
+    "_linear_solve": 0,
     "addresses": 0,
     "_interpolation": 0,
     "_tables": 0,
