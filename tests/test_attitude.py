@@ -11,6 +11,7 @@ from helpers import fly_compiled, free_scenario, with_leaf
 
 from jentry.fields import Scalar, scalar
 from jentry.flight import FixedStep, fly
+from jentry.flight.closed_loop import start
 from jentry.guidance import AbstractContinuousLaw, BankProfile
 from jentry.motion import Controls, IdealAttitude, Response, SecondOrderAttitude
 from jentry.motion.attitude import Swing
@@ -253,3 +254,143 @@ def test_a_response_that_is_none_is_refused(name):
     where = lambda s: getattr(s.attitude.bank_response, name)
     with pytest.raises(ValueError, match=f"attitude.bank_response.{name} is 0"):
         fly(with_leaf(scenario(), where, 0.0), FixedStep(1.0))
+
+
+def trapezoid(given: Response, command, seconds, start):
+    """Angle over time by another scheme, in plain numpy: acceleration within its limit,
+    then the rate within its own, then the angle, by the mean of old and new rate."""
+    step = 0.1 * STEP
+    angle, rate = start
+    f, d = float(given.frequency), float(given.damping)
+    fastest, swiftest = float(given.rate_limit), float(given.acceleration_limit)
+    lower, upper = float(given.lower), float(given.upper)
+    wanted = np.clip(command, lower, upper)
+    path = [angle]
+    for _ in range(round(seconds / step)):
+        wish = f * f * (wanted - angle) - 2.0 * d * f * rate
+        after = rate + step * np.clip(wish, -swiftest, swiftest)
+        after = np.clip(after, -fastest, fastest)
+        angle = np.clip(angle + 0.5 * step * (rate + after), lower, upper)
+        rate = after
+        path.append(angle)
+    return np.array(path)[::10]
+
+
+@pytest.mark.parametrize(
+    ("command", "start", "damping"),
+    [
+        (-60.0, 60.0, 1.0),  # a reversal
+        (60.0, -75.0, 0.3),  # past its command
+        (100.0, 0.0, 0.3),  # against the stop, and back into it
+        (-78.0, 30.0, 0.1),  # over the stop and off it
+    ],
+)
+def test_limits_act_on_acceleration_then_rate_then_angle(command, start, damping):
+    """With the numbers of a winged vehicle: 80 deg, 5 deg/s, 1.7 deg/s2."""
+    given = response(5 * degree, 1.7 * degree, 80 * degree, damping)
+    ours = swings(given, command * degree, 90.0, (start * degree, 0.0)).angle
+    flown = np.asarray(jax.vmap(given.within)(jnp.asarray(ours)))
+    other = trapezoid(given, command * degree, 90.0, (start * degree, 0.0))
+    # A limit is met within a step: so much is turned in half of one, at full rate.
+    assert np.max(np.abs(flown - other)) < 0.5 * STEP * 5.0 * degree
+    assert np.max(np.abs(flown)) <= 80 * degree
+
+
+def test_no_step_flies_beyond_the_limits_of_the_angles():
+    """Steps of a quarter of a second, in which the response runs into its stops."""
+    axis = Response(2.0, 0.05, 20 * degree, 40 * degree, -0.3, 0.3)
+
+    class Swinging(AbstractContinuousLaw[None]):
+        def init(self, measurement):
+            return None
+
+        def __call__(self, time, measurement, memory):
+            wave = 0.35 * jnp.sin(0.8 * time)
+            return Controls.from_bank(wave, wave), None
+
+    given = scenario(Swinging(), SecondOrderAttitude(axis, axis))
+    controls = fly_compiled(given, FixedStep(0.25), 1.0).history.controls
+    angle = np.asarray(controls.angle_of_attack)
+    bank = np.arcsin(np.asarray(controls.sin_bank))
+    for flown in (angle, bank):
+        # An arc sine of a sine.
+        assert 0.29 < np.nanmax(np.abs(flown)) <= 0.3 + 1e-15
+
+
+class FirstDrag(AbstractContinuousLaw[Scalar]):
+    """Remembers the drag that it sensed first; bank -0.9 and angle of attack 0.1 rad."""
+
+    def init(self, measurement):
+        return measurement.drag
+
+    def __call__(self, time, measurement, memory):
+        angle = 0.1 + 0.0 * time
+        return Controls.from_bank(-0.9 + 0.0 * time, angle), 0.0 * memory
+
+
+def started(**first):
+    response = Response(0.5, 0.9, 5 * degree, 1.7 * degree, -80 * degree, 80 * degree)
+    return scenario(FirstDrag(), SecondOrderAttitude(response, response, **first))
+
+
+def test_an_attitude_may_start_where_it_is_told_at_rest():
+    first = {"first_angle_of_attack": 40 * degree, "first_bank_angle": 30 * degree}
+    given = started(**first)
+    swings = given.attitude.init(
+        Controls.from_bank(jnp.asarray(-0.9), jnp.asarray(0.1))
+    )
+    assert float(swings.bank_angle.angle) == 30 * degree
+    assert float(swings.bank_angle.rate) == float(swings.angle_of_attack.rate) == 0.0
+    history = fly_compiled(given, FixedStep(0.5), 1.0).history
+    angle, bank = (
+        np.asarray(history.controls.angle_of_attack),
+        np.arctan2(history.controls.sin_bank, history.controls.cos_bank),
+    )
+    assert angle[0] == pytest.approx(40 * degree, rel=1e-12)
+    assert bank[0] == pytest.approx(30 * degree, rel=1e-12)
+    # From rest, by 1.7 deg/s2 at most; and on to what is commanded.
+    assert 0.0 < bank[0] - bank[1] < 0.85001 * degree
+    assert bank[60] == pytest.approx(-0.9, abs=1e-2)
+    assert angle[60] == pytest.approx(0.1, abs=1e-2)
+
+
+@pytest.mark.parametrize("first", [None, 0.3, -0.2])
+def test_the_first_forces_are_those_of_the_first_attitude(first):
+    given = started() if first is None else started(first_angle_of_attack=first)
+    sensed = start(given, 1.0).memory
+    angle = 0.1 if first is None else first
+    one = with_leaf(given, lambda s: s.attitude, IdealAttitude())
+    one = with_leaf(one, lambda s: s.guidance, at(angle))
+    drag = fly_compiled(one, FixedStep(0.5), 1.0).history.constraints.drag[0]
+    assert float(sensed) == pytest.approx(float(drag), rel=1e-12)
+
+
+def at(angle):
+    profile = PolynomialProfile([1.0], 503.0, 6000.0)
+    return BankProfile(profile, jnp.asarray(angle))
+
+
+def test_without_one_of_its_own_an_attitude_starts_at_the_first_command():
+    state = started().attitude.init(
+        Controls.from_bank(jnp.asarray(-0.9), jnp.asarray(0.1))
+    )
+    assert float(state.bank_angle.angle) == pytest.approx(-0.9, rel=1e-14)
+    assert float(state.angle_of_attack.angle) == 0.1
+    one = started(first_bank_angle=0.2).attitude.init(Controls(0.1, 1.0, 0.0))
+    assert float(one.bank_angle.angle) == 0.2
+    assert float(one.angle_of_attack.angle) == 0.1
+
+
+def test_the_first_attitude_is_a_leaf_within_the_limits():
+    given = started(first_bank_angle=30 * degree)
+    where = lambda s: s.attitude.first_bank_angle
+
+    def end(angle):
+        return fly(with_leaf(given, where, angle), FixedStep(0.5)).state.latitude
+
+    slope = jax.jit(jax.grad(end))(jnp.asarray(0.5))
+    assert abs(float(slope)) > 1e-6
+    far = with_leaf(given, where, 3.0).attitude.init(Controls(0.1, 1.0, 0.0))
+    assert float(far.bank_angle.angle) == 80 * degree
+    with pytest.raises(ValueError, match="first_bank_angle is 30 rad.*30deg"):
+        fly(with_leaf(given, where, 30.0), FixedStep(1.0))

@@ -316,6 +316,8 @@ def of_gains(law, gains, state):
 class Unlimited(AbstractSwitching):
     """Tells the command that a law would give."""
 
+    shares_reversals = False
+
     def limited(self, command):
         return command
 

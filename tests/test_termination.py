@@ -248,6 +248,7 @@ def test_which_flights_have_an_end():
         Outcome.NOT_FINITE: False,
         Outcome.BEGAN_BEYOND_END: False,
         Outcome.SINGULAR: False,
+        Outcome.NOT_A_BANK: False,
     }
     assert set(ends) == set(Outcome)
     # Codes are stored in files: they never change.

@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 
 from .._dependence import Traced
-from ..fields import Flag, Scalar
+from ..fields import Count, Flag, Scalar
 from ..guidance.law import AbstractSampledLaw, begun, commanded, decided
+from ..guidance.switching import shares_reversals
 from ..motion.forces import air_data
 from ..motion.quantities import convective_heat_rate, load_factor
 from ..motion.state import Controls, EntryState
@@ -64,8 +65,8 @@ class Lane(eqx.Module):
     peaks: Peaks
     bracket: Bracket
     running: Flag
-    singular: Flag
-    """Stopped since a step came too close to a singular point of the equations of motion"""
+    stopped: Count
+    """Code of the `Outcome` that stopped it before an end; -1 while none has"""
 
     @property
     def state(self) -> EntryState:
@@ -162,10 +163,14 @@ def _measured(
 def first_measurement(scenario: Scenario) -> Measurement:
     """What the vehicle measures at the start, when its law has no memory yet.
 
-    At the angle of attack that the law commands there. Where that depends on what is
-    measured, through the first memory or the first decision, it is the trim angle of
-    attack of the vehicle: the attitude before guidance begins.
+    At the first angle of attack of the attitude, or where that has none of its own at the
+    one that the law commands there. Where that depends on what is measured, through the
+    first memory or the first decision, it is the trim angle of attack of the vehicle: the
+    attitude before guidance begins.
     """
+    first = scenario.attitude.first_angle_of_attack
+    if first is not None:
+        return _measured(scenario, scenario.initial_state, first)
     law, state = scenario.guidance, scenario.initial_state
     trim = scenario.vehicle.trim_angle_of_attack
 
@@ -200,7 +205,7 @@ def start(scenario: Scenario, step: float) -> Lane:
         peaks=peaks,
         bracket=Bracket(flown + step, margin, flown + jnp.inf, flown, flown + jnp.inf),
         running=running,
-        singular=jnp.zeros_like(running),
+        stopped=jnp.full_like(running, -1, int),
     )
 
 
@@ -254,9 +259,17 @@ def path_constraints(
     scenario: Scenario, flown: Scalar, moving: Moving, held: Any
 ) -> Peaks:
     """The constrained quantities at an instant of a flight."""
+    return inspected(scenario, flown, moving, held)[0]
+
+
+def inspected(
+    scenario: Scenario, flown: Scalar, moving: Moving, held: Any
+) -> tuple[Peaks, Flag]:
+    """The constrained quantities at an instant, and whether a bank is commanded."""
     wish, _ = command(scenario, flown, moving, held)
     controls = scenario.attitude.flown(moving.attitude, wish)
-    return constrained(scenario, moving.state, controls)
+    shared = shares_reversals(scenario.guidance)
+    return constrained(scenario, moving.state, controls), wish.is_bank(shared)
 
 
 def constrained(scenario: Scenario, state: EntryState, controls: Controls) -> Peaks:

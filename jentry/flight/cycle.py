@@ -10,7 +10,7 @@ import optimistix
 from jax import lax
 
 from .._setup import fast_options_are_on
-from ..fields import Flag, Scalar
+from ..fields import Count, Flag, Scalar
 from ..guidance.cycle import FixedCycle
 from ..guidance.law import AbstractLaw, AbstractSampledLaw
 from .closed_loop import (
@@ -18,13 +18,14 @@ from .closed_loop import (
     Lane,
     decide,
     guidance_period,
+    inspected,
     is_finite,
-    path_constraints,
     select,
     vector_field,
 )
 from .scenario import Scenario
 from .solver import AbstractSolver, Adaptive, FixedStep
+from .termination import Outcome
 
 
 _AIM_SHORT = 0.999
@@ -195,26 +196,33 @@ def _fixed_cycle(
         bracket = lane.bracket
         moving = solver.advance(field, lane.flown, bracket.trial, lane.moving)
         flown = lane.flown + bracket.trial
-        now = path_constraints(scenario, flown, moving, lane.held)
+        now, is_bank = inspected(scenario, flown, moving, lane.held)
         peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
 
         counting = conditions.counting(lane.flown, lane.state)
         margin = conditions.smallest_margin(flown, moving.state, counting)
         finite = is_finite(moving)
         taken = lane.running & finite & (margin > 0.0)
-        singular = taken & dynamics.is_singular(lane.state, moving.state)
-        taken = taken & jnp.logical_not(singular)
+        singular = dynamics.is_singular(lane.state, moving.state)
+        stopped = _stopped(lane, taken, singular, is_bank)
+        taken = taken & (stopped < 0)
         flown, moving, peaks = select(
             taken, (flown, moving, peaks), (lane.flown, lane.moving, lane.peaks)
         )
-        running = lane.running & finite & jnp.logical_not(singular)
+        running = lane.running & finite & (stopped < 0)
         after = _next_trial(bracket, margin, taken, full_step)
         bracket = select(running, after, bracket)
         running = running & (bracket.trial > 0.0)
-        singular = lane.singular | singular
-        return Lane(flown, moving, lane.held, peaks, bracket, running, singular), None
+        return Lane(flown, moving, lane.held, peaks, bracket, running, stopped), None
 
     return lax.scan(step, lane, None, length=steps)[0]
+
+
+def _stopped(lane: Lane, going: Flag, singular: Flag, is_bank: Flag) -> Count:
+    """Code of what stops a flight in a step that it would take otherwise; else -1."""
+    stop = jnp.where(singular, Outcome.SINGULAR, -1)
+    stop = jnp.where(is_bank, stop, Outcome.NOT_A_BANK)
+    return jnp.where(going, stop, lane.stopped)
 
 
 def _next_trial(
@@ -293,13 +301,13 @@ def _adaptive_cycle(
         solution.result == diffrax.RESULTS.event_occurred
     )
     going = lane.running & good & is_finite(moving)
-    singular = going & scenario.dynamics.is_beyond(moving.state)
-    going = going & jnp.logical_not(singular)
-    now = path_constraints(scenario, after, moving, lane.held)
+    now, is_bank = inspected(scenario, after, moving, lane.held)
+    singular = scenario.dynamics.is_beyond(moving.state)
+    stopped = _stopped(lane, going, singular, is_bank)
+    going = going & (stopped < 0)
     peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
     flown, moving, peaks = select(
         going, (after, moving, peaks), (lane.flown, lane.moving, lane.peaks)
     )
     running = going & ~done
-    singular = lane.singular | singular
-    return Lane(flown, moving, lane.held, peaks, lane.bracket, running, singular)
+    return Lane(flown, moving, lane.held, peaks, lane.bracket, running, stopped)

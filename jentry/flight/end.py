@@ -100,14 +100,14 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
         peaks,
         lane.bracket,
         jnp.zeros_like(lane.running),
-        lane.singular,
+        lane.stopped,
     )
     outcome = jnp.array(conditions.outcomes)[ended_by]
     at_stop = conditions.margins(lane.flown, lane.state)
     beyond = (lane.flown == 0.0) & (at_stop[ended_by] <= 0.0)
     outcome = jnp.where(beyond, Outcome.BEGAN_BEYOND_END, outcome)
     outcome = jnp.where(met, outcome, Outcome.NOT_FINITE)
-    outcome = jnp.where(lane.singular, Outcome.SINGULAR, outcome)
+    outcome = jnp.where(lane.stopped < 0, outcome, lane.stopped)
     finite = is_finite((flown, moving, peaks))
     outcome = jnp.where(finite, outcome, Outcome.NOT_FINITE)
     return End(ended, outcome, ended_by)

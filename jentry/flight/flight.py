@@ -93,9 +93,9 @@ def fly(
     **Raises:** `ValueError` for numbers that cannot be flown. How the flight went is in
     `Flight.outcome`; a flight never raises because it crashed or skipped out. Where
     `has_end(flight.outcome)` is false, since its numbers did not stay finite, it began
-    beyond an end condition or it came too close to a singular point of the equations of
-    motion, its end and derivatives say nothing: leave that flight out of a sum before
-    differentiating it.
+    beyond an end condition, it came too close to a singular point of the equations of
+    motion or its law commanded what is no bank, its end and derivatives say nothing: leave
+    that flight out of a sum before differentiating it.
 
         flight = fly(scenario)
         gradient = jax.grad(lambda s: fly(s).state.altitude)(scenario)

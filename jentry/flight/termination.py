@@ -23,6 +23,7 @@ class Outcome(enum.IntEnum):
     NOT_FINITE = 4
     BEGAN_BEYOND_END = 5
     SINGULAR = 6
+    NOT_A_BANK = 7
 
     @property
     def message(self) -> str:
@@ -40,9 +41,18 @@ _MESSAGES = {
         "stopped where its steps were too long for the equations of motion, which are "
         "singular over the poles, in vertical flight and at rest"
     ),
+    Outcome.NOT_A_BANK: (
+        "stopped where its law commanded a cosine and a sine of the bank whose squares do "
+        "not add up to one; Controls.from_bank takes an angle"
+    ),
 }
 
-_WITHOUT_END = (Outcome.NOT_FINITE, Outcome.BEGAN_BEYOND_END, Outcome.SINGULAR)
+_WITHOUT_END = (
+    Outcome.NOT_FINITE,
+    Outcome.BEGAN_BEYOND_END,
+    Outcome.SINGULAR,
+    Outcome.NOT_A_BANK,
+)
 
 
 def has_end(outcome: Any) -> Any:

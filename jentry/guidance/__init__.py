@@ -1,5 +1,9 @@
 """Floor 4: guidance laws."""
 
+from .angle_of_attack import (
+    AngleOfAttackProfile as AngleOfAttackProfile,
+    TrimAngleOfAttack as TrimAngleOfAttack,
+)
 from .bezier import (
     AbstractAnchoring as AbstractAnchoring,
     AbstractVelocityControl as AbstractVelocityControl,
@@ -23,6 +27,7 @@ from .bezier import (
     inner_points as inner_points,
     tangents_meet as tangents_meet,
 )
+from .composition import BankLimits as BankLimits, compose as compose
 from .cycle import (
     AbstractCycle as AbstractCycle,
     AbstractTimedDecision as AbstractTimedDecision,
@@ -48,6 +53,7 @@ from .law import (
     AbstractContinuousLaw as AbstractContinuousLaw,
     AbstractLaw as AbstractLaw,
     AbstractSampledLaw as AbstractSampledLaw,
+    AngleOfAttackCommand as AngleOfAttackCommand,
     Sampled as Sampled,
 )
 from .open_loop import BankProfile as BankProfile

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from .._dependence import Traced
-from ..fields import Scalar
+from ..fields import Scalar, optional_scalar, scalar
 from ..motion.state import Controls, EntryState
 from ..onboard.navigation import Measurement
 from .cycle import AbstractCycle, FixedCycle
@@ -30,8 +30,23 @@ class AbstractLaw(eqx.Module):
     flight with such a law is refused. `Sampled` breaks the loop, since the forces are then
     those of the angle of attack that is held, and so does an attitude that takes its time.
 
-    A law that turns the bank alone commands `measurement.trim_angle_of_attack`.
+    A law that turns the bank alone commands `measurement.trim_angle_of_attack`. One that
+    chooses the angle of attack alone commands an `AngleOfAttackCommand`, and flies beside
+    a bank law: `compose`.
     """
+
+
+class AngleOfAttackCommand(eqx.Module):
+    """What an angle-of-attack law commands; `compose` gives it a bank law beside it."""
+
+    angle_of_attack: Scalar = scalar(unit="rad")
+    bank_increment: Scalar | None = optional_scalar(unit="rad")
+    """By how much more the bank law should bank than by itself, rad; None for not at all.
+    So a law that modulates the angle of attack about a schedule steers its mean back, with
+    feedback of the deviation and of its rate"""
+
+
+Command = Controls | AngleOfAttackCommand
 
 
 class AbstractContinuousLaw(AbstractLaw, Generic[Memory]):
@@ -47,7 +62,7 @@ class AbstractContinuousLaw(AbstractLaw, Generic[Memory]):
     @abstractmethod
     def __call__(
         self, time: Scalar, measurement: Measurement, memory: Memory
-    ) -> tuple[Controls, Memory]:
+    ) -> tuple[Command, Memory]:
         """Command, and the time derivative of the memory."""
 
 
@@ -117,14 +132,14 @@ class AbstractSampledLaw(AbstractLaw, Generic[Memory, Held]):
     @abstractmethod
     def __call__(
         self, time: Scalar, measurement: Measurement, memory: Memory, held: Held
-    ) -> tuple[Controls, Memory]:
+    ) -> tuple[Command, Memory]:
         """Command within the cycle, and the time derivative of the memory."""
 
 
 class HeldCommand(eqx.Module):
     """A command that is held through a guidance cycle."""
 
-    controls: Controls
+    command: Command
     side: Any
     """By the lateral logic of the law; None where that has nothing to decide"""
 
@@ -165,13 +180,13 @@ class Sampled(AbstractSampledLaw[Memory, HeldCommand]):
 
     def __call__(
         self, time: Scalar, measurement: Measurement, memory: Memory, held: HeldCommand
-    ) -> tuple[Controls, Memory]:
+    ) -> tuple[Command, Memory]:
         _, rate = self._acting(time, measurement, memory, held.side)
-        return held.controls, rate
+        return held.command, rate
 
     def _acting(
         self, time: Scalar, measurement: Measurement, memory: Memory, side: Any
-    ) -> tuple[Controls, Memory]:
+    ) -> tuple[Command, Memory]:
         law = self.law
         if not isinstance(law, AbstractBankLaw):
             return law(time, measurement, memory)
@@ -204,29 +219,50 @@ def decided(
     return after
 
 
+Kind = TypeVar("Kind", Controls, AngleOfAttackCommand)
+
+_EXAMPLES = {
+    Controls: "Controls, such as Controls.from_bank(bank_angle, angle_of_attack)",
+    AngleOfAttackCommand: "an AngleOfAttackCommand",
+}
+
+
 def commanded(
-    law: AbstractLaw, time: Scalar, measurement: Measurement, memory: Any, held: Any
-) -> tuple[Controls, Any]:
-    """Command of a law of either kind, and the time derivative of its memory."""
+    law: AbstractLaw,
+    time: Scalar,
+    measurement: Measurement,
+    memory: Any,
+    held: Any,
+    kind: type[Kind] = Controls,
+) -> tuple[Kind, Any]:
+    """Command of a law of either kind, and the time derivative of its memory.
+
+    Raises `ValueError` for a command that is not of the class that it must have here.
+    """
     if isinstance(law, AbstractSampledLaw):
         given = law(time, measurement, memory, held)
     else:
         assert isinstance(law, AbstractContinuousLaw)
         given = law(time, measurement, memory)
-    controls, rate = _pair(law, "__call__", given)
-    if not isinstance(controls, Controls):
-        raise ValueError(
-            f"{type(law).__name__} commands {controls!r}: it must be Controls, such as "
-            "Controls.from_bank(bank_angle, angle_of_attack)"
+    command, rate = _pair(law, "__call__", given)
+    if not isinstance(command, kind):
+        beside = (
+            "; an angle-of-attack law flies beside a bank law, compose(law, bank_law)"
+            if isinstance(command, AngleOfAttackCommand)
+            else ""
         )
-    for name, value in vars(controls).items():
-        if jnp.shape(value) != ():
+        raise ValueError(
+            f"{type(law).__name__} commands {command!r}: it must be {_EXAMPLES[kind]}"
+            f"{beside}"
+        )
+    for name, value in vars(command).items():
+        if value is not None and jnp.shape(value) != ():
             raise ValueError(
                 f"{type(law).__name__} commands a {name} of shape {jnp.shape(value)}: "
                 "it must be one number"
             )
     _require_like(law, "rate of its memory", rate, memory)
-    return controls, rate
+    return command, rate
 
 
 def _pair(law: AbstractLaw, method: str, given: Any) -> tuple[Any, Any]:

@@ -6,6 +6,7 @@ what it does to a flight that its bank is reversed one guidance cycle later.
 """
 
 from abc import abstractmethod
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -23,6 +24,10 @@ _NEGLIGIBLE = 1e-16
 class AbstractSwitching(eqx.Module):
     """How a law limits its command and how it begins."""
 
+    shares_reversals: eqx.AbstractClassVar[bool]
+    """Whether the sign of the bank takes values between -1 and 1, so that there is less
+    lift than a bank has; else a flight that has less is stopped (`Outcome.NOT_A_BANK`)"""
+
     @abstractmethod
     def limited(self, command: Scalar) -> Scalar:
         """A wish for a cosine, within [-1, 1]."""
@@ -38,6 +43,8 @@ class AbstractSwitching(eqx.Module):
 
 class Sharp(AbstractSwitching):
     """Clipped at the limits, begun and reversed at once: the exact law."""
+
+    shares_reversals: ClassVar[bool] = False
 
     def limited(self, command: Scalar) -> Scalar:
         return jnp.clip(command, -1.0, 1.0)
@@ -59,6 +66,8 @@ class Smooth(AbstractSwitching):
     limits there is lateral lift that the sharp law has not: where reversals are what
     matters, leave the limits sharp.
     """
+
+    shares_reversals: ClassVar[bool] = True
 
     command: Scalar = scalar(0.05, positive=True)
     """Of the cosine of the bank"""
@@ -107,6 +116,8 @@ class SmoothReversals(AbstractSwitching):
     corridor, and three times as large for its widening.
     """
 
+    shares_reversals: ClassVar[bool] = True
+
     reversal: Scalar = scalar(2000.0, unit="m", positive=True)
     """Of the predicted crossrange: more than it moves against its limit in a cycle"""
 
@@ -118,6 +129,16 @@ class SmoothReversals(AbstractSwitching):
 
     def reversed(self, sign: Scalar, wanted: Scalar, excess: Scalar) -> Scalar:
         return _shared_out(sign, wanted, excess, self.reversal)
+
+
+def shares_reversals(law: Any) -> bool:
+    """Whether any switching of a law shares reversals out."""
+
+    def is_switching(node: Any) -> bool:
+        return isinstance(node, AbstractSwitching)
+
+    nodes = jax.tree.leaves(law, is_leaf=is_switching)
+    return any(node.shares_reversals for node in nodes if is_switching(node))
 
 
 def _shared_out(sign: Scalar, wanted: Scalar, excess: Scalar, width: Scalar) -> Scalar:

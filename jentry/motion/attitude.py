@@ -1,12 +1,13 @@
 """How the attitude follows a command: at once, or as a second-order response."""
 
 from abc import abstractmethod
-from typing import Generic, TypeVar
+from typing import ClassVar, Generic, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..fields import Scalar, scalar
+from .._interpolation import clamp
+from ..fields import Scalar, optional_scalar, scalar
 from .state import Controls
 
 
@@ -20,9 +21,12 @@ class AbstractAttitude(eqx.Module, Generic[AttitudeState]):
     or None where nothing has to be remembered.
     """
 
+    first_angle_of_attack: eqx.AbstractVar[Scalar | None]
+    """rad at the start; None where it is the one of the first command"""
+
     @abstractmethod
     def init(self, command: Controls) -> AttitudeState:
-        """At rest at the first command, within the limits."""
+        """At rest at the start, by the first command where nothing else is given."""
 
     @abstractmethod
     def angle_of_attack(self, state: AttitudeState) -> Scalar | None:
@@ -42,6 +46,8 @@ class AbstractAttitude(eqx.Module, Generic[AttitudeState]):
 
 class IdealAttitude(AbstractAttitude[None]):
     """The vehicle flies each command at once."""
+
+    first_angle_of_attack: ClassVar[None] = None
 
     def init(self, command: Controls) -> None:
         return None
@@ -70,7 +76,7 @@ class Response(eqx.Module):
 
     angle'' = frequency^2 (command - angle) - 2 damping frequency angle', as far as the
     limits on the acceleration, the rate and the angle let it. The command is held within
-    the limits of the angle.
+    the limits of the angle, and so is the angle that is flown.
     """
 
     frequency: Scalar = scalar(unit="rad/s", positive=True)
@@ -84,7 +90,7 @@ class Response(eqx.Module):
 
     def within(self, angle: Scalar) -> Scalar:
         """An angle within the limits."""
-        return jnp.clip(angle, self.lower, self.upper)
+        return clamp(angle, self.lower, self.upper)
 
     def turn(self, swing: Swing, command: Scalar) -> Swing:
         """Time derivative of angle and rate under a command (rad)."""
@@ -114,26 +120,37 @@ class SecondOrderAttitude(AbstractAttitude[Swings]):
     """Angle of attack and bank that each follow their command as a `Response`.
 
     A bank reversal takes the time that it takes, and goes through level wings: the
-    commanded bank is within [-pi, pi].
+    commanded bank is within [-pi, pi]. It starts at rest: at the angles that are given, or
+    at those of the first command, within the limits of the response.
     """
 
     angle_of_attack_response: Response
     bank_response: Response
+    first_angle_of_attack: Scalar | None = optional_scalar(unit="rad")
+    """At the start; None for the commanded one"""
+    first_bank_angle: Scalar | None = optional_scalar(unit="rad")
+    """At the start, positive to the right; None for the commanded one"""
 
     def init(self, command: Controls) -> Swings:
-        def at_rest(response: Response, angle: Scalar) -> Swing:
+        def at_rest(response: Response, given: Scalar | None, wish: Scalar) -> Swing:
+            angle = wish if given is None else given + 0.0 * wish
             return Swing(response.within(angle), 0.0 * angle)
 
         return Swings(
-            at_rest(self.angle_of_attack_response, command.angle_of_attack),
-            at_rest(self.bank_response, command.bank_angle),
+            at_rest(
+                self.angle_of_attack_response,
+                self.first_angle_of_attack,
+                command.angle_of_attack,
+            ),
+            at_rest(self.bank_response, self.first_bank_angle, command.bank_angle),
         )
 
     def angle_of_attack(self, state: Swings) -> Scalar:
-        return state.angle_of_attack.angle
+        return self.angle_of_attack_response.within(state.angle_of_attack.angle)
 
     def flown(self, state: Swings, command: Controls) -> Controls:
-        return Controls.from_bank(state.bank_angle.angle, state.angle_of_attack.angle)
+        bank_angle = self.bank_response.within(state.bank_angle.angle)
+        return Controls.from_bank(bank_angle, self.angle_of_attack(state))
 
     def rate(self, state: Swings, command: Controls) -> Swings:
         return Swings(

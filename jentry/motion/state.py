@@ -4,7 +4,11 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import safe_arccos, sincos
-from ..fields import ABOVE_GROUND, QUARTER, Scalar, scalar
+from ..fields import ABOVE_GROUND, QUARTER, Flag, Scalar, scalar
+
+
+_ROUNDING = 1e-9
+"""Of a sum of squares that is one; in single precision it is more"""
 
 
 class EntryState(eqx.Module):
@@ -28,7 +32,9 @@ class Controls(eqx.Module):
     """What a law commands, and what the vehicle flies of it: angle of attack and bank.
 
     Bank is carried as its cosine and sine, since the dynamics needs no more. It turns
-    the lift about the velocity; positive bank turns right.
+    the lift about the velocity; positive bank turns right. Their squares must add up to
+    one: a flight whose law commands others is stopped, `Outcome.NOT_A_BANK`. Only a law
+    with a surrogate switching, which shares reversals out, may have less.
     """
 
     angle_of_attack: Scalar = scalar(unit="rad")
@@ -40,6 +46,17 @@ class Controls(eqx.Module):
         """Controls with a bank angle in radians."""
         sine, cosine = sincos(bank_angle)
         return cls(angle_of_attack, cosine, sine)
+
+    def is_bank(self, shares_reversals: bool = False) -> Flag:
+        """Whether the squares of cosine and sine add up to one, but for rounding.
+
+        With reversals that are shared out, whether they add up to no more than one. Numbers
+        that are not finite are no concern of this.
+        """
+        excess = self.cos_bank * self.cos_bank + self.sin_bank * self.sin_bank - 1.0
+        rounding = max(_ROUNDING, 32.0 * float(jnp.finfo(jnp.result_type(excess)).eps))
+        off = excess if shares_reversals else jnp.abs(excess)
+        return jnp.logical_not(off > rounding)
 
     @property
     def bank_angle(self) -> Scalar:

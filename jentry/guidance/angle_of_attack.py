@@ -1,0 +1,34 @@
+"""Angle-of-attack laws: the half of a composed law beside the one that turns the bank."""
+
+from ..fields import Scalar
+from ..onboard.navigation import Measurement
+from ..onboard.profiles import AbstractProfile
+from .law import AbstractContinuousLaw, AngleOfAttackCommand
+
+
+class TrimAngleOfAttack(AbstractContinuousLaw[None]):
+    """The angle of attack at which the vehicle trims, as a bank law by itself flies."""
+
+    def init(self, measurement: Measurement) -> None:
+        return None
+
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: None
+    ) -> tuple[AngleOfAttackCommand, None]:
+        return AngleOfAttackCommand(measurement.trim_angle_of_attack), None
+
+
+class AngleOfAttackProfile(AbstractContinuousLaw[None]):
+    """An angle of attack as a function of the velocity; a constant is a polynomial."""
+
+    angle_of_attack: AbstractProfile
+    """rad over m/s"""
+
+    def init(self, measurement: Measurement) -> None:
+        return None
+
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: None
+    ) -> tuple[AngleOfAttackCommand, None]:
+        angle = self.angle_of_attack(measurement.state.velocity)
+        return AngleOfAttackCommand(angle), None
