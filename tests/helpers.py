@@ -41,7 +41,7 @@ from jentry.guidance import (
     StateFeedbackDragTracking,
 )
 from jentry.missions.cav_h.scenario import stored
-from jentry.motion import Controls, EntryState
+from jentry.motion import Controls, EntryDynamics, EntryState, EquatorialDynamics
 from jentry.onboard import OnboardModel, PolynomialProfile
 from jentry.units import degree, km
 from jentry.world import (
@@ -165,7 +165,9 @@ def bank_profile() -> BankProfile:
     return BankProfile(PolynomialProfile([0.62, 0.05], 503.0, 6247.0))
 
 
-def mars_scenario(guidance=None, time_limit=400.0, in_plane=True) -> Scenario:
+def mars_scenario(
+    guidance=None, time_limit=400.0, dynamics=EquatorialDynamics()
+) -> Scenario:
     """The entry of Yan and He; open loop if no law is given."""
     ends = {"velocity": VelocityBelow(503.0), "altitude": AltitudeBelow(10 * km)}
     return Scenario(
@@ -175,7 +177,7 @@ def mars_scenario(guidance=None, time_limit=400.0, in_plane=True) -> Scenario:
         bank_profile() if guidance is None else guidance,
         Termination(ends, time_limit),
         Target(10 * km, 503.0, 723.32 * km),
-        in_plane=in_plane,
+        dynamics=dynamics,
     )
 
 
@@ -186,7 +188,7 @@ def free_scenario(bank_angle=50 * degree, time_limit=300.0) -> Scenario:
         "ground": AltitudeBelow(0.0, outcome=Outcome.CRASHED),
         "velocity": VelocityBelow(503.0),
     }
-    scenario = mars_scenario(ConstantBank(bank_angle), in_plane=False)
+    scenario = mars_scenario(ConstantBank(bank_angle), dynamics=EntryDynamics())
     return with_leaf(scenario, lambda s: s.termination, Termination(ends, time_limit))
 
 

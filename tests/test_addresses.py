@@ -57,10 +57,10 @@ def test_a_lens_may_reach_several_leaves(scenario):
     [
         lambda s: (),
         lambda s: None,
-        lambda s: s.in_plane,
+        lambda s: s.termination.names,
         lambda s: s.termination.time_limit,
         lambda s: 2 * s.planet.density_scale,
-        lambda s: (s.planet.density_scale, s.in_plane),
+        lambda s: (s.planet.density_scale, s.termination.names),
         lambda s: "planet.density",
     ],
 )

@@ -54,7 +54,7 @@ SET = {
     "vehicle.mas=900": "nearest: vehicle.mass",
     "vehicle.mass.x=900": "nearest: vehicle.mass",
     "Vehicle.Mass=900": "no leaf 'Vehicle.Mass'",
-    "in_plane=1": "no leaf 'in_plane'",
+    "dynamics=1": "no leaf 'dynamics'",
     "termination.time_limit=100": "no leaf 'termination.time_limit'",
     "termination.conditions.0.velocity=1": "no leaf",
     "guidance.__class__=1": "no leaf",
@@ -520,7 +520,7 @@ CALLS = {
     "history of a campaign": (campaign(cheap.mass_only(), history=-1.0), "history is"),
     "a whole module": (moved(lambda s: s.vehicle), "a whole Vehicle"),
     "no such field": (moved(lambda s: s.vehicle.mas), "dispersion 'x'"),
-    "what is no leaf": (moved(lambda s: s.in_plane), "reaches no leaf"),
+    "what is no leaf": (moved(lambda s: s.termination.names), "reaches no leaf"),
     "one leaf twice": (moved(lambda s: (s.vehicle.mass,) * 2), "vehicle.mass twice"),
     "two units": (
         moved(lambda s: (s.vehicle.mass, s.planet.radius)),

@@ -86,6 +86,6 @@ def test_what_has_no_floor_is_refused():
         clairvoyant_floor(cheap.scenario(), loss, TABLE, KEY, **given())
     with pytest.raises(ValueError, match="coefficients is 0: it must be at least 1"):
         clairvoyant_floor(mars_scenario(), loss, TABLE, KEY, **given(coefficients=0))
-    unreached = {"x": Dispersion(lambda s: s.in_plane, Uniform(0.9, 1.1))}
+    unreached = {"x": Dispersion(lambda s: s.termination.names, Uniform(0.9, 1.1))}
     with pytest.raises(ValueError, match="dispersion 'x'"):
         clairvoyant_floor(mars_scenario(), loss, unreached, KEY, **given())

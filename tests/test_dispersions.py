@@ -218,7 +218,7 @@ def test_a_replacement_may_be_moved_but_not_discard_another(key):
 @pytest.mark.parametrize(
     ("where", "message"),
     [
-        (lambda s: s.in_plane, "dispersion 'x': a lens reaches no leaf"),
+        (lambda s: s.termination.names, "dispersion 'x': a lens reaches no leaf"),
         (lambda s: s.planet.densty, "dispersion 'x': .*densty"),
         (lambda s: s.termination.conditions["none"], "dispersion 'x': 'none'"),
         (lambda s: s.vehicle.mass + 1.0, "dispersion 'x'"),

@@ -21,7 +21,13 @@ from jentry.flight import (
 )
 from jentry.flight.termination import AbstractEndCondition
 from jentry.guidance import AbstractContinuousLaw
-from jentry.motion import Controls, EntryState, air_data, entry_dynamics
+from jentry.motion import (
+    Controls,
+    EntryState,
+    EquatorialDynamics,
+    air_data,
+    entry_dynamics,
+)
 from jentry.units import degree, km
 from jentry.world import (
     ConstantAerodynamics,
@@ -78,7 +84,7 @@ def antony_scenario(law):
         law,
         Termination({"velocity": VelocityBelow(600.0)}, 200.0),
         NOWHERE,
-        in_plane=True,
+        dynamics=EquatorialDynamics(),
     )
 
 

@@ -22,7 +22,7 @@ from jentry.guidance import (
 )
 from jentry.missions import find_mission
 from jentry.missions.mars.range_tracking import three_dimensional
-from jentry.motion import Controls
+from jentry.motion import Controls, EntryDynamics
 
 
 class Continuous(AbstractContinuousLaw):
@@ -169,7 +169,7 @@ def test_a_cycle_that_becomes_shorter_decides_when_it_should():
         decided.append(
             decided[-1] + (0.5 if left < 8.0 else 1.0 if left < 30.0 else 4.0)
         )
-    scenario = mars_scenario(Switching(), 60.0, in_plane=False)
+    scenario = mars_scenario(Switching(), 60.0, dynamics=EntryDynamics())
     flight = eqx.filter_jit(fly)(scenario, FixedStep(), 4.0)
     signs = [float(x) for x in flight.history.decisions.sign]
     times = [float(x) for x in flight.history.time]

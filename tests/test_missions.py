@@ -12,6 +12,7 @@ from jentry.missions.mars import (
     drag_tracking as mars_drag_tracking,
     range_tracking as mars_range_tracking,
 )
+from jentry.motion import EntryDynamics, EquatorialDynamics
 from jentry.onboard import (
     DragReference,
     EnergyIndex,
@@ -151,7 +152,7 @@ def test_mars(variant, unplanned):
     gains, observer, index = MARS_LAWS[variant]
     scenario = MARS.scenario(variant)
     assert_mars(scenario, gains, observer)
-    assert scenario.in_plane
+    assert isinstance(scenario.dynamics, EquatorialDynamics)
     reference = scenario.guidance.reference
     assert type(reference.index) is index
     # The notes: a velocity index needs a gate of 3 to 5 m/s2, the energy none.
@@ -162,10 +163,13 @@ def test_mars(variant, unplanned):
 def test_mars_in_three_dimensions(unplanned):
     """The gains are those of the nominal study: the mission says why."""
     aim = mars_target("guidance.aim") | mars_entry("guidance.aim.origin")
-    for variant, in_plane in (("three-dimensional", False), ("in-plane", True)):
+    for variant, dynamics in (
+        ("three-dimensional", EntryDynamics),
+        ("in-plane", EquatorialDynamics),
+    ):
         scenario = RANGE.scenario(variant)
         assert_mars(scenario, *NOMINAL, **aim)
-        assert scenario.in_plane == in_plane
+        assert type(scenario.dynamics) is dynamics
     assert len(RANGE.variants) == 2
 
 

@@ -27,6 +27,7 @@ from jentry.campaign.batch import LANES
 from jentry.campaign.campaign import drawn_inputs, fly_in_blocks
 from jentry.campaign.dispersions import Constant
 from jentry.missions import find_mission
+from jentry.motion import EquatorialDynamics
 from jentry.tuning.judgement import held_out
 from jentry.tuning.losses import MeanSquare
 
@@ -391,6 +392,6 @@ def test_target_stays_where_it_is_when_the_entry_point_is_dispersed():
 
 
 def test_what_an_in_plane_flight_does_not_use_is_refused():
-    scenario = dataclasses.replace(cheap.scenario(), in_plane=True)
+    scenario = dataclasses.replace(cheap.scenario(), dynamics=EquatorialDynamics())
     with pytest.raises(ValueError, match="initial_state.heading has no effect"):
         monte_carlo(scenario, inputs={"initial_state.heading": [1.6]})

@@ -9,6 +9,7 @@ import pytest
 from helpers import mars_scenario, with_leaf
 
 from jentry.addresses import leaves_by_address, replace_leaves
+from jentry.motion import EntryDynamics, EquatorialDynamics
 from jentry.tuning.parameters import Between, Parameters, Positive, Unbounded
 
 
@@ -241,7 +242,7 @@ def test_what_is_positive_stays_so_within_bounds_that_are_not(lower):
                 (-np.inf, np.inf),
             ]
         ),
-        (lambda s: s.in_plane, None, "a lens reaches no leaf"),
+        (lambda s: s.termination.names, None, "a lens reaches no leaf"),
         (lambda s: s.vehicle.mass + "!", None, "a lens reaches no leaf"),
         (lambda s: (), None, "a lens reaches no leaf"),
     ],
@@ -260,9 +261,9 @@ def test_bounds_of_a_table_hold_for_each_of_its_numbers():
 def test_a_number_without_effect_is_not_tuned(name):
     where = lambda s: getattr(s.initial_state, name)
     with pytest.raises(ValueError, match=f"initial_state.{name} has no effect"):
-        Parameters.of(mars_scenario(in_plane=True), where, None)
+        Parameters.of(mars_scenario(dynamics=EquatorialDynamics()), where, None)
     scales = {"initial_state.latitude": 0.1} if name == "latitude" else None
-    flown = mars_scenario(in_plane=False)
+    flown = mars_scenario(dynamics=EntryDynamics())
     assert Parameters.of(flown, where, None, scales).count == 1
 
 

@@ -16,7 +16,7 @@ from jentry.fields import Scalar
 from jentry.flight import FixedStep, Outcome
 from jentry.guidance import AbstractSampledLaw, FixedCycle
 from jentry.missions.mars import range_tracking
-from jentry.motion import Controls, entry_dynamics, equatorial_dynamics
+from jentry.motion import Controls, EntryDynamics, EquatorialDynamics
 from jentry.motion.forces import air_data
 from jentry.motion.quantities import energy, ground_track
 from jentry.onboard import (
@@ -80,7 +80,7 @@ def _predicted(step, lift, drag, cosine, steps, state, model):
         step=step,
         steps=steps,
         factors=Factors(lift, drag),
-        dynamics=equatorial_dynamics,
+        dynamics=EquatorialDynamics(),
     )
 
 
@@ -203,7 +203,7 @@ def test_side_by_side_they_are_what_they_are_alone():
 
 
 @eqx.filter_jit
-def spatial(start, angle, model=MODEL, dynamics=entry_dynamics):
+def spatial(start, angle, model=MODEL, dynamics=EntryDynamics()):
     command = constant_bank(angle)
     return propagate(
         model, start, command, ENDS, step=3.0, steps=128, dynamics=dynamics
@@ -225,7 +225,7 @@ def test_eastward_over_the_equator_space_is_the_plane():
     turning = with_leaf(MODEL, lambda m: m.planet.rotation_rate, 7e-5)
     space, plane = (
         spatial(START, one(0.0), turning, dynamics)
-        for dynamics in (entry_dynamics, equatorial_dynamics)
+        for dynamics in (EntryDynamics(), EquatorialDynamics())
     )
     assert bool(space.has_end)
     np.testing.assert_allclose(
@@ -249,7 +249,7 @@ def over_energy(start, end, steps, lift=one(1.0)):
         profile,
         steps=steps,
         factors=Factors(lift, 1.0),
-        dynamics=equatorial_dynamics,
+        dynamics=EquatorialDynamics(),
         integrand=lambda time, state, controls: {
             "way": air_data(
                 MODEL.planet, MODEL.vehicle, state, controls.angle_of_attack
@@ -313,7 +313,7 @@ def test_an_index_that_turns_back_has_no_end():
             START,
             profile,
             steps=200,
-            dynamics=equatorial_dynamics,
+            dynamics=EquatorialDynamics(),
         )
 
     assert not bool(over_velocity(one(600.0)).has_end)
@@ -334,7 +334,7 @@ def test_what_is_carried_along_over_time():
             ENDS,
             step=step,
             steps=128,
-            dynamics=equatorial_dynamics,
+            dynamics=EquatorialDynamics(),
             integrand=lambda time, state, controls: (
                 2.0 * time,
                 state.velocity
@@ -402,7 +402,7 @@ class Correcting(AbstractSampledLaw[tuple[()], Held]):
                 step=3.0,
                 steps=160,
                 factors=estimate.factors,
-                dynamics=equatorial_dynamics,
+                dynamics=EquatorialDynamics(),
             )
             flown = ground_track(planet, self.origin, end.state)[0]
             return jnp.where(end.has_end, flown - self.target, jnp.nan)

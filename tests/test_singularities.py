@@ -10,8 +10,7 @@ from helpers import fly_batch, fly_compiled, free_scenario, mars_planet, with_le
 from scipy.integrate import solve_ivp
 
 from jentry.flight import Adaptive, FixedStep, Outcome
-from jentry.motion import EntryState
-from jentry.motion.singularities import is_beyond, step_is_too_long
+from jentry.motion import EntryDynamics, EntryState, EquatorialDynamics
 from jentry.units import degree, km
 
 
@@ -403,8 +402,8 @@ def test_steps_that_are_too_long(before, after, too_long, in_plane):
     """In the plane of the equator only rest is a singular point."""
     start = moved(REGULAR, **before)
     end = moved(start, **after)
-    assert bool(step_is_too_long(start, end, False)) == too_long
-    assert bool(step_is_too_long(start, end, True)) == in_plane
+    assert bool(EntryDynamics().is_singular(start, end)) == too_long
+    assert bool(EquatorialDynamics().is_singular(start, end)) == in_plane
     beyond = before == after and too_long
-    assert bool(is_beyond(end, False)) == beyond
-    assert bool(is_beyond(end, True)) == (beyond and in_plane)
+    assert bool(EntryDynamics().is_beyond(end)) == beyond
+    assert bool(EquatorialDynamics().is_beyond(end)) == (beyond and in_plane)

@@ -54,10 +54,10 @@ def clairvoyant_floor(
     **Returns:** the outputs, each of shape (runs, ...), and the coefficients, (runs, n).
     """
     check(scenario)
-    if not scenario.in_plane:
+    if scenario.dynamics.has_crossrange:
         raise ValueError(
             "a bank profile to one side cannot meet a crossrange: take a scenario with "
-            "in_plane=True"
+            "dynamics=EquatorialDynamics()"
         )
     check_dispersions(scenario, dispersions)
     if coefficients < 1:

@@ -34,7 +34,7 @@ def print_sensitivity(scenario: Scenario, found: Sensitivity) -> None:
 
 
 def _is_shown(scenario: Scenario, output: str) -> bool:
-    return not (scenario.in_plane and output == "crossrange")
+    return output != "crossrange" or scenario.dynamics.has_crossrange
 
 
 def print_covariance(

@@ -162,7 +162,7 @@ def command(
         tuned = tune(
             scenario,
             AtAddresses(tuple(addresses)),
-            BY_NAME[loss](parse_scales(of or (), scenario.in_plane)),
+            BY_NAME[loss](parse_scales(of or (), scenario)),
             methods[wanted],
             table,
             key_of(seed),

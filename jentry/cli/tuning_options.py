@@ -14,7 +14,7 @@ from .tables import unit_of_output
 _MISSES = tuple(Misses.__dataclass_fields__)
 
 
-def parse_scales(options: Iterable[str], in_plane: bool) -> ScaledMisses:
+def parse_scales(options: Iterable[str], scenario: Scenario) -> ScaledMisses:
     """`MISS=SCALE` of the command line. Raises `ValueError` for what is no miss."""
     scales = {}
     for option in options:
@@ -35,7 +35,9 @@ def parse_scales(options: Iterable[str], in_plane: bool) -> ScaledMisses:
         if not 0.0 < scales[name] < math.inf:
             raise ValueError(f"--of {option}: the scale must be greater than zero")
     if not scales:
-        scales = {"downrange": km} if in_plane else {"downrange": km, "crossrange": km}
+        scales = {"downrange": km}
+        if scenario.dynamics.has_crossrange:
+            scales["crossrange"] = km
     return ScaledMisses(tuple(scales.items()))
 
 

@@ -9,7 +9,6 @@ import jax.numpy as jnp
 from .._dependence import Traced
 from ..fields import Flag, Scalar
 from ..guidance.law import AbstractSampledLaw, begun, commanded, decided
-from ..motion.dynamics import entry_dynamics, equatorial_dynamics
 from ..motion.forces import air_data
 from ..motion.quantities import convective_heat_rate, load_factor
 from ..motion.state import Controls, EntryState
@@ -239,13 +238,13 @@ def caveats(scenario: Scenario, held: Any) -> dict[str, Scalar]:
 
 def vector_field(scenario: Scenario, held: Any):
     """Time derivative of what is integrated within a cycle, `field(flown, moving)`."""
-    dynamics = equatorial_dynamics if scenario.in_plane else entry_dynamics
-    attitude = scenario.attitude
+    dynamics, attitude = scenario.dynamics, scenario.attitude
 
     def field(flown: Scalar, moving: Moving) -> Moving:
         wish, memory_rate = command(scenario, flown, moving, held)
         controls = attitude.flown(moving.attitude, wish)
-        rate = dynamics(scenario.planet, scenario.vehicle, moving.state, controls)
+        planet, vehicle = scenario.planet, scenario.vehicle
+        rate = dynamics.rates(planet, vehicle, moving.state, controls)
         return Moving(rate, attitude.rate(moving.attitude, wish), memory_rate)
 
     return field

@@ -14,7 +14,6 @@ from .._setup import fast_options_are_on
 from ..fields import Flag, Scalar
 from ..guidance.cycle import FixedCycle
 from ..guidance.law import AbstractLaw, AbstractSampledLaw
-from ..motion.singularities import is_beyond, step_is_too_long
 from .closed_loop import (
     Bracket,
     Lane,
@@ -191,7 +190,7 @@ def _fixed_cycle(
     solver, so that the order is kept up to the end.
     """
     field = vector_field(scenario, lane.held)
-    conditions = scenario.termination
+    conditions, dynamics = scenario.termination, scenario.dynamics
 
     @functools.partial(jax.checkpoint, prevent_cse=False)
     def step(lane: Lane, _: None) -> tuple[Lane, None]:
@@ -205,7 +204,7 @@ def _fixed_cycle(
         margin = conditions.smallest_margin(flown, moving.state, counting)
         finite = is_finite(moving)
         taken = lane.running & finite & (margin > 0.0)
-        singular = taken & step_is_too_long(lane.state, moving.state, scenario.in_plane)
+        singular = taken & dynamics.is_singular(lane.state, moving.state)
         taken = taken & jnp.logical_not(singular)
         flown, moving, peaks = select(
             taken, (flown, moving, peaks), (lane.flown, lane.moving, lane.peaks)
@@ -296,7 +295,7 @@ def _adaptive_cycle(
         solution.result == diffrax.RESULTS.event_occurred
     )
     going = lane.running & good & is_finite(moving)
-    singular = going & is_beyond(moving.state, scenario.in_plane)
+    singular = going & scenario.dynamics.is_beyond(moving.state)
     going = going & jnp.logical_not(singular)
     now = path_constraints(scenario, after, moving, lane.held)
     peaks = jax.tree.map(jnp.maximum, lane.peaks, now)

@@ -12,7 +12,6 @@ from jax.interpreters import partial_eval
 
 from ..addresses import leaves_by_address
 from ..guidance.law import AbstractSampledLaw
-from ..motion.dynamics import entry_dynamics, equatorial_dynamics
 from ..motion.state import Controls
 from ..onboard.navigation import measure
 from .closed_loop import constrained, decide, path_constraints, start, vector_field
@@ -75,14 +74,12 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
     planet, vehicle, state = scenario.planet, scenario.vehicle, scenario.initial_state
     time = 0.0 * state.altitude
     sampled_at = time if isinstance(scenario.guidance, AbstractSampledLaw) else None
-    dynamics = equatorial_dynamics if scenario.in_plane else entry_dynamics
-
     controls = Controls(0.1, 0.8, 0.6)
     sensors, angle = scenario.accelerometers, controls.angle_of_attack
     sensed = measure(planet, vehicle, state, angle, sensors, sampled_at)
     return (
         state,
-        dynamics(planet, vehicle, state, controls),
+        scenario.dynamics.rates(planet, vehicle, state, controls),
         constrained(scenario, state, controls),
         scenario.termination.margins(time, state),
         sensed.lift,

@@ -6,10 +6,11 @@ import equinox as eqx
 import numpy as np
 from jax.core import Tracer
 
-from ..addresses import field_metadata, leaves_by_address
+from ..addresses import field_metadata, leaves_by_address, unit_of
 from ..fields import QUARTER, Scalar, optional_scalar, scalar
 from ..guidance.law import AbstractLaw, reads_forces_between_cycles
 from ..motion.attitude import AbstractAttitude, IdealAttitude
+from ..motion.dynamics import AbstractDynamics, EntryDynamics
 from ..motion.state import EntryState
 from ..onboard.navigation import (
     AbstractAccelerometers,
@@ -52,8 +53,7 @@ class Scenario(eqx.Module):
     target: Target
     accelerometers: AbstractAccelerometers = PerfectAccelerometers()
     attitude: AbstractAttitude = IdealAttitude()
-    in_plane: bool = eqx.field(default=False, static=True)
-    """Fly in the plane of the equator, due east, without the lateral component of lift."""
+    dynamics: AbstractDynamics = EntryDynamics()
 
 
 def check(scenario: Scenario) -> None:
@@ -63,21 +63,22 @@ def check(scenario: Scenario) -> None:
     that are not known yet (under `jit`, `vmap` or `grad`) are left to the outcome of
     the flight.
     """
-    if scenario.in_plane:
-        _check_in_plane(scenario.initial_state)
+    _check_kept(scenario.dynamics, scenario.initial_state)
     _check_noise(scenario)
     for address, leaf in leaves_by_address(scenario).items():
         if not isinstance(leaf, Tracer):
             check_values(address, np.asarray(leaf), field_metadata(scenario, address))
 
 
-def _check_in_plane(start: EntryState) -> None:
-    for name, wanted in (("latitude", 0.0), ("heading", 0.5 * np.pi)):
+def _check_kept(dynamics: AbstractDynamics, start: EntryState) -> None:
+    for name, wanted in dynamics.kept.items():
         value = getattr(start, name)
         if not isinstance(value, Tracer) and abs(np.asarray(value) - wanted) > 1e-12:
+            unit = unit_of(start, name)
             raise ValueError(
-                f"initial_state.{name} is {float(value):g} rad: a flight in the plane of "
-                f"the equator needs {wanted:g}; take in_plane=False for others"
+                f"initial_state.{name} is {float(value):g} {unit}: "
+                f"{type(dynamics).__name__} keeps it at {wanted:g}; take that, or other "
+                "dynamics such as dynamics=EntryDynamics()"
             )
 
 
@@ -100,8 +101,7 @@ def _require_samples(law: AbstractLaw, scenario: Scenario, noise: str) -> None:
 
 def without_effect(scenario: Scenario) -> tuple[str, ...]:
     """Addresses of the numbers that this scenario does not use."""
-    fixed = ("initial_state.latitude", "initial_state.heading")
-    return fixed if scenario.in_plane else ()
+    return tuple(f"initial_state.{name}" for name in scenario.dynamics.kept)
 
 
 def require_effect(scenario: Scenario, address: str) -> None:
@@ -110,8 +110,9 @@ def require_effect(scenario: Scenario, address: str) -> None:
         _require_samples(scenario.guidance, scenario, "is varied")
     if address in without_effect(scenario):
         raise ValueError(
-            f"{address} has no effect in this scenario, which flies in the plane of the "
-            "equator: take in_plane=False"
+            f"{address} has no effect in this scenario: "
+            f"{type(scenario.dynamics).__name__} keeps it; take other dynamics, such as "
+            "dynamics=EntryDynamics()"
         )
 
 

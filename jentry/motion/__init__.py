@@ -7,6 +7,9 @@ from .attitude import (
     SecondOrderAttitude as SecondOrderAttitude,
 )
 from .dynamics import (
+    AbstractDynamics as AbstractDynamics,
+    EntryDynamics as EntryDynamics,
+    EquatorialDynamics as EquatorialDynamics,
     entry_dynamics as entry_dynamics,
     equatorial_dynamics as equatorial_dynamics,
     with_respect_to as with_respect_to,

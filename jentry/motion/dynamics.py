@@ -1,21 +1,93 @@
 """Equations of motion of a point mass over a rotating sphere."""
 
-from collections.abc import Callable
-from typing import TypeVar
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Mapping
+from typing import ClassVar, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import PyTree
 
 from .._math import sincos
-from ..fields import Scalar
+from ..fields import Flag, Scalar
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 from .forces import aerodynamic_acceleration
+from .singularities import (
+    SingularPoint,
+    at_poles,
+    at_rest,
+    at_vertical_flight,
+    step_is_too_long,
+)
 from .state import Controls, EntryState
 
 
 Y = TypeVar("Y", bound=PyTree)
+
+
+class AbstractDynamics(eqx.Module):
+    """The equations of motion of a scenario: how fast its state changes, and where not.
+
+    A class of one's own states the rates, and overrides the two constants below where
+    they are others.
+    """
+
+    kept: ClassVar[Mapping[str, float]] = {}
+    """Components of the state that never change, with the value that each of them must
+    have at the start"""
+
+    singular_points: ClassVar[tuple[SingularPoint, ...]] = (
+        at_rest,
+        at_vertical_flight,
+        at_poles,
+    )
+    """Where the equations are singular, see `jentry.motion.singularities`"""
+
+    @abstractmethod
+    def rates(
+        self, planet: Planet, vehicle: Vehicle, state: EntryState, controls: Controls
+    ) -> EntryState:
+        """Time derivative of the state."""
+
+    @property
+    def has_crossrange(self) -> bool:
+        """Whether a flight can leave the great circle on which it starts."""
+        return "heading" not in self.kept
+
+    def is_singular(self, before: EntryState, after: EntryState) -> Flag:
+        """Whether a step between two states comes too close to a singular point."""
+        return step_is_too_long(before, after, self.singular_points)
+
+    def is_beyond(self, state: EntryState) -> Flag:
+        """Whether a flight has gone over a singular point: adaptive steps can miss it."""
+        return self.is_singular(state, state)
+
+
+class EntryDynamics(AbstractDynamics):
+    """Three-dimensional entry over a rotating sphere: `entry_dynamics`."""
+
+    def rates(
+        self, planet: Planet, vehicle: Vehicle, state: EntryState, controls: Controls
+    ) -> EntryState:
+        return entry_dynamics(planet, vehicle, state, controls)
+
+
+class EquatorialDynamics(AbstractDynamics):
+    """Flight due east in the plane of the equator: `equatorial_dynamics`.
+
+    The lateral component of lift is left out. Only rest is a singular point.
+    """
+
+    kept = {"latitude": 0.0, "heading": 0.5 * math.pi}
+    singular_points = (at_rest,)
+
+    def rates(
+        self, planet: Planet, vehicle: Vehicle, state: EntryState, controls: Controls
+    ) -> EntryState:
+        return equatorial_dynamics(planet, vehicle, state, controls)
 
 
 def entry_dynamics(

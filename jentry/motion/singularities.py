@@ -1,5 +1,7 @@
 """Where the equations of motion are singular, and steps that come too close to it."""
 
+import functools
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -22,7 +24,7 @@ _PASSED = 1e-9
 """rad or m/s beyond the singular point: more than rounding."""
 
 
-class _Polar(NamedTuple):
+class Polar(NamedTuple):
     """A step in the polar coordinates of which a singular point is the origin."""
 
     distance: Scalar
@@ -40,36 +42,55 @@ class _Polar(NamedTuple):
         return jnp.maximum(self.turn - allowed, -_PASSED - self.distance)
 
 
-def step_is_too_long(before: EntryState, after: EntryState, in_plane: bool) -> Flag:
+SingularPoint = Callable[[EntryState, EntryState], Polar]
+"""A step from one state to another, in polar coordinates about a singular point"""
+
+
+def _change(name: str, before: EntryState, after: EntryState) -> Scalar:
+    return getattr(after, name) - getattr(before, name)
+
+
+def at_rest(before: EntryState, after: EntryState) -> Polar:
+    """About rest, where the flight-path angle has no meaning."""
+    turn = jnp.abs(_change("flight_path_angle", before, after))
+    return Polar(after.velocity, _change("velocity", before, after), turn)
+
+
+def at_vertical_flight(before: EntryState, after: EntryState) -> Polar:
+    """About vertical flight, where the heading has no meaning."""
+    to_vertical = 0.5 * jnp.pi - jnp.abs(after.flight_path_angle)
+    # Convergence of the meridians turns the heading by no more than the longitude.
+    around = jnp.abs(_change("heading", before, after))
+    around = around - jnp.abs(_change("longitude", before, after))
+    return Polar(to_vertical, _change("flight_path_angle", before, after), around)
+
+
+def at_poles(before: EntryState, after: EntryState) -> Polar:
+    """About the poles, where the longitude has no meaning."""
+    to_pole = 0.5 * jnp.pi - jnp.abs(after.latitude)
+    around = jnp.abs(_change("longitude", before, after))
+    return Polar(to_pole, _change("latitude", before, after), around)
+
+
+def step_is_too_long(
+    before: EntryState, after: EntryState, points: Sequence[SingularPoint]
+) -> Flag:
     """Whether a step comes too close to a singular point of the equations of motion.
 
-    These are in polar coordinates three times: longitude about the poles, heading about
-    vertical flight, and flight-path angle about rest. A way past one of them turns the
-    angle by up to half a turn: it takes either several steps that resolve the turn, or
-    one that turns too far, or one over the point itself. The second and the third are
-    wrong, and are seen here; how close is too close depends on the length of the step.
-    Only the last of the three points concerns a flight in the plane of the equator.
+    The equations of an entry state are in polar coordinates three times: flight-path
+    angle about rest, heading about vertical flight, and longitude about the poles. A way
+    past one of them turns the angle by up to half a turn: it takes either several steps
+    that resolve the turn, or one that turns too far, or one over the point itself. The
+    second and the third are wrong, and are seen here; how close is too close depends on
+    the length of the step.
+
+    **Arguments:**
+
+    - `before`, `after`: the states at the start and at the end of the step.
+    - `points`: the singular points that concern the motion; with none, no step is too
+      long.
     """
-
-    def change(name: str) -> Scalar:
-        return getattr(after, name) - getattr(before, name)
-
-    path = change("flight_path_angle")
-    excess = _Polar(after.velocity, change("velocity"), jnp.abs(path)).excess()
-    if in_plane:
-        return excess > 0.0
-    to_vertical = 0.5 * jnp.pi - jnp.abs(after.flight_path_angle)
-    to_pole = 0.5 * jnp.pi - jnp.abs(after.latitude)
-    around_pole = jnp.abs(change("longitude"))
-    # Convergence of the meridians turns the heading by no more than the longitude.
-    around_vertical = jnp.abs(change("heading")) - around_pole
-    vertical = _Polar(to_vertical, path, around_vertical)
-    pole = _Polar(to_pole, change("latitude"), around_pole)
-    for other in (vertical, pole):
-        excess = jnp.maximum(excess, other.excess())
-    return excess > 0.0
-
-
-def is_beyond(state: EntryState, in_plane: bool) -> Flag:
-    """Whether a flight has gone over a singular point: what adaptive steps can miss."""
-    return step_is_too_long(state, state, in_plane)
+    excesses = [point(before, after).excess() for point in points]
+    if not excesses:
+        return jnp.zeros_like(after.velocity, bool)
+    return functools.reduce(jnp.maximum, excesses) > 0.0

@@ -25,6 +25,7 @@ from ...guidance.drag_tracking import (
     StateFeedbackDragTracking,
 )
 from ...guidance.open_loop import BankProfile
+from ...motion.dynamics import EquatorialDynamics
 from ...motion.state import EntryState
 from ...onboard.model import OnboardModel
 from ...onboard.profiles import PolynomialProfile
@@ -110,7 +111,7 @@ def entry() -> Scenario:
             time_limit=600.0,
         ),
         target=Target(altitude=10.0 * km, velocity=END_VELOCITY, downrange=723.32 * km),
-        in_plane=True,
+        dynamics=EquatorialDynamics(),
     )
 
 

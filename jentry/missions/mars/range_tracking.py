@@ -13,6 +13,7 @@ from ...flight.scenario import Scenario
 from ...guidance.drag_tracking import ObserverGains
 from ...guidance.lateral import LateralCorridor
 from ...guidance.range_tracking import Aim, RangeTracking, ScaleLimits
+from ...motion.dynamics import EntryDynamics, EquatorialDynamics
 from ...motion.quantities import ground_track
 from ...onboard.model import OnboardModel
 from ...onboard.profiles import PolynomialProfile, QuinticProfile
@@ -88,12 +89,12 @@ def three_dimensional() -> Scenario:
         corridor=LateralCorridor(floor=300.0, widening=4e-4),
     )
     guided = eqx.tree_at(lambda s: s.guidance, start, law)
-    return dataclasses.replace(guided, in_plane=False)
+    return dataclasses.replace(guided, dynamics=EntryDynamics())
 
 
 def in_plane() -> Scenario:
     """The same law without lateral motion, as the paper flies."""
-    return dataclasses.replace(three_dimensional(), in_plane=True)
+    return dataclasses.replace(three_dimensional(), dynamics=EquatorialDynamics())
 
 
 MISSION = Mission(
