@@ -8,7 +8,6 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from ._interpolation import clamp
 from .fields import Flag, Scalar
 
 
@@ -16,6 +15,7 @@ Point = Scalar | Float[Array, " 2"]
 """One unknown, or two of them"""
 Slope = Scalar | Float[Array, "2 2"]
 """Derivative of one value, or of each of two values (rows) in each unknown (columns)"""
+Bound = Scalar | float | None
 ValueAndSlope = Callable[[Point], tuple[Point, Slope]]
 
 
@@ -26,7 +26,7 @@ class Root(NamedTuple):
     value: Point
     """Of the function where the last step began"""
     step: Point
-    """The last step: small where the method has converged"""
+    """The last one: small where the method has converged, infinite where there was none"""
     known: Flag
     """Whether the function and its derivative were finite wherever they were asked for"""
 
@@ -36,9 +36,9 @@ def newton(
     x: Point,
     steps: int,
     *,
-    lower: Scalar | float | None = None,
-    upper: Scalar | float | None = None,
-    largest_step: Scalar | float | None = None,
+    lower: Bound = None,
+    upper: Bound = None,
+    largest_step: Bound = None,
     falls: bool = False,
     unroll: bool = False,
 ) -> Root:
@@ -68,30 +68,25 @@ def newton(
         (x, _, _, known), low, high = carry
         value, slope = value_and_slope(x)
         finite = jnp.all(jnp.isfinite(value)) & jnp.all(jnp.isfinite(slope))
-        usable = finite & (determinant(slope) != 0.0)
-        none, one = jnp.zeros_like(value), jnp.zeros_like(slope) + _identity(slope)
-        at, slope = jnp.where(usable, value, none), jnp.where(usable, slope, one)
-        step = -solve(slope, at)
+        usable = finite & (_determinant(slope) != 0.0)
+        # On both sides of the last `where`, so that no derivative comes from there.
+        at = jnp.where(usable, value, jnp.zeros_like(value))
+        step = -solve(jnp.where(usable, slope, _identity(slope)), at)
         if largest_step is not None:
-            step = clamp(step, -largest_step, largest_step)
+            step = _within(step, -largest_step, largest_step)
         moved = x + step
         if falls:
             low, high = jnp.where(at > 0.0, x, low), jnp.where(at < 0.0, x, high)
             inside = (moved >= low) & (moved <= high)
             moved = jnp.where(inside, moved, 0.5 * (low + high))
-        if lower is not None:
-            moved = jnp.where(moved < lower, lower, moved)
-        if upper is not None:
-            moved = jnp.where(moved > upper, upper, moved)
-        moved = jnp.where(usable, moved, x)
+        moved = jnp.where(usable, _within(moved, lower, upper), x)
+        step = jnp.where(usable, moved - x, jnp.inf)
         return (Root(moved, value, step, known & finite), low, high), None
 
     known = jnp.all(jnp.isfinite(x))
     first = Root(x, jnp.full_like(x, jnp.inf), jnp.full_like(x, jnp.inf), known)
     start = first, _like(lower, x), _like(upper, x)
-    (found, _, _), _ = lax.scan(
-        improve, start, length=steps, unroll=steps if unroll else 1
-    )
+    (found, _, _), _ = lax.scan(improve, start, length=steps, unroll=unroll)
     return found
 
 
@@ -107,26 +102,32 @@ def by_jvp(function: Callable[[Point], Point]) -> ValueAndSlope:
     return value_and_slope
 
 
-def determinant(slope: Slope) -> Scalar:
-    """Zero where the equations have no solution, or more than one."""
-    if jnp.ndim(slope) == 0:
-        return slope
-    (a, b), (c, d) = slope  # pyright: ignore[reportGeneralTypeIssues]
-    return a * d - b * c
-
-
 def solve(slope: Slope, right: Point) -> Point:
     """Solution of one linear equation, or of two by Cramer's rule."""
     if jnp.ndim(slope) == 0:
         return right / slope
-    (a, b), (c, d) = slope  # pyright: ignore[reportGeneralTypeIssues]
-    e, f = right  # pyright: ignore[reportGeneralTypeIssues]
-    return jnp.stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)
+    (a, b), (c, d) = jnp.asarray(slope)
+    e, f = jnp.asarray(right)
+    return jnp.stack([d * e - b * f, a * f - c * e]) / _determinant(slope)
 
 
-def _identity(slope: Slope) -> Array | float:
-    return 1.0 if jnp.ndim(slope) == 0 else jnp.eye(2)
+def _determinant(slope: Slope) -> Scalar:
+    if jnp.ndim(slope) == 0:
+        return slope
+    (a, b), (c, d) = jnp.asarray(slope)
+    return a * d - b * c
 
 
-def _like(bound: Scalar | float | None, x: Point) -> Array:
+def _within(x: Point, low: Bound, high: Bound) -> Array:
+    # `jnp.clip` has derivative one half where x is at an end.
+    if low is not None:
+        x = jnp.where(x < low, low, x)
+    return jnp.asarray(x if high is None else jnp.where(x > high, high, x))
+
+
+def _identity(slope: Slope) -> Array:
+    return jnp.ones_like(slope) if jnp.ndim(slope) == 0 else jnp.eye(2)
+
+
+def _like(bound: Bound, x: Point) -> Array:
     return jnp.zeros_like(x) if bound is None else jnp.zeros_like(x) + bound

@@ -7,16 +7,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import bank_profile, fly_compiled, mars_scenario, with_leaf
+from helpers import ConstantBank, bank_profile, fly_compiled, mars_scenario, with_leaf
 
 from jentry._batching import where_due
 from jentry._newton import by_jvp, newton
 from jentry.campaign import monte_carlo
 from jentry.fields import Scalar
-from jentry.flight import FixedStep, misses
+from jentry.flight import FixedStep, Outcome
 from jentry.guidance import AbstractSampledLaw, FixedCycle
 from jentry.missions.mars import range_tracking
-from jentry.motion import Controls, entry_dynamics, equatorial_dynamics
+from jentry.motion import Controls, EntryDynamics, EquatorialDynamics
 from jentry.motion.forces import air_data
 from jentry.motion.quantities import energy, ground_track
 from jentry.onboard import (
@@ -59,12 +59,16 @@ def constant_bank(angle):
     return command
 
 
-@eqx.filter_jit
 def predicted(
     step=3.0, lift=1.0, drag=1.0, cosine=None, steps=128, state=START, model=MODEL
 ):
     """In the plane: under the profile, or at a constant cosine of the bank."""
+    cosine = None if cosine is None else one(cosine)
+    return _predicted(one(step), one(lift), one(drag), cosine, steps, state, model)
 
+
+@eqx.filter_jit
+def _predicted(step, lift, drag, cosine, steps, state, model):
     def command(time, state):
         return Controls(0.0 * time, cosine + 0.0 * time, 0.0 * time)
 
@@ -76,7 +80,7 @@ def predicted(
         step=step,
         steps=steps,
         factors=Factors(lift, drag),
-        dynamics=equatorial_dynamics,
+        dynamics=EquatorialDynamics(),
     )
 
 
@@ -171,18 +175,16 @@ def test_what_has_no_end_says_so_and_is_finite(changes):
     end = predicted(**changes)
     assert not bool(end.has_end) and int(end.ended_by) == NO_END
     assert np.all(np.isfinite(jax.tree.leaves(end)))
-    within = eqx.tree_at(lambda s: s.velocity, START, START.velocity)
     if "steps" in changes:
         # The steps that it had, in time.
         assert float(end.time) == pytest.approx(16 * 3.0, rel=1e-14)
     elif "drag" not in changes:
         assert float(end.time) == 0.0
-    assert float(end.state.velocity) <= float(within.velocity) + 50.0
 
 
 def test_skipping_out_is_an_end():
     shallow = with_leaf(START, lambda s: s.flight_path_angle, -5.0 * degree)
-    end = predicted(cosine=one(1.0), state=shallow, steps=512)
+    end = predicted(cosine=one(1.0), state=shallow, steps=256)
     assert int(end.ended_by) == 2
     assert float(end.state.altitude) == pytest.approx(135e3, abs=1e-6)
 
@@ -201,7 +203,7 @@ def test_side_by_side_they_are_what_they_are_alone():
 
 
 @eqx.filter_jit
-def spatial(start, angle, model=MODEL, dynamics=entry_dynamics):
+def spatial(start, angle, model=MODEL, dynamics=EntryDynamics()):
     command = constant_bank(angle)
     return propagate(
         model, start, command, ENDS, step=3.0, steps=128, dynamics=dynamics
@@ -223,7 +225,7 @@ def test_eastward_over_the_equator_space_is_the_plane():
     turning = with_leaf(MODEL, lambda m: m.planet.rotation_rate, 7e-5)
     space, plane = (
         spatial(START, one(0.0), turning, dynamics)
-        for dynamics in (entry_dynamics, equatorial_dynamics)
+        for dynamics in (EntryDynamics(), EquatorialDynamics())
     )
     assert bool(space.has_end)
     np.testing.assert_allclose(
@@ -238,7 +240,7 @@ def specific_energy(state):
 
 
 @eqx.filter_jit
-def over_energy(start, end, steps, lift=1.0):
+def over_energy(start, end, steps, lift=one(1.0)):
     return propagate_over(
         specific_energy,
         end,
@@ -247,7 +249,7 @@ def over_energy(start, end, steps, lift=1.0):
         profile,
         steps=steps,
         factors=Factors(lift, 1.0),
-        dynamics=equatorial_dynamics,
+        dynamics=EquatorialDynamics(),
         integrand=lambda time, state, controls: {
             "way": air_data(
                 MODEL.planet, MODEL.vehicle, state, controls.angle_of_attack
@@ -299,7 +301,7 @@ def test_an_index_that_turns_back_has_no_end():
     """Up there the velocity first rises, and energy that has gone does not come back."""
     start = in_the_air()
     now = specific_energy(start)
-    back = over_energy(start, now * 0.9, 100)  # the energy is negative
+    back = over_energy(start, now + 1e5, 100)
     assert not bool(back.has_end) and float(back.time) == 0.0
 
     @eqx.filter_jit
@@ -311,7 +313,7 @@ def test_an_index_that_turns_back_has_no_end():
             START,
             profile,
             steps=200,
-            dynamics=equatorial_dynamics,
+            dynamics=EquatorialDynamics(),
         )
 
     assert not bool(over_velocity(one(600.0)).has_end)
@@ -332,7 +334,7 @@ def test_what_is_carried_along_over_time():
             ENDS,
             step=step,
             steps=128,
-            dynamics=equatorial_dynamics,
+            dynamics=EquatorialDynamics(),
             integrand=lambda time, state, controls: (
                 2.0 * time,
                 state.velocity
@@ -400,7 +402,7 @@ class Correcting(AbstractSampledLaw[tuple[()], Held]):
                 step=3.0,
                 steps=160,
                 factors=estimate.factors,
-                dynamics=equatorial_dynamics,
+                dynamics=EquatorialDynamics(),
             )
             flown = ground_track(planet, self.origin, end.state)[0]
             return jnp.where(end.has_end, flown - self.target, jnp.nan)
@@ -433,8 +435,19 @@ def test_a_law_that_predicts_and_corrects(key):
     """
     scenario = correcting()
     table = range_tracking.MISSION.dispersions["independent"]()
-    flown = monte_carlo(scenario, table, key, 200, solver=FixedStep(0.5))
-    missed = np.abs(np.asarray(flown.misses.downrange))
-    assert np.all(np.asarray(flown.flights.outcome) == 0)
-    print("median", np.median(missed), "95 %", np.percentile(missed, 95))
-    assert np.median(missed) < 15.0
+    upright = dataclasses.replace(scenario, guidance=ConstantBank(0.0))
+    flown, most = (
+        monte_carlo(s, table, key, 200, solver=FixedStep(0.5))
+        for s in (scenario, upright)
+    )
+    assert np.all(flown.flights.outcome == Outcome.REACHED)
+    missed, farthest = flown.misses.downrange, most.misses.downrange
+    # The last decision is made in the last two seconds, for which the prediction takes
+    # one step and the flight four.
+    within = farthest > 1e3
+    assert np.sum(~within) < 20
+    assert np.max(np.abs(missed[within])) < 1.0, np.sort(np.abs(missed[within]))[-5:]
+    assert np.median(np.abs(missed)) < 1e-3
+    short = farthest < -1e3
+    assert np.all(missed[short] < 0.0)
+    np.testing.assert_allclose(missed[short], farthest[short], rtol=0.2)

@@ -7,10 +7,10 @@ Measurement", in the same family: between the cycles it is their law with the ob
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 
 from .._interpolation import clamp
+from .._newton import by_jvp, newton
 from ..fields import Scalar, scalar
 from ..motion.quantities import ground_track
 from ..motion.state import Controls, EntryState
@@ -104,6 +104,8 @@ def scale_to_reach(
     - `energy`: now, J/kg.
     - `range_to_go`: m.
     - `drag_factor`: q, sensed drag over that of the onboard model.
+
+    NaN where the search meets what is not finite.
     """
     planet = model.planet
     radius = planet.radius + aim.altitude
@@ -127,15 +129,16 @@ def scale_to_reach(
         return through(altitude + excess * climb, kinetic + excess * speed_up)
 
     corner_energy = corner[1] + planet.gravity.potential(radius)
-    most = jnp.maximum(energy - corner_energy, 0.0)
-    excess = 0.0 * range_to_go
-    for _ in range(_NEWTON_STEPS):
-        error, slope, _ = jax.jvp(
-            along, (excess,), (jnp.ones_like(excess),), has_aux=True
-        )
-        excess = clamp(excess - error / slope, 0.0, most)
-    _, scale = along(excess)
-    return scale
+    found = newton(
+        by_jvp(lambda excess: along(excess)[0]),
+        0.0 * range_to_go,
+        _NEWTON_STEPS,
+        lower=0.0,
+        upper=jnp.maximum(energy - corner_energy, 0.0),
+        unroll=True,
+    )
+    _, scale = along(found.x)
+    return jnp.where(found.known, scale, jnp.nan)
 
 
 class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):

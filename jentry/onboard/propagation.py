@@ -14,11 +14,8 @@ from .._batching import where_due
 from .._integrate import runge_kutta, runge_kutta_step
 from .._newton import by_jvp, newton
 from ..fields import Count, Flag, Scalar
-from ..motion.dynamics import entry_dynamics, equatorial_dynamics, with_respect_to
-from ..motion.singularities import step_is_too_long
+from ..motion.dynamics import AbstractDynamics, EntryDynamics, with_respect_to
 from ..motion.state import Controls, EntryState
-from ..world.planet import Planet
-from ..world.vehicle import Vehicle
 from .estimation import Factors
 from .model import WorldModel
 
@@ -32,8 +29,6 @@ Index = Callable[[EntryState], Scalar]
 """A smooth function of the state, such as the energy"""
 Integrand = Callable[[Scalar, EntryState, Controls], PyTree]
 """Numbers to be integrated over the time beside the motion, such as the heat rate"""
-Dynamics = Callable[[Planet, Vehicle, EntryState, Controls], EntryState]
-"""Equations of motion: `entry_dynamics`, or `equatorial_dynamics` in the plane"""
 
 NO_END = -1
 """In `Prediction.ended_by`: no end was met"""
@@ -44,8 +39,8 @@ _SEARCH = 6
 """Bracketed Newton steps for the length of the last step. They are not differentiated"""
 _EXACT = 2
 """Newton steps that are: derivatives of the end are exact up to the third order"""
-_CONVERGED = 1e-3
-"""Share of a step that the last but one of these may still move; the next is its square"""
+_CONVERGED = 1e-6
+"""Share of a step by which the last of them may move the end"""
 
 
 class Prediction(eqx.Module):
@@ -83,7 +78,7 @@ def propagate(
     step: Scalar | float,
     steps: int,
     factors: Factors = Factors(),
-    dynamics: Dynamics = entry_dynamics,
+    dynamics: AbstractDynamics = EntryDynamics(),
     integrand: Integrand | None = None,
 ) -> Prediction:
     """Fly the onboard model under a command to the first of several ends.
@@ -115,7 +110,7 @@ def propagate(
     - `step`: s.
     - `steps`: how many there are at most; rounded up to a multiple of eight.
     - `factors`: on the lift and the drag of the model.
-    - `dynamics`: equations of motion.
+    - `dynamics`: equations of motion, such as those of the scenario.
     - `integrand`: what else is to be integrated over the time, from zero.
 
     **Raises:** `ValueError` without an end, or for a step or a number of steps that is
@@ -127,7 +122,6 @@ def propagate(
     if isinstance(step, int | float) and not 0.0 < step < math.inf:
         raise ValueError(f"step is {step} s: it must be positive and finite")
     flow = _flow(model, command, factors, dynamics, integrand)
-    in_plane = dynamics is equatorial_dynamics
     step = jnp.asarray(step, float)
 
     def after(moving: _Moving, length: Scalar) -> _Moving:
@@ -140,7 +134,7 @@ def propagate(
         moving, running, crossed = carry
         moved = after(moving, step)
         flies = running & _is_finite(moved)
-        flies &= jnp.logical_not(step_is_too_long(moving.state, moved.state, in_plane))
+        flies &= jnp.logical_not(dynamics.is_singular(moving.state, moved.state))
         inside = jnp.min(margins(moved.state)) > 0.0
         taken = flies & inside
         return (_select(taken, moved, moving), taken, crossed | (flies & ~inside)), None
@@ -161,7 +155,7 @@ def propagate(
         return margins(after(last, length).state)
 
     # Where no end was crossed the last step has no length, and its slopes are finite.
-    at = _fixed(last)
+    at = lax.stop_gradient(last)
     search = newton(
         by_jvp(lambda x: jnp.min(margins(after(at, x).state))),
         jnp.where(crossed, 0.5 * lax.stop_gradient(step), 0.0),
@@ -173,11 +167,11 @@ def propagate(
     length = lax.stop_gradient(jnp.where(crossed, search.x, 0.0))
     ended_by = jnp.argmin(margins_after(length))
     found = newton(by_jvp(lambda x: margins_after(x)[ended_by]), length, _EXACT)
-    converged = found.known & (jnp.abs(found.step) < _CONVERGED * _CONVERGED * step)
+    converged = found.known & (jnp.abs(found.step) < _CONVERGED * step)
     met = crossed & converged
     end = after(last, jnp.where(met, found.x, 0.0))
     met &= _is_finite(end)
-    met &= jnp.logical_not(step_is_too_long(last.state, end.state, in_plane))
+    met &= jnp.logical_not(dynamics.is_singular(last.state, end.state))
     end = _select(met, end, last)
     ended_by = jnp.where(met, ended_by, NO_END)
     return Prediction(end.time, end.state, end.integrals, ended_by)
@@ -192,7 +186,7 @@ def propagate_over(
     *,
     steps: int,
     factors: Factors = Factors(),
-    dynamics: Dynamics = entry_dynamics,
+    dynamics: AbstractDynamics = EntryDynamics(),
     integrand: Integrand | None = None,
 ) -> Prediction:
     """Fly the onboard model under a command until an index has a value.
@@ -237,7 +231,7 @@ def _flow(
     model: WorldModel,
     command: Command,
     factors: Factors,
-    dynamics: Dynamics,
+    dynamics: AbstractDynamics,
     integrand: Integrand | None,
 ) -> Callable[[_Moving], _Moving]:
     """Time derivative of what is integrated."""
@@ -248,7 +242,7 @@ def _flow(
     def flow(moving: _Moving) -> _Moving:
         time, state = moving.time, moving.state
         controls = command(time, state)
-        rates = dynamics(planet, vehicle, state, controls)
+        rates = dynamics.rates(planet, vehicle, state, controls)
         more = None if integrand is None else integrand(time, state, controls)
         return _Moving(jnp.ones_like(time), rates, more)
 
@@ -269,11 +263,6 @@ def _start(state: EntryState, command: Command, integrand: Integrand | None) -> 
 def _require_steps(steps: int) -> None:
     if steps < 1:
         raise ValueError(f"steps is {steps}: it must be 1 or more")
-
-
-def _fixed(moving: _Moving) -> _Moving:
-    """The same, not differentiated."""
-    return lax.stop_gradient(moving)
 
 
 def _is_finite(moving: _Moving) -> Flag:

@@ -11,6 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float, PyTree
 
 from .._math import derivatives_along
+from .._newton import newton, solve
 from .._setup import needs_float64
 from ..fields import Scalar
 from ..flight.closed_loop import Moving, vector_field
@@ -89,15 +90,13 @@ def _search(given, guess: Float[Array, " 2"], solver: FixedStep) -> Float[Array,
     """
     offsets = jnp.concatenate([jnp.zeros((1, 2)), _DIFFERENCE * jnp.eye(2)])
 
-    def improve(_, found):
-        x, _ = found
+    def differences(x):
         values = jax.vmap(lambda c: _misses(given, c, solver))(x[None, :] + offsets)
-        jacobian = (values[1:] - values[:1]).T / _DIFFERENCE
-        return x - _solve_two(jacobian, values[0]), jnp.max(jnp.abs(values[0]))
+        return values[0], (values[1:] - values[:1]).T / _DIFFERENCE
 
-    start = guess, jnp.full((), jnp.inf)
-    found, missed = lax.fori_loop(0, _IMPROVEMENTS, improve, start)
-    return jnp.where(missed < _PLANNED_TO, found, jnp.nan)
+    found = newton(differences, guess, _IMPROVEMENTS)
+    planned = found.known & (jnp.max(jnp.abs(found.value)) < _PLANNED_TO)
+    return jnp.where(planned, found.x, jnp.nan)
 
 
 _DIFFERENCE = 1e-5
@@ -118,14 +117,7 @@ def _solve_jvp(primals, tangents):
     found = _search(given, guess, solver)
     jacobian = jax.jacfwd(lambda c: _misses(given, c, solver))(found)
     _, drift = eqx.filter_jvp(lambda g: _misses(g, found, solver), (given,), (moved,))
-    return found, -_solve_two(jacobian, drift)
-
-
-def _solve_two(matrix: Float[Array, "2 2"], right: Float[Array, " 2"]):
-    """Cramer's rule: compiles in no time."""
-    (a, b), (c, d) = matrix
-    e, f = right
-    return jnp.stack([d * e - b * f, a * f - c * e]) / (a * d - b * c)
+    return found, -solve(jacobian, drift)
 
 
 def open_loop(

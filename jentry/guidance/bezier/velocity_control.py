@@ -3,11 +3,11 @@
 from abc import abstractmethod
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..._batching import where_due
+from ..._newton import by_jvp, newton
 from ...fields import Flag, Scalar, scalar, table
 from .anchoring import Shape, StoredParameters
 from .prediction import AbstractVelocityPredictor, FlownModel, Glide, Situation
@@ -179,29 +179,24 @@ class NewtonAdjustment(AbstractVelocityControl):
     ) -> tuple[Shape, Predictions]:
         lower, upper = glide.anchoring.bounds(situation.point, situation.target)
 
-        def miss(second: Scalar, first: Scalar) -> Scalar:
-            moved = eqx.tree_at(lambda s: s.shape, situation, Shape(first, second))
-            return self.predictor.predict(glide, moved) - self.wanted_velocity
-
         def act(before: tuple[Shape, Predictions]) -> tuple[Shape, Predictions]:
             shape, _ = before
-            second = shape.second
-            most = self.largest_step * (upper - lower)
-            answered = jnp.isfinite(second)
-            for _ in range(self.iterations):
-                value, slope = jax.jvp(
-                    lambda x: miss(x, shape.first), (second,), (jnp.ones_like(second),)
-                )
-                finite = jnp.isfinite(value) & jnp.isfinite(slope)
-                known = finite & (slope != 0.0)
-                value, slope = (
-                    jnp.where(known, value, 0.0),
-                    jnp.where(known, slope, 1.0),
-                )
-                moved = second + jnp.clip(-value / slope, -most, most)
-                second = jnp.where(known, jnp.clip(moved, lower, upper), second)
-                answered = answered & finite
-            return Shape(shape.first, second), _one(answered)
+
+            def miss(second: Scalar) -> Scalar:
+                moved = Shape(shape.first, second)
+                moved = eqx.tree_at(lambda s: s.shape, situation, moved)
+                return self.predictor.predict(glide, moved) - self.wanted_velocity
+
+            found = newton(
+                by_jvp(miss),
+                shape.second,
+                self.iterations,
+                lower=lower,
+                upper=upper,
+                largest_step=self.largest_step * (upper - lower),
+                unroll=True,
+            )
+            return Shape(shape.first, found.x), _one(found.known)
 
         before = situation.shape, Predictions.none(cycle)
         return where_due(self.epochs.due(cycle, seconds_to_go), act, before)
