@@ -10,6 +10,7 @@ tuned = jentry.tune(scenario, where, loss, optimizer, dispersions, key)
 """
 
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 
@@ -39,6 +40,10 @@ def __dir__() -> list[str]:
 
 
 def _names() -> list[str]:
-    """What is offered: `__all__`, with nothing that is there for another reason."""
-    api = import_module("._api", __name__)
-    return sorted(name for name in vars(api) if not name.startswith("_"))
+    """What is offered: `__all__`. A module in it would be there for another reason."""
+    api = vars(import_module("._api", __name__))
+    return sorted(
+        name
+        for name, value in api.items()
+        if not name.startswith("_") and not isinstance(value, ModuleType)
+    )

@@ -59,6 +59,13 @@ def command(monkeypatch, capsys, tmp_path):
     return run
 
 
+@pytest.fixture
+def density(tmp_path):
+    config = tmp_path / "overrides.toml"
+    config.write_text('variant = "right"\n[set]\nplanet.density_scale = 1.25')
+    return "--config", config
+
+
 @pytest.fixture(scope="session")
 def planned():
     """The planned Mars reference: bank profile, flight, and drag over energy and time."""

@@ -22,6 +22,7 @@ from jentry.campaign import (
     draw,
     monte_carlo,
     multiply,
+    open_campaign,
 )
 from jentry.campaign.batch import LANES
 from jentry.campaign.campaign import drawn_inputs, fly_in_blocks
@@ -395,3 +396,28 @@ def test_what_an_in_plane_flight_does_not_use_is_refused():
     scenario = dataclasses.replace(cheap.scenario(), dynamics=EquatorialDynamics())
     with pytest.raises(ValueError, match="initial_state.heading has no effect"):
         monte_carlo(scenario, inputs={"initial_state.heading": [1.6]})
+
+
+def test_a_campaign_as_a_dataset_and_in_words(tmp_path):
+    """The dataset is that of a stored campaign; the words have its numbers in SI."""
+    scenario, key = cheap.scenario(), jax.random.key(cheap.SEED)
+    campaign = monte_carlo(
+        scenario, cheap.dispersions(), key, 3, solver=cheap.SOLVER, history=20.0
+    )
+    results = campaign.to_xarray(scenario, 20.0)
+    cheap.campaign(tmp_path, 3, history=20.0)
+    stored = open_campaign(tmp_path)
+    assert set(results.data_vars) == set(stored.data_vars)
+    for name in results.data_vars:
+        np.testing.assert_array_equal(results[name], stored[name])
+        assert results[name].attrs["units"] == stored[name].attrs["units"]
+    with pytest.raises(ValueError, match="give their interval"):
+        campaign.to_xarray(scenario)
+    lines = campaign.summary(scenario).splitlines()
+    assert lines[0] == "3 of 3 reached the end of guided flight"
+    (line,) = [x for x in lines if x.startswith("downrange error")]
+    *numbers, unit = line.removeprefix("downrange error").split()
+    missed = campaign.misses.downrange
+    expected = np.mean(missed), np.std(missed, ddof=1), np.min(missed), np.max(missed)
+    assert [float(x) for x in numbers] == pytest.approx(expected, rel=1e-5)
+    assert unit == "m"

@@ -199,6 +199,22 @@ WRONG = {
         "set.vehicle.mass is given twice",
     ),
     "variant a table": ("[variant]\na = 1", "variant is {'a': 1}: it must be a name"),
+    "replace no flag": (
+        "[dispersions]\nreplace = 1",
+        "dispersions.replace is 1: it must",
+    ),
+    "reading no name": (
+        "[dispersions]\nreading = 1",
+        "dispersions.reading is 1: it must",
+    ),
+    "replace and reading": (
+        '[dispersions]\nreplace = true\nreading = "a"\n' + uniform(),
+        "dispersions.reading is 'a', and dispersions.replace leaves out",
+    ),
+    "replaced by nothing": (
+        "[dispersions]\nreplace = true",
+        r"\[dispersions\] is empty",
+    ),
     "no dispersions": ("[dispersions]", r"\[dispersions\] is empty"),
     "no addresses": (uniform(address="[]"), r"address is \[\]: write one"),
     "too deep": ("set = " + "[" * 5000, "nested too deep"),
@@ -322,7 +338,26 @@ def test_a_written_file_names_variant_and_dispersions(tmp_path):
     assert path.read_text().startswith("# Two\n# [lines]\n")
 
 
+def test_a_reading_that_is_changed_and_dispersions_of_these_names(written):
+    path = written('[dispersions]\nreading = "mass-only"\n' + DISPERSIONS)
+    overrides = read(path)
+    assert (overrides.reading, overrides.replaces) == ("mass-only", False)
+    assert set(overrides.dispersions) == {"density", "coefficients", "path"}
+    assert overrides.written_with("all")["reading"] == "all"
+    path = written(uniform(address='"vehicle.mass"').replace("s.x]", "s.replace]"))
+    overrides = read(path)
+    assert set(overrides.dispersions) == {"replace"} and not overrides.replaces
+    path = written("[dispersions]\nreplace = true\n" + DISPERSIONS)
+    assert read(path).replaces and "reading" not in read(path).written_with("all")
+    path = written('[dispersions]\nreading = "mass-only"')
+    assert (read(path).reading, read(path).dispersions) == ("mass-only", None)
+    assert read(path).written_with("all") == "all"
+
+
 AWKWARD = """
+[dispersions]
+replace = true
+
 [dispersions."density, \\"Mars\\" (3.5 ρ)"]
 address = "planet.density_scale"
 distribution = "uniform"

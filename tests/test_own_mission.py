@@ -151,7 +151,7 @@ WRONG = {
     ),
     "builder fails": (
         MINIMAL.replace("return", "1 / 0\n    return"),
-        "wrong.py, line 5: ZeroDivisionError: division by zero",
+        "wrong.py, line 6: ZeroDivisionError: division by zero",
     ),
     "builder gives another": (
         MINIMAL.replace("return", "return 3 #"),

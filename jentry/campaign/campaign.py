@@ -3,7 +3,7 @@
 import bisect
 import functools
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -24,8 +24,14 @@ from ..flight.flight import Flight, fly, warn_of
 from ..flight.miss import Misses, misses
 from ..flight.scenario import Scenario, check_values, checked, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
+from ..flight.termination import Outcome
 from .batch import in_blocks, over_runs
 from .dispersions import Dispersion, check_dispersions, check_runs, dispersed_inputs
+from .populations import finite_flights, is_output
+
+
+if TYPE_CHECKING:
+    import xarray
 
 
 Runs = int | np.integer | Sequence[int] | np.ndarray
@@ -41,6 +47,51 @@ class Campaign(eqx.Module):
     """Values of the dispersed leaves by address"""
     flights: Flight
     misses: Misses
+
+    def to_xarray(
+        self, scenario: Scenario, history: float | None = None
+    ) -> "xarray.Dataset":
+        """The campaign as a dataset with units, as `open_campaign` gives a stored one.
+
+        **Arguments:**
+
+        - `scenario`: the nominal one, which was flown.
+        - `history`: interval (s) at which histories were kept, if they were.
+
+        **Raises:** `ValueError` for histories without their interval.
+        """
+        from .results import dataset
+
+        return dataset(scenario, self, history)
+
+    def summary(self, scenario: Scenario) -> str:
+        """Outcomes, and mean, standard deviation and extremes of every output in SI.
+
+        In words and lines, to be printed. Flights that are not finite or have no end are
+        counted among the outcomes, and are left out of the statistics.
+
+            print(campaign.summary(scenario))
+        """
+        flights = eqx.tree_at(
+            lambda f: f.history, self.flights, None, is_leaf=lambda x: x is None
+        )
+        ends = eqx.tree_at(lambda c: c.flights, self, flights)
+        results = ends.to_xarray(scenario)
+        kept = finite_flights(results)
+        lines = []
+        for code in np.unique(results["outcome"].values):
+            count = int(np.sum(results["outcome"].values == code))
+            lines.append(f"{count} of {len(self.runs)} {Outcome(int(code)).message}")
+        columns = "mean", "std", "minimum", "maximum"
+        lines.append(f"{'':26}" + "".join(f"{name:>14}" for name in columns))
+        for name in filter(is_output, map(str, kept.data_vars)):
+            values, unit = kept[name].values, kept[name].attrs["units"]
+            if values.size:
+                spread = np.std(values, ddof=1) if values.size > 1 else np.nan
+                numbers = values.mean(), spread, values.min(), values.max()
+                cells = "".join(f"{number:14.6g}" for number in numbers)
+                lines.append(f"{name.replace('_', ' '):26}{cells} {unit}")
+        return "\n".join(lines)
 
 
 @needs_float64

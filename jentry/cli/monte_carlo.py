@@ -112,8 +112,8 @@ def command(
             solver=solver,
             history=history,
             report=report,
-            variant=variant,
             **chosen.labels,
+            variant=variant,
         )
     results = open_campaign(folder, runs)
     print_campaign(chosen, results, as_published)

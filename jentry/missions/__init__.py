@@ -70,4 +70,4 @@ def every_mission() -> Iterator[Mission | ValueError]:
 def _places(name: str) -> list[str]:
     """Where there are missions of a name."""
     own = [f"the mission {name} of jentry"] if name in ALL else []
-    return own + [where_from(point) for point in packaged_missions().get(name, ())]
+    return own + sorted(map(where_from, packaged_missions().get(name, ())))

@@ -1,0 +1,45 @@
+"""`jentry fly`: one flight, printed and written."""
+
+import json
+
+import cheap
+import pytest
+import xarray
+from helpers import fly_compiled, free_scenario
+
+from jentry.addresses import replace_leaves
+from jentry.units import degree
+
+
+def test_fly(command, tmp_path):
+    code, printed, said = command("fly", "cheap", "--step", 1)
+    assert (code, said) == (0, "")
+    flight = fly_compiled(cheap.scenario(), cheap.SOLVER)
+    assert f"{float(flight.time):.4f}" in printed
+    assert f"{float(flight.state.altitude) / 1e3:.6f}" in printed
+    assert "cheap: reached the end of guided flight (velocity)" in printed
+
+
+def test_every_option_of_fly_arrives(command, tmp_path):
+    """All at once, each other than where it is not given: the same flight by hand."""
+    out, config = tmp_path / "flight.nc", tmp_path / "overrides.toml"
+    config.write_text('variant = "right"\n[set]\nplanet.density_scale = 1.25')
+    words = ("--variant", "steep", "--set", "vehicle.mass=900", "--config", config)
+    how = ("--step", 1, "--history", 20, "--out", out)
+    code, printed, _ = command("fly", "cheap", *words, *how)
+    assert code == 0 and f"written: {out}" in printed
+    changed = {"vehicle.mass": 900.0, "planet.density_scale": 1.25}
+    scenario = replace_leaves(free_scenario(10 * degree), changed)
+    flight = fly_compiled(scenario, cheap.SOLVER)
+    with xarray.open_dataset(out, engine="h5netcdf") as written:
+        # Compiled apart: rounding, grown over the flight.
+        assert written["end_time"].values == pytest.approx([flight.time.item()], 1e-11)
+        altitude = flight.state.altitude.item()
+        assert written["end_altitude"].values == pytest.approx([altitude], 1e-9)
+        # The arc cosine of a cosine.
+        bank = written["bank_angle"].values[0, :3]
+        assert bank == pytest.approx([10 * degree] * 3, rel=1e-12)
+        assert written["time"].values.tolist() == [20.0 * i for i in range(15)]
+        described = json.loads(written.attrs["campaign"])
+    assert described["solver"] == str(cheap.SOLVER)
+    assert described["mission"] == "cheap" and described["history_interval"] == 20.0

@@ -1,0 +1,128 @@
+"""`jentry tune`: what is asked, found, printed and written."""
+
+import csv
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import jax
+import jax.numpy as jnp
+import pytest
+from commands import (
+    OVERRIDES,
+    Arrived,
+    assert_overridden,
+    assert_refused,
+    intercepted,
+    monte_carlo,
+)
+
+from jentry.addresses import leaves_by_address
+from jentry.tuning.smoothing import smooth_switching
+
+
+TUNE = ("--gains", "guidance.bank_angle", "--runs", 16, "--held-out", 32, "--step", 1)
+
+
+def tune(command, *words):
+    return command("tune", "cheap", *TUNE, *words)
+
+
+def test_tune_writes_what_monte_carlo_flies(command, tmp_path):
+    code, printed, said = tune(command, "--steps", 3)
+    assert code == 0
+    assert said.count("step ") == 3 and "best" in said
+    assert "guidance.bank_angle" in printed and "100 %" in printed
+    assert "32 held-out draws" in printed and "95 % interval" in printed
+    folder = tmp_path / "results" / "cheap-tuned"
+    with open(folder / "history.csv") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["step"] for row in rows] == ["1", "2", "3"]
+    losses = [float(row["loss"]) for row in rows]
+    best = rows[losses.index(min(losses))]
+    given = ("--config", folder / "tuned.toml", "--runs", 4, "--out", "flown")
+    assert monte_carlo(command, *given)[0] == 0
+    described = json.loads((tmp_path / "flown" / "campaign.json").read_text())
+    flown = described["scenario"]["guidance.bank_angle"]["value"]
+    assert flown == float(best["guidance.bank_angle"])
+
+
+def test_every_option_of_tune_arrives(command, monkeypatch, tmp_path, density):
+    seen = intercepted(monkeypatch, "jentry.tuning.tuning", "tune")
+    words = ("--gains", "guidance.bank_angle,vehicle.nose_radius", "--runs", 16)
+    words += ("--steps", 3, "--loss", "cvar", "--of", "altitude=500m")
+    words += ("--out", "there", "--optimizer", "adam", "--learning-rate", 0.3)
+    words += ("--bounds", "guidance.bank_angle=0.1:1.5", "--fresh-draws", "--smooth")
+    words += ("--patience", 4, "--held-out", 32)
+    with pytest.raises(Arrived):
+        command("tune", "cheap", *words, *OVERRIDES, *density)
+    scenario, where, loss, optimizer, table, key = seen["given"]
+    assert_overridden(scenario, table, key, seen["solver"])
+    leaves = leaves_by_address(scenario)
+    two = [leaves["guidance.bank_angle"], leaves["vehicle.nose_radius"]]
+    assert jax.tree.leaves(where(scenario)) == two
+    # The worst twentieth of twenty, where only the altitude counts, in units of 500 m.
+    far, none = jnp.linspace(-2e3, 1e3, 20), jnp.full(20, 1e9)
+    missed = SimpleNamespace(altitude=far, downrange=none, crossrange=none)
+    assert loss(missed) == pytest.approx(2e3 / 500.0)
+    # Its first step is the learning rate.
+    step, _ = optimizer.update({"x": jnp.ones(())}, optimizer.init({"x": jnp.ones(())}))
+    assert step["x"] == pytest.approx(-0.3)
+    assert seen["bounds"] == {"guidance.bank_angle": (0.1, 1.5)}
+    assert seen["fresh_draws"] and seen["surrogate"] is smooth_switching
+    numbers = {name: seen[name] for name in ("runs", "steps", "patience", "held_out")}
+    assert numbers == {"runs": 16, "steps": 3, "patience": 4, "held_out": 32}
+    assert seen["record"].parent == Path("there")
+
+
+def test_tune_resumes_and_refuses_another_run(command):
+    assert tune(command, "--steps", 2)[0] == 0
+    _, _, said = tune(command, "--steps", 3)
+    assert said.count("step ") == 1
+    result = tune(command, "--steps", 3, "--of", "altitude=500m")
+    assert_refused(result, "holds another tuning run")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--loss", "least"), "loss is 'least': choose from mean-square, cvar"),
+        (("--optimizer", "newton"), "optimizer is 'newton': choose from lbfgs"),
+        (("--gains", "guidance.bank"), "no leaf 'guidance.bank'"),
+        (("--of", "range=1km"), "no miss 'range'; nearest"),
+        (("--of", "altitude=-1km"), "the scale must be greater than zero"),
+        (("--bounds", "guidance.bank_angle=1"), "write ADDRESS=LOW:HIGH"),
+        (("--bounds", "guidance.bank_angle=2:3"), "on both sides of its value"),
+        (("--smooth",), "has no field of the type AbstractSwitching"),
+        (("--smooth-reversals",), "has no field of the type AbstractSwitching"),
+        (("--smooth", "--smooth-reversals"), "not both"),
+        (("--scale", "guidance.bank_angle"), "write ADDRESS=VALUE"),
+        (("--scale", "vehicle.mass=3"), "vehicle.mass has a scale and is not tuned"),
+        (("--gains", "initial_state.latitude"), "latitude is 0, which does not tell"),
+        (("--differences", 0), "difference_step is 0.0"),
+        (("--runs", 1), "runs is 1"),
+    ],
+)
+def test_tune_refuses(command, words, message):
+    assert_refused(tune(command, *words), message)
+
+
+def test_tune_by_differences_prints_their_error(command, tmp_path):
+    """Of two numbers, of which one is zero and has a scale."""
+    latitude = "initial_state.latitude"
+    given = ("--gains", latitude, "--scale", f"{latitude}=0.01")
+    code, _, said = tune(command, "--steps", 1, "--differences", 0.02, *given)
+    assert code == 0 and " +- " in said
+    with open(tmp_path / "results" / "cheap-tuned" / "history.csv") as file:
+        (row,) = csv.DictReader(file)
+    error = float(row["gradient_error"])
+    assert 0.0 < error < float(row["gradient_norm"])
+    assert f"+- {error:.2g}" in said
+
+
+def test_tune_prints_what_it_warns_of(command):
+    bounds = ("--bounds", "guidance.bank_angle=0.8726:1.2")
+    code, printed, said = tune(command, "--steps", 1, *bounds)
+    assert code == 0 and "warn" not in said.lower()
+    assert printed.count("guidance.bank_angle starts within") == 1
+    assert "NOTE: guidance.bank_angle starts within" in printed
