@@ -59,15 +59,26 @@ from .flight import (
     misses as misses,
 )
 from .guidance import (
+    AbstractBankLaw as AbstractBankLaw,
     AbstractContinuousLaw as AbstractContinuousLaw,
     AbstractCycle as AbstractCycle,
+    AbstractLateralLogic as AbstractLateralLogic,
     AbstractLaw as AbstractLaw,
     AbstractSampledLaw as AbstractSampledLaw,
     AbstractTimedDecision as AbstractTimedDecision,
+    AngleOfAttackCommand as AngleOfAttackCommand,
+    AngleOfAttackProfile as AngleOfAttackProfile,
     BankProfile as BankProfile,
+    CrossrangeCorridor as CrossrangeCorridor,
+    Destination as Destination,
     FixedCycle as FixedCycle,
+    FixedSide as FixedSide,
+    HeadingCorridor as HeadingCorridor,
     Sampled as Sampled,
     ShorteningCycle as ShorteningCycle,
+    TrimAngleOfAttack as TrimAngleOfAttack,
+    VelocityReversals as VelocityReversals,
+    compose as compose,
 )
 from .missions import (
     Mission as Mission,
@@ -76,8 +87,11 @@ from .missions import (
 )
 from .motion import (
     AbstractAttitude as AbstractAttitude,
+    AbstractDynamics as AbstractDynamics,
     Controls as Controls,
+    EntryDynamics as EntryDynamics,
     EntryState as EntryState,
+    EquatorialDynamics as EquatorialDynamics,
     IdealAttitude as IdealAttitude,
     Response as Response,
     SecondOrderAttitude as SecondOrderAttitude,
@@ -93,8 +107,11 @@ from .onboard import (
     OnboardModel as OnboardModel,
     PerfectAccelerometers as PerfectAccelerometers,
     PolynomialProfile as PolynomialProfile,
+    Prediction as Prediction,
     QuinticProfile as QuinticProfile,
     Track as Track,
+    propagate as propagate,
+    propagate_over as propagate_over,
     quintic_profile as quintic_profile,
 )
 from .tuning import (

@@ -77,7 +77,7 @@ def propagate(
     *,
     step: Scalar | float,
     steps: int,
-    factors: Factors = Factors(),
+    factors: Factors | None = None,
     dynamics: AbstractDynamics = EntryDynamics(),
     integrand: Integrand | None = None,
 ) -> Prediction:
@@ -109,7 +109,7 @@ def propagate(
     - `ends`: margins.
     - `step`: s.
     - `steps`: how many there are at most; rounded up to a multiple of eight.
-    - `factors`: on the lift and the drag of the model.
+    - `factors`: on the lift and the drag of the model; none if not given.
     - `dynamics`: equations of motion, such as those of the scenario.
     - `integrand`: what else is to be integrated over the time, from zero.
 
@@ -185,7 +185,7 @@ def propagate_over(
     command: Command,
     *,
     steps: int,
-    factors: Factors = Factors(),
+    factors: Factors | None = None,
     dynamics: AbstractDynamics = EntryDynamics(),
     integrand: Integrand | None = None,
 ) -> Prediction:
@@ -230,12 +230,13 @@ def propagate_over(
 def _flow(
     model: WorldModel,
     command: Command,
-    factors: Factors,
+    factors: Factors | None,
     dynamics: AbstractDynamics,
     integrand: Integrand | None,
 ) -> Callable[[_Moving], _Moving]:
     """Time derivative of what is integrated."""
     planet, nominal = model.planet, model.vehicle
+    factors = Factors() if factors is None else factors
     scales = nominal.lift_scale * factors.lift, nominal.drag_scale * factors.drag
     vehicle = eqx.tree_at(lambda v: (v.lift_scale, v.drag_scale), nominal, scales)
 
