@@ -206,7 +206,7 @@ def test_side_by_side_they_are_what_they_are_alone():
 def spatial(start, angle, model=MODEL, dynamics=EntryDynamics()):
     command = constant_bank(angle)
     return propagate(
-        model, start, command, ENDS, step=3.0, steps=128, dynamics=dynamics
+        model, start, command, ENDS, step=3.0, steps=256, dynamics=dynamics
     )
 
 
