@@ -21,6 +21,7 @@ from .closed_loop import (
     guidance_period,
     is_finite,
     path_constraints,
+    raised,
     select,
     vector_field,
 )
@@ -198,7 +199,7 @@ def _fixed_cycle(
         moving = solver.advance(field, lane.flown, bracket.trial, lane.moving)
         flown = lane.flown + bracket.trial
         now = path_constraints(scenario, flown, moving, lane.held)
-        peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
+        peaks, at_peaks = raised(lane, flown, moving, now)
 
         counting = conditions.counting(lane.flown, lane.state)
         margin = conditions.smallest_margin(flown, moving.state, counting)
@@ -206,15 +207,19 @@ def _fixed_cycle(
         taken = lane.running & finite & (margin > 0.0)
         singular = taken & dynamics.is_singular(lane.state, moving.state)
         taken = taken & jnp.logical_not(singular)
-        flown, moving, peaks = select(
-            taken, (flown, moving, peaks), (lane.flown, lane.moving, lane.peaks)
+        flown, moving, peaks, at_peaks = select(
+            taken,
+            (flown, moving, peaks, at_peaks),
+            (lane.flown, lane.moving, lane.peaks, lane.at_peaks),
         )
         running = lane.running & finite & jnp.logical_not(singular)
         after = _next_trial(bracket, margin, taken, full_step)
         bracket = select(running, after, bracket)
         running = running & (bracket.trial > 0.0)
         singular = lane.singular | singular
-        return Lane(flown, moving, lane.held, peaks, bracket, running, singular), None
+        held = lane.held
+        after = flown, moving, held, peaks, at_peaks, bracket, running, singular
+        return Lane(*after), None
 
     return lax.scan(step, lane, None, length=steps)[0]
 
@@ -298,10 +303,13 @@ def _adaptive_cycle(
     singular = going & scenario.dynamics.is_beyond(moving.state)
     going = going & jnp.logical_not(singular)
     now = path_constraints(scenario, after, moving, lane.held)
-    peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
-    flown, moving, peaks = select(
-        going, (after, moving, peaks), (lane.flown, lane.moving, lane.peaks)
+    peaks, at_peaks = raised(lane, after, moving, now)
+    flown, moving, peaks, at_peaks = select(
+        going,
+        (after, moving, peaks, at_peaks),
+        (lane.flown, lane.moving, lane.peaks, lane.at_peaks),
     )
     running = going & ~done
     singular = lane.singular | singular
-    return Lane(flown, moving, lane.held, peaks, lane.bracket, running, singular)
+    held, bracket = lane.held, lane.bracket
+    return Lane(flown, moving, held, peaks, at_peaks, bracket, running, singular)
