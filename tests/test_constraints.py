@@ -29,7 +29,6 @@ from jentry.flight import (
     Adaptive,
     AltitudeBelow,
     FixedStep,
-    Outcome,
     Scenario,
     Termination,
     fly,
@@ -53,7 +52,7 @@ from jentry.motion import (
     entry_dynamics,
     excesses,
 )
-from jentry.plots import campaign_figures
+from jentry.plots import glide
 from jentry.tuning.losses import penalty
 from jentry.units import degree, km
 
@@ -216,7 +215,7 @@ def test_values_by_name():
 # The corridor.
 
 
-VELOCITY = np.array([1500.0, 3000.0, 4500.0])
+VELOCITY = np.array([2500.0, 2800.0, 3100.0])
 
 
 def limits(**limits):
@@ -275,7 +274,7 @@ def test_a_limit_that_is_met_nowhere_and_one_that_is_none():
     with pytest.raises(ValueError, match="Drag has no limit"):
         drag_at_limit(Drag(), *where)
     with pytest.raises(ValueError, match="HeatLoad is no quantity of a point"):
-        drag_at_limit(HeatLoad(1.0), *where)  # pyright: ignore[reportArgumentType]
+        drag_at_limit(HeatLoad(1.0), *where)
 
 
 # In flight.
@@ -309,8 +308,12 @@ def plain():
     return eqx.filter_jit(fly)(free_scenario(50 * degree), STEP, 0.5)
 
 
+def run_of(tree, run):
+    return jax.tree.map(lambda x: jnp.asarray(x)[run], tree)
+
+
 def first(tree):
-    return jax.tree.map(lambda x: np.asarray(x)[0], tree)
+    return run_of(tree, 0)
 
 
 def test_what_is_looked_at_does_not_move_the_flight(campaign, plain):
@@ -328,7 +331,7 @@ def test_what_is_looked_at_does_not_move_the_flight(campaign, plain):
 def test_peaks_are_located(campaign):
     """Where the history, which has every step, has its largest value."""
     for run in range(2):
-        flight = jax.tree.map(lambda x, run=run: np.asarray(x)[run], campaign.flights)
+        flight = jax.tree.map(np.asarray, run_of(campaign.flights, run))
         history = flight.history
         for name, there in flight.at_peaks.items():
             values = history.constraints[name]
@@ -339,7 +342,7 @@ def test_peaks_are_located(campaign):
                 continue
             assert flight.peaks[name] == pytest.approx(values[place], rel=1e-12)
             assert there.time == pytest.approx(history.time[place], abs=1e-9), name
-            for component, value in leaves_by_address(there.state).items():
+            for component, value in vars(there.state).items():
                 expected = getattr(history.states, component)[place]
                 assert float(value) == pytest.approx(float(expected), rel=1e-12)
 
@@ -356,7 +359,7 @@ def test_one_peak_may_be_located(campaign):
 def test_heat_load_is_the_integral_of_the_heat_rate(campaign):
     """By a cubic spline through the history, and its last part to the end."""
     for run in range(2):
-        flight = jax.tree.map(lambda x, run=run: np.asarray(x)[run], campaign.flights)
+        flight = jax.tree.map(np.asarray, run_of(campaign.flights, run))
         history = flight.history
         flying = np.isfinite(history.time)
         time, rate = history.time[flying], history.constraints.heat_rate[flying]
@@ -394,7 +397,7 @@ def test_heat_load_of_a_straight_path():
         mars_vehicle(),
         start,
         ConstantBank(0.0),
-        Termination({"floor": AltitudeBelow(20 * km)}, 100.0),
+        Termination({"floor": AltitudeBelow(altitude=20 * km)}, 100.0),
         mars_scenario().target,
         dynamics=StraightDown(),
         constraints={"heat_load": HeatLoad()},
@@ -474,21 +477,15 @@ def test_ones_own_is_in_results_tables_figures_and_penalties(campaign, capsys):
     print_campaign(cheap.MISSION, results, False)
     assert "peak nose temperature" in capsys.readouterr().out
 
-    figures = campaign_figures(
-        results.assign(heading_error=results["downrange_error"]), results
-    )
-    labels = [axes.get_ylabel() for axes in figures["constraints"].axes]
-    assert "Nose temperature, K" in labels and "Heat rate, MW/m²" in labels
-    place = labels.index("Nose temperature, K")
-    *_, limit = figures["constraints"].axes[place].lines
-    np.testing.assert_array_equal(limit.get_ydata(), [1500.0, 1500.0])
+    names = glide.constraints_of(results)
+    usual = ("heat_rate", "dynamic_pressure", "load_factor")
+    assert names == (*usual, "heat_load", "nose_temperature")
+    panel = glide.over_time(results, names).axes[-1]
+    assert panel.get_ylabel() == "Nose temperature, K"
+    np.testing.assert_array_equal(panel.lines[-1].get_ydata(), [1500.0, 1500.0])
 
-    over = excesses(scenario.constraints, campaign.flights.peaks)
+    peaks = jax.tree.map(jnp.asarray, campaign.flights.peaks)
+    over = jax.vmap(lambda peaks: excesses(scenario.constraints, peaks))(peaks)
     assert set(over) == {"heat_load", "nose_temperature"}
     expected = np.maximum(results["peak_nose_temperature"] / 1500.0 - 1.0, 0.0)
     np.testing.assert_allclose(over["nose_temperature"], expected, rtol=1e-12)
-
-
-def test_a_flight_ends_as_before_with_constraints(campaign):
-    outcomes = {Outcome(int(code)) for code in campaign.flights.outcome}
-    assert outcomes <= {Outcome.REACHED, Outcome.CRASHED}

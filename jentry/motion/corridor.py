@@ -11,7 +11,12 @@ from ..fields import Scalar, Vector
 from ..units import km
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
-from .constraints import AbstractConstraint, Constraints, PathPoint
+from .constraints import (
+    AbstractConstraint,
+    AbstractPathConstraint,
+    Constraints,
+    PathPoint,
+)
 from .dynamics import AbstractDynamics, EntryDynamics
 from .state import Controls, EntryState
 
@@ -21,7 +26,7 @@ _HALVINGS = 60
 
 
 def drag_at_limit(
-    constraint: AbstractConstraint,
+    constraint: AbstractPathConstraint,
     planet: Planet,
     vehicle: Vehicle,
     state: EntryState,
