@@ -68,7 +68,7 @@ def constraints_of(trajectories: "xarray.Dataset") -> tuple[str, ...]:
     That has a figure of its own. The usual ones are first.
     """
     held = [str(n) for n in trajectories.data_vars if f"peak_{n}" in trajectories]
-    usual = [name for name in CONSTRAINTS if name in held]
+    usual = [name for name in CONSTRAINTS if name in trajectories]
     return (*usual, *(name for name in held if name not in (*usual, "drag")))
 
 
