@@ -5,10 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry.flight.closed_loop import Peaks
 from jentry.flight.flight import History
 from jentry.flight.miss import Misses
-from jentry.motion import Controls, EntryState
+from jentry.motion import ConstraintValues, Controls, EntryState
 from jentry.tuning.losses import (
     BY_NAME,
     MeanSquare,
@@ -166,7 +165,7 @@ def history(flying=FLYING, longest=9):
         controls = Controls(angle_of_attack, cos_bank, sin_bank)
         state = EntryState(*(time for _ in range(6)))
         return History(
-            time, state, controls, None, Peaks(*(time for _ in range(4))), None
+            time, state, controls, None, ConstraintValues({"drag": time}), None
         )
 
     sine = np.sqrt(1.0 - COS_BANK**2) * (-1.0) ** np.arange(FLYING)

@@ -7,8 +7,7 @@ import pytest
 from helpers import free_scenario, with_leaf
 
 from jentry.flight import Flight, Target, misses
-from jentry.flight.closed_loop import Peaks
-from jentry.motion import EntryState
+from jentry.motion import ConstraintValues, EntryState
 from jentry.units import degree, km
 
 
@@ -19,9 +18,9 @@ def missed(end, target):
     """Misses of a flight that began on the equator, due east, and ended in a state."""
     scenario = with_leaf(free_scenario(), lambda s: s.target, target)
     none = jnp.asarray(0.0)
-    peaks = Peaks(none, none, none, none)
+    peaks = ConstraintValues({"drag": none})
     code = jnp.asarray(0)
-    return misses(scenario, Flight(none, end, code, code, peaks, {}, None))
+    return misses(scenario, Flight(none, end, code, code, peaks, {}, {}, None))
 
 
 def state(longitude=0.2, heading=90 * degree):

@@ -14,9 +14,8 @@ from jentry.cli.analysis_report import print_covariance, print_sensitivity
 from jentry.cli.report import print_flight, print_leaves
 from jentry.cli.tables import at_edge
 from jentry.flight import Flight, Outcome, Target, misses
-from jentry.flight.closed_loop import Peaks
 from jentry.missions.cav_h.scenario import stored
-from jentry.motion import EntryState
+from jentry.motion import ConstraintValues, EntryState
 from jentry.units import km
 
 
@@ -59,13 +58,16 @@ def test_show_has_every_number_in_the_unit_of_its_field(scenario, capsys):
 def a_flight(**changes):
     """Numbers of a flight that are all different."""
     state = EntryState(10.5 * km, 0.21, -0.03, 503.25, -0.31, 1.6)
-    peaks = Peaks(*(jnp.asarray(x) for x in (98.7, 12_345.0, 876_543.0, 10.25)))
+    sizes = {"drag": 98.7, "dynamic_pressure": 12_345.0}
+    sizes |= {"heat_rate": 876_543.0, "load_factor": 10.25}
+    peaks = ConstraintValues({name: jnp.asarray(x) for name, x in sizes.items()})
     numbers = {
         "time": jnp.asarray(227.125),
         "state": state,
         "outcome": jnp.asarray(int(Outcome.SKIPPED_OUT)),
         "ended_by": jnp.asarray(0),
         "peaks": peaks,
+        "at_peaks": {},
         "caveats": {},
         "history": None,
     }
@@ -83,9 +85,7 @@ def test_fly_prints_what_was_flown(capsys):
     missed = misses(scenario, flight)
     expected = {"time": flight.time}
     expected |= {n.replace("_", " "): x for n, x in vars(flight.state).items()}
-    expected |= {
-        f"peak {n}".replace("_", " "): x for n, x in vars(flight.peaks).items()
-    }
+    expected |= {f"peak {n}".replace("_", " "): x for n, x in flight.peaks.items()}
     expected |= {f"{n} error".replace("_", " "): x for n, x in vars(missed).items()}
     assert set(found) == set(expected)
     for name, value in expected.items():

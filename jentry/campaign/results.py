@@ -9,6 +9,7 @@ from ..addresses import unit_of
 from ..fields import Scalar
 from ..flight.scenario import Scenario
 from ..flight.termination import Outcome
+from ..motion.constraints import AbstractPathConstraint
 from ..motion.state import Controls
 from .campaign import Campaign
 
@@ -25,12 +26,6 @@ _STATE = {
     "heading": "rad",
 }
 _CONTROLS = {"bank_angle": "rad", "angle_of_attack": "rad"}
-_CONSTRAINTS = {
-    "drag": "m/s2",
-    "dynamic_pressure": "Pa",
-    "heat_rate": "W/m2",
-    "load_factor": "1",
-}
 _MISSES = {
     "downrange": "m",
     "crossrange": "m",
@@ -43,6 +38,12 @@ _MISSES = {
 
 def _angles(controls: Controls) -> dict[str, Scalar]:
     return {name: getattr(controls, name) for name in _CONTROLS}
+
+
+def _limit(constraint: AbstractPathConstraint) -> dict[str, float]:
+    """The attribute of a variable that has a limit."""
+    limit = constraint.limit
+    return {} if limit is None else {"limit": float(limit)}
 
 
 def _words(name: str) -> str:
@@ -100,8 +101,16 @@ def dataset(
     if scenario.target.heading is not None:
         distance = campaign.misses.distance
         put("miss_distance", distance, "m", "distance from the target at the end")
-    for name, unit in _CONSTRAINTS.items():
-        put(f"peak_{name}", getattr(flights.peaks, name), unit, f"peak {_words(name)}")
+    for name, peak in flights.peaks.items():
+        constraint, words = scenario.constraints[name], f"peak {_words(name)}"
+        put(f"peak_{name}", peak, constraint.unit, words, **_limit(constraint))
+        there = flights.at_peaks.get(name)
+        if there is not None:
+            put(f"peak_{name}_time", there.time, "s", f"time of the {words}")
+            for component, unit in _STATE.items():
+                value = getattr(there.state, component)
+                long_name = f"{_words(component)} at the {words}"
+                put(f"peak_{name}_{component}", value, unit, long_name)
     for name, shares in flights.caveats.items():
         put(name, shares, "1", f"{_words(name)}, share", caveat=1)
 
@@ -121,6 +130,7 @@ def dataset(
                 angles = jax.vmap(jax.vmap(_angles))(kind)
                 for name, unit in _CONTROLS.items():
                     put(before + name, angles[name], unit, _words(before + name), both)
-        for name, unit in _CONSTRAINTS.items():
-            put(name, getattr(kept.constraints, name), unit, _words(name), both)
+        for name, values in kept.constraints.items():
+            constraint, words = scenario.constraints[name], _words(name)
+            put(name, values, constraint.unit, words, both, **_limit(constraint))
     return xarray.Dataset(variables, coordinates)

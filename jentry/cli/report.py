@@ -24,6 +24,7 @@ from ..flight.miss import misses
 from ..flight.scenario import Scenario, allowed
 from ..flight.termination import Outcome, has_end
 from ..missions.mission import Mission
+from ..motion.constraints import AbstractPathConstraint
 from ..motion.state import EntryState
 from .tables import at_edge, new_console, new_table, print_under, unit_of_output
 
@@ -76,22 +77,43 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     groups = (
         ("", scenario.initial_state, flight.state),
         (" error", misses(scenario, flight), misses(scenario, flight)),
-        ("peak ", flight.peaks, flight.peaks),
     )
     for label, described, values in groups:
         table.add_section()
         for name, leaf in leaves_by_address(values).items():
-            unit = unit_of_output(described, name)
-            value, unit = at_edge(leaf, unit)
-            words = name.replace("_", " ")
-            words = label + words if label.endswith(" ") else words + label
+            value, unit = at_edge(leaf, unit_of_output(described, name))
+            words = name.replace("_", " ") + label
             table.add_row(words, f"{float(value):z.6f}", unit)
+    table.add_section()
+    for name, peak in flight.peaks.items():
+        _add_peak(table, name, scenario.constraints[name], peak)
+    for name, there in flight.at_peaks.items():
+        table.add_section()
+        words = f"at peak {name.replace('_', ' ')}"
+        table.add_row(f"time {words}", f"{float(there.time):.4f}", "s")
+        for component, leaf in leaves_by_address(there.state).items():
+            value, unit = at_edge(leaf, unit_of(there.state, component))
+            row = f"{component.replace('_', ' ')} {words}"
+            table.add_row(row, f"{float(value):z.6f}", unit)
     title = f"{mission.name}: {outcome.message}" + (f" ({ended_by})" if met else "")
     console = new_console()
     print_under(console, title, table)
     for name, share in flight.caveats.items():
         if share > 0.0:
             console.print(f"caveat: {caveat_sentence(name, share)}")
+
+
+def _add_peak(
+    table: Table, name: str, constraint: AbstractPathConstraint, peak
+) -> None:
+    """A row with the peak, and one with the limit where there is one."""
+    words = f"peak {name.replace('_', ' ')}"
+    value, unit = at_edge(peak, constraint.unit)
+    shown = constraint.shown_unit or unit
+    table.add_row(words, f"{float(value):z.6f}", shown)
+    if constraint.limit is not None:
+        limit, _ = at_edge(constraint.limit, constraint.unit)
+        table.add_row(f"limit of the {words}", f"{float(limit):z.6f}", shown)
 
 
 def print_campaign(mission: Mission, results, as_published: bool) -> None:

@@ -51,10 +51,6 @@ _OTHER_UNITS = {
     "crossrange": "m",
     "altitude": "m",
     "velocity": "m/s",
-    "drag": "m/s2",
-    "dynamic_pressure": "Pa",
-    "heat_rate": "W/m2",
-    "load_factor": "g",
     "flight_path_angle": "rad",
     "heading": "rad",
 }

@@ -1,5 +1,6 @@
 """Floor 5: scenario, end conditions, solvers, and `fly`."""
 
+from .closed_loop import Instant as Instant
 from .flight import Flight as Flight, History as History, fly as fly
 from .miss import Misses as Misses, misses as misses
 from .scenario import Scenario as Scenario, Target as Target, check as check

@@ -1,33 +1,26 @@
 """The closed loop: vehicle, measurement and law as one system of equations."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from .._dependence import Traced
 from ..fields import Count, Flag, Scalar
 from ..guidance.law import AbstractSampledLaw, begun, commanded, decided
 from ..guidance.switching import shares_reversals
-from ..motion.forces import air_data
-from ..motion.quantities import convective_heat_rate, load_factor
+from ..motion.constraints import (
+    ConstraintValues,
+    PathPoint,
+    constraint_values,
+    integrals_of,
+)
 from ..motion.state import Controls, EntryState
 from ..onboard.navigation import Measurement, measure
 from .scenario import Scenario
-
-
-class Peaks(eqx.Module):
-    """Largest values of the path constraints so far."""
-
-    drag: Scalar
-    """m/s2"""
-    dynamic_pressure: Scalar
-    """Pa"""
-    heat_rate: Scalar
-    """W/m2, at the stagnation point"""
-    load_factor: Scalar
-    """In units of 9.80665 m/s2"""
 
 
 class Bracket(eqx.Module):
@@ -53,6 +46,16 @@ class Moving(eqx.Module):
     """None where commands are flown at once"""
     memory: Any
     """Of the law"""
+    integrals: Mapping[str, Scalar] = eqx.field(default_factory=dict)
+    """Of path constraints that are integrals, by name"""
+
+
+class Instant(eqx.Module):
+    """When and where a flight was."""
+
+    time: Scalar
+    """s since the start"""
+    state: EntryState
 
 
 class Lane(eqx.Module):
@@ -62,7 +65,9 @@ class Lane(eqx.Module):
     """s since the start"""
     moving: Moving
     held: Any
-    peaks: Peaks
+    peaks: ConstraintValues
+    at_peaks: dict[str, Instant]
+    """Of the peaks that are located"""
     bracket: Bracket
     running: Flag
     stopped: Count
@@ -195,14 +200,18 @@ def start(scenario: Scenario, step: float) -> Lane:
     conditions = scenario.termination
     margin = conditions.smallest_margin(flown, state, conditions.always)
     first, _ = commanded(scenario.guidance, flown, measurement, memory, held)
-    moving = Moving(state, scenario.attitude.init(first), memory)
+    integrals = {n: jnp.zeros_like(flown) for n in integrals_of(scenario.constraints)}
+    moving = Moving(state, scenario.attitude.init(first), memory, integrals)
     peaks = path_constraints(scenario, flown, moving, held)
+    first_instant = lax.stop_gradient(Instant(flown, state))
+    at_peaks = {name: first_instant for name in scenario.located_peaks}
     running = (margin > 0.0) & is_finite((moving, peaks))
     return Lane(
         flown=flown,
         moving=moving,
         held=held,
         peaks=peaks,
+        at_peaks=at_peaks,
         bracket=Bracket(flown + step, margin, flown + jnp.inf, flown, flown + jnp.inf),
         running=running,
         stopped=jnp.full_like(running, -1, int),
@@ -250,44 +259,64 @@ def vector_field(scenario: Scenario, held: Any):
         controls = attitude.flown(moving.attitude, wish)
         planet, vehicle = scenario.planet, scenario.vehicle
         rate = dynamics.rates(planet, vehicle, moving.state, controls)
-        return Moving(rate, attitude.rate(moving.attitude, wish), memory_rate)
+        integrands = _integrands(scenario, moving, controls)
+        turning = attitude.rate(moving.attitude, wish)
+        return Moving(rate, turning, memory_rate, integrands)
 
     return field
 
 
+def _integrands(
+    scenario: Scenario, moving: Moving, controls: Controls
+) -> dict[str, Scalar]:
+    """Rates of the integrals that the motion carries."""
+    if not moving.integrals:
+        return {}
+    point, integrals = _point(scenario, moving, controls), moving.integrals
+    found = integrals_of(scenario.constraints)
+    return {name: found[name].rate(point) for name in integrals}
+
+
+def _point(scenario: Scenario, moving: Moving, controls: Controls) -> PathPoint:
+    planet, vehicle = scenario.planet, scenario.vehicle
+    return PathPoint.of(planet, vehicle, moving.state, controls, scenario.dynamics)
+
+
 def path_constraints(
     scenario: Scenario, flown: Scalar, moving: Moving, held: Any
-) -> Peaks:
+) -> ConstraintValues:
     """The constrained quantities at an instant of a flight."""
     return inspected(scenario, flown, moving, held)[0]
 
 
 def inspected(
     scenario: Scenario, flown: Scalar, moving: Moving, held: Any
-) -> tuple[Peaks, Flag]:
+) -> tuple[ConstraintValues, Flag]:
     """The constrained quantities at an instant, and whether a bank is commanded."""
     wish, _ = command(scenario, flown, moving, held)
     controls = scenario.attitude.flown(moving.attitude, wish)
     shared = shares_reversals(scenario.guidance)
-    return constrained(scenario, moving.state, controls), wish.is_bank(shared)
+    return constrained(scenario, moving, controls), wish.is_bank(shared)
 
 
-def constrained(scenario: Scenario, state: EntryState, controls: Controls) -> Peaks:
-    """The constrained quantities in a state."""
-    planet, vehicle = scenario.planet, scenario.vehicle
-    air = air_data(planet, vehicle, state, controls.angle_of_attack)
-    return Peaks(
-        drag=air.drag,
-        dynamic_pressure=air.dynamic_pressure,
-        heat_rate=convective_heat_rate(
-            air.density,
-            air.airspeed,
-            vehicle.nose_radius,
-            planet.heating_coefficient,
-            planet.heating_exponent,
-        ),
-        load_factor=load_factor(air),
-    )
+def raised(
+    lane: Lane, flown: Scalar, moving: Moving, now: ConstraintValues
+) -> tuple[ConstraintValues, dict[str, Instant]]:
+    """The peaks of a flight that goes on to a state, and where those located are."""
+    here = lax.stop_gradient(Instant(flown, moving.state))
+    at_peaks = {
+        name: select(now[name] > lane.peaks[name], here, there)
+        for name, there in lane.at_peaks.items()
+    }
+    return jax.tree.map(jnp.maximum, lane.peaks, now), at_peaks
+
+
+def constrained(
+    scenario: Scenario, moving: Moving, controls: Controls
+) -> ConstraintValues:
+    """The constrained quantities where given controls are flown."""
+    point = _point(scenario, moving, controls)
+    return constraint_values(scenario.constraints, point, moving.integrals)
 
 
 def is_finite(y: Any) -> Flag:

@@ -20,6 +20,7 @@ from .closed_loop import (
     guidance_period,
     inspected,
     is_finite,
+    raised,
     select,
     vector_field,
 )
@@ -197,7 +198,7 @@ def _fixed_cycle(
         moving = solver.advance(field, lane.flown, bracket.trial, lane.moving)
         flown = lane.flown + bracket.trial
         now, is_bank = inspected(scenario, flown, moving, lane.held)
-        peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
+        peaks, at_peaks = raised(lane, flown, moving, now)
 
         counting = conditions.counting(lane.flown, lane.state)
         margin = conditions.smallest_margin(flown, moving.state, counting)
@@ -206,14 +207,18 @@ def _fixed_cycle(
         singular = dynamics.is_singular(lane.state, moving.state)
         stopped = _stopped(lane, taken, singular, is_bank)
         taken = taken & (stopped < 0)
-        flown, moving, peaks = select(
-            taken, (flown, moving, peaks), (lane.flown, lane.moving, lane.peaks)
+        flown, moving, peaks, at_peaks = select(
+            taken,
+            (flown, moving, peaks, at_peaks),
+            (lane.flown, lane.moving, lane.peaks, lane.at_peaks),
         )
         running = lane.running & finite & (stopped < 0)
         after = _next_trial(bracket, margin, taken, full_step)
         bracket = select(running, after, bracket)
         running = running & (bracket.trial > 0.0)
-        return Lane(flown, moving, lane.held, peaks, bracket, running, stopped), None
+        held = lane.held
+        after = flown, moving, held, peaks, at_peaks, bracket, running, stopped
+        return Lane(*after), None
 
     return lax.scan(step, lane, None, length=steps)[0]
 
@@ -305,9 +310,12 @@ def _adaptive_cycle(
     singular = scenario.dynamics.is_beyond(moving.state)
     stopped = _stopped(lane, going, singular, is_bank)
     going = going & (stopped < 0)
-    peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
-    flown, moving, peaks = select(
-        going, (after, moving, peaks), (lane.flown, lane.moving, lane.peaks)
+    peaks, at_peaks = raised(lane, after, moving, now)
+    flown, moving, peaks, at_peaks = select(
+        going,
+        (after, moving, peaks, at_peaks),
+        (lane.flown, lane.moving, lane.peaks, lane.at_peaks),
     )
     running = going & ~done
-    return Lane(flown, moving, lane.held, peaks, lane.bracket, running, stopped)
+    held, bracket = lane.held, lane.bracket
+    return Lane(flown, moving, held, peaks, at_peaks, bracket, running, stopped)

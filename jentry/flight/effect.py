@@ -12,9 +12,17 @@ from jax.interpreters import partial_eval
 
 from ..addresses import leaves_by_address
 from ..guidance.law import AbstractSampledLaw
+from ..motion.constraints import integrals_of
 from ..motion.state import Controls
 from ..onboard.navigation import measure
-from .closed_loop import constrained, decide, path_constraints, start, vector_field
+from .closed_loop import (
+    Moving,
+    constrained,
+    decide,
+    path_constraints,
+    start,
+    vector_field,
+)
 from .scenario import Scenario, without_effect
 
 
@@ -87,12 +95,14 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
     time = 0.0 * state.altitude
     sampled_at = time if isinstance(scenario.guidance, AbstractSampledLaw) else None
     controls = Controls(0.1, 0.8, 0.6)
+    integrals = {n: time for n in integrals_of(scenario.constraints)}
+    moving = Moving(state, None, None, integrals)
     sensors, angle = scenario.accelerometers, controls.angle_of_attack
     sensed = measure(planet, vehicle, state, angle, sensors, sampled_at)
     return (
         state,
         scenario.dynamics.rates(planet, vehicle, state, controls),
-        constrained(scenario, state, controls),
+        constrained(scenario, moving, controls),
         scenario.termination.margins(time, state),
         sensed.lift,
         sensed.drag,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..fields import Count
-from .closed_loop import Lane, is_finite, path_constraints, vector_field
+from .closed_loop import Lane, is_finite, path_constraints, raised, vector_field
 from .scenario import Scenario
 from .termination import Outcome
 
@@ -92,12 +92,13 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     landing, _ = lax.scan(land, landing, length=_LANDINGS)
     flown, moving, ended_by, met = landing
     now = path_constraints(scenario, flown, moving, lane.held)
-    peaks = jax.tree.map(jnp.maximum, lane.peaks, now)
+    peaks, at_peaks = raised(lane, flown, moving, now)
     ended = Lane(
         flown,
         moving,
         lane.held,
         peaks,
+        at_peaks,
         lane.bracket,
         jnp.zeros_like(lane.running),
         lane.stopped,

@@ -14,8 +14,9 @@ from jaxtyping import Array, Float
 from .._setup import needs_float64
 from .._warnings import ResultWarning
 from ..fields import Count, Flag, Scalar
+from ..motion.constraints import ConstraintValues
 from ..motion.state import Controls, EntryState
-from .closed_loop import Lane, Peaks, caveats, command, constrained, start
+from .closed_loop import Instant, Lane, caveats, command, constrained, start
 from .cycle import Plan
 from .end import end_of_flight
 from .loop import while_running, while_running_with_history
@@ -33,7 +34,7 @@ class History(eqx.Module):
     """That were flown"""
     commands: Controls | None
     """Of the law; None where it is flown at once"""
-    constraints: Peaks
+    constraints: ConstraintValues
     """The constrained quantities at these times, not their peaks"""
     decisions: Any
     """What a sampled law holds: curves, estimates, commands. None of a continuous one"""
@@ -51,9 +52,12 @@ class Flight(eqx.Module):
     ended_by: Count
     """Place in `scenario.termination.names` of the end condition that was met, or beyond
     which the flight began; without meaning for the other outcomes without an end"""
-    peaks: Peaks
-    """Largest values of the path constraints, over all steps; with the `Adaptive` solver
+    peaks: ConstraintValues
+    """Largest values of `scenario.constraints` over all steps; with the `Adaptive` solver
     over the ends of the guidance cycles only"""
+    at_peaks: dict[str, Instant]
+    """When and where the peaks of `scenario.located_peaks` were, by name: to within a
+    step, and without a derivative"""
     caveats: dict[str, Scalar]
     """What a reader of the results must know of how the law decided, by name: shares from
     0 to 1 (see `AbstractSampledLaw.caveats`)"""
@@ -121,6 +125,7 @@ def fly(
         outcome=end.outcome,
         ended_by=end.ended_by,
         peaks=end.lane.peaks,
+        at_peaks=end.lane.at_peaks,
         caveats=told,
         history=kept,
     )
@@ -165,7 +170,7 @@ def _observe(scenario: Scenario, plan: Plan, lane: Lane) -> History:
         states=state,
         controls=controls,
         commands=None if controls is wish else wish,
-        constraints=constrained(scenario, state, controls),
+        constraints=constrained(scenario, lane.moving, controls),
         decisions=jax.tree.map(jnp.asarray, lane.held),
     )
     return jax.tree.map(lambda x: jnp.where(flying, x, jnp.nan), seen)

@@ -11,6 +11,12 @@ from ..addresses import field_metadata, leaves_by_address, unit_of, with_leaves
 from ..fields import QUARTER, Scalar, optional_scalar, scalar
 from ..guidance.law import AbstractLaw, reads_forces_between_cycles
 from ..motion.attitude import AbstractAttitude, IdealAttitude
+from ..motion.constraints import (
+    AbstractConstraint,
+    AbstractIntegral,
+    Constraints,
+    usual_constraints,
+)
 from ..motion.dynamics import AbstractDynamics, EntryDynamics
 from ..motion.state import EntryState
 from ..onboard.navigation import (
@@ -55,6 +61,10 @@ class Scenario(eqx.Module):
     accelerometers: AbstractAccelerometers = PerfectAccelerometers()
     attitude: AbstractAttitude = IdealAttitude()
     dynamics: AbstractDynamics = EntryDynamics()
+    constraints: Constraints = eqx.field(default_factory=usual_constraints)
+    """What is looked at on the way, by name: see `Flight.peaks`"""
+    located_peaks: tuple[str, ...] = eqx.field(default=(), static=True)
+    """Names of those whose peaks are located in time: see `Flight.at_peaks`"""
 
 
 def check(scenario: Scenario) -> None:
@@ -67,6 +77,7 @@ def check(scenario: Scenario) -> None:
     with_leaves(scenario)
     _check_kept(scenario.dynamics, scenario.initial_state)
     _check_noise(scenario)
+    _check_constraints(scenario)
     for address, leaf in leaves_by_address(scenario).items():
         if jax.config.read("jax_enable_x64") and leaf.dtype == np.float32:
             raise ValueError(
@@ -96,6 +107,32 @@ def _check_kept(dynamics: AbstractDynamics, start: EntryState) -> None:
                 f"initial_state.{name} is {float(value):g} {unit}: "
                 f"{type(dynamics).__name__} keeps it at {wanted:g}; take that, or other "
                 "dynamics such as dynamics=EntryDynamics()"
+            )
+
+
+def _check_constraints(scenario: Scenario) -> None:
+    known = scenario.constraints
+    for name, constraint in known.items():
+        if not name.isidentifier() or name.startswith("_"):
+            raise ValueError(
+                f"constraints has the name {name!r}: it must be a word that a column of "
+                "the results can have, such as heat_rate"
+            )
+        if not isinstance(constraint, AbstractConstraint | AbstractIntegral):
+            raise ValueError(
+                f"constraints.{name} is {constraint!r}: it must be an AbstractConstraint "
+                "or an AbstractIntegral, such as HeatRate()"
+            )
+        if not isinstance(getattr(constraint, "unit", None), str):
+            raise ValueError(
+                f"constraints.{name}: {type(constraint).__name__} has no unit; state "
+                'that of its value in the class, such as unit = "W/m2", or "1"'
+            )
+    for name in scenario.located_peaks:
+        if name not in known:
+            raise ValueError(
+                f"located_peaks has {name!r}, which is no constraint of the scenario: "
+                f"choose from {', '.join(known)}"
             )
 
 

@@ -6,6 +6,22 @@ from .attitude import (
     Response as Response,
     SecondOrderAttitude as SecondOrderAttitude,
 )
+from .constraints import (
+    AbstractConstraint as AbstractConstraint,
+    AbstractIntegral as AbstractIntegral,
+    ConstraintValues as ConstraintValues,
+    Drag as Drag,
+    DynamicPressure as DynamicPressure,
+    EquilibriumGlide as EquilibriumGlide,
+    HeatLoad as HeatLoad,
+    HeatRate as HeatRate,
+    LoadFactor as LoadFactor,
+    NormalLoadFactor as NormalLoadFactor,
+    PathPoint as PathPoint,
+    excesses as excesses,
+    usual_constraints as usual_constraints,
+)
+from .corridor import drag_at_limit as drag_at_limit, drag_limits as drag_limits
 from .dynamics import (
     AbstractDynamics as AbstractDynamics,
     EntryDynamics as EntryDynamics,

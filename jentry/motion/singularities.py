@@ -52,8 +52,8 @@ def _change(name: str, before: EntryState, after: EntryState) -> Scalar:
 
 def at_rest(before: EntryState, after: EntryState) -> Polar:
     """About rest, where the flight-path angle has no meaning."""
-    turn = jnp.abs(_change("flight_path_angle", before, after))
-    return Polar(after.velocity, _change("velocity", before, after), turn)
+    path = _change("flight_path_angle", before, after)
+    return Polar(after.velocity, _change("velocity", before, after), jnp.abs(path))
 
 
 def at_vertical_flight(before: EntryState, after: EntryState) -> Polar:

@@ -10,7 +10,7 @@ import numpy as np
 from .._files import write_whole
 from ..flight.termination import has_end
 from .errors import draw_downrange, draw_footprint, footprint
-from .glide import CONSTRAINTS, CONTROLS, STATES, end_errors, over_time
+from .glide import CONTROLS, STATES, constraints_of, end_errors, over_time
 from .style import in_style, legend, note, panelled
 from .trajectories import HISTORIES, draw_bank, draw_drag
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     import xarray
 
 
-_OVER_TIME = {"states": STATES, "controls": CONTROLS, "constraints": CONSTRAINTS}
+_OVER_TIME = {"states": STATES, "controls": CONTROLS}
 
 
 def campaign_figures(
@@ -75,7 +75,10 @@ def campaign_figures(
         figures["end_errors"] = end_errors(flown, title)
         note(figures["end_errors"], left_out, results)
         if trajectories is not None:
-            for name, quantities in _OVER_TIME.items():
+            shown = _OVER_TIME | {"constraints": constraints_of(kept)}
+            for name, quantities in shown.items():
+                if not quantities:
+                    continue
                 figures[name] = over_time(kept, quantities, title=title)
                 note(figures[name], lost, trajectories)
     return figures

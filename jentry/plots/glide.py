@@ -44,20 +44,41 @@ def over_time(
 
     - `trajectories`: runs with histories, on (run, time), NaN after the end.
     - `names`: such as `STATES`, `CONTROLS` or `CONSTRAINTS`.
-    - `limits`: of some of them in SI units, drawn as lines.
+    - `limits`: of some of them in SI units, drawn as lines; if not given, those of the
+      scenario's path constraints.
     """
     with in_style():
         figure, panels = panelled(3.1 * len(names), 2.9, len(names), title)
         time = trajectories["time"].values
         for axes, name in zip(panels, names, strict=True):
-            label, size = _QUANTITIES[name]
+            label, size = _labelled(trajectories, name)
             values = trajectories[name].values / size
             axes.plot(time, values.T, color=RUNS, lw=0.4, alpha=0.25)
-            if limits and name in limits:
-                axes.axhline(limits[name] / size, color=ENDS[-1], lw=1.4, label="limit")
+            limit = (limits or {}).get(name, trajectories[name].attrs.get("limit"))
+            if limit is not None:
+                axes.axhline(limit / size, color=ENDS[-1], lw=1.4, label="limit")
                 legend(axes)
             axes.set(xlabel="Time, s", ylabel=label)
     return figure
+
+
+def constraints_of(trajectories: "xarray.Dataset") -> tuple[str, ...]:
+    """Names of the path constraints of runs with histories, but for the drag.
+
+    That has a figure of its own. The usual ones are first.
+    """
+    held = [str(n) for n in trajectories.data_vars if f"peak_{n}" in trajectories]
+    usual = [name for name in CONSTRAINTS if name in trajectories]
+    return (*usual, *(name for name in held if name not in (*usual, "drag")))
+
+
+def _labelled(trajectories: "xarray.Dataset", name: str) -> tuple[str, float]:
+    """The label of an axis, and the unit in it; of others than ours in SI units."""
+    if name in _QUANTITIES:
+        return _QUANTITIES[name]
+    described = trajectories[name].attrs
+    words = described["long_name"]
+    return f"{words[:1].upper()}{words[1:]}, {described['units']}", 1.0
 
 
 def velocity_errors(

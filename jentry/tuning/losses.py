@@ -82,6 +82,26 @@ def excess(values: Values, limit: Scalar | float) -> Scalar:
     return jnp.mean(jax.nn.relu(values / limit - 1.0) ** 2)
 
 
+def penalty(excesses: Mapping[str, Any]) -> Scalar:
+    """Penalty of all path constraints with a limit: their mean squares, summed.
+
+    Of what each flight exceeds each limit by, so take that in the outputs:
+
+        outputs = lambda scenario, flight: (
+            misses(scenario, flight), excesses(scenario.constraints, flight.peaks)
+        )
+        loss = lambda out: mean_square(out[0].downrange / km) + penalty(out[1])
+
+    Raises `ValueError` where no constraint has a limit, so that nothing is a penalty.
+    """
+    if not excesses:
+        raise ValueError(
+            "no path constraint of the scenario has a limit: give one, such as "
+            'constraints={**scenario.constraints, "heat_rate": HeatRate(1e6)}'
+        )
+    return sum(map(mean_square, excesses.values()), jnp.zeros(()))
+
+
 def control_effort(history: History) -> Scalar:
     """Mean square rate at which a flight turns its lift, 1/s2.
 

@@ -1,0 +1,290 @@
+"""Path constraints: what may not be exceeded on the way, with names, units and limits."""
+
+from abc import abstractmethod
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .._math import sincos
+from ..fields import Scalar, optional_scalar, scalar
+from ..units import standard_gravity
+from ..world.planet import Planet
+from ..world.vehicle import Vehicle
+from .dynamics import AbstractDynamics, EntryDynamics
+from .forces import AirData, air_data
+from .quantities import convective_heat_rate, load_factor
+from .state import Controls, EntryState
+
+
+class PathPoint(eqx.Module):
+    """A point of a flight: the state, what is flown there, and the air around it."""
+
+    planet: Planet
+    vehicle: Vehicle
+    state: EntryState
+    controls: Controls
+    air: AirData
+    dynamics: AbstractDynamics
+
+    @classmethod
+    def of(
+        cls,
+        planet: Planet,
+        vehicle: Vehicle,
+        state: EntryState,
+        controls: Controls,
+        dynamics: AbstractDynamics = EntryDynamics(),
+    ) -> "PathPoint":
+        """The point with the flow at its angle of attack."""
+        air = air_data(planet, vehicle, state, controls.angle_of_attack)
+        return cls(planet, vehicle, state, controls, air, dynamics)
+
+
+class AbstractPathConstraint(eqx.Module):
+    """A quantity along the path of a flight, and how large it may become.
+
+    Its name is the one under which the scenario holds it. A class of one's own states
+    `limit`, `unit` and `value`, and then has a peak, a column in the results and in the
+    tables, and a penalty:
+
+        class NoseTemperature(AbstractConstraint):
+            \"""Radiative equilibrium temperature at the stagnation point.\"""
+
+            limit: Scalar | None = optional_scalar(unit="K")
+            unit = "K"
+
+            def value(self, point):
+                heat_rate = HeatRate().value(point)
+                return (heat_rate / (0.85 * 5.670374419e-8)) ** 0.25
+
+        constraints = {**scenario.constraints, "nose_temperature": NoseTemperature(1900.0)}
+        scenario = dataclasses.replace(scenario, constraints=constraints)
+    """
+
+    limit: eqx.AbstractVar[Scalar | None]
+    """Largest value that is allowed; None where there is no limit"""
+    unit: ClassVar[str]
+    """SI unit of the value and of the limit"""
+    shown_unit: ClassVar[str | None] = None
+    """What a table for one flight writes in place of the unit, for the same number"""
+
+    def excess(self, value: Scalar) -> Scalar:
+        """What a value exceeds the limit by, and zero within it.
+
+        As a share of the limit; in the unit of the value where the limit is not positive,
+        as that of the equilibrium glide. Without a limit it is zero.
+        """
+        if self.limit is None:
+            return jnp.zeros_like(value)
+        share = self.limit > 0.0
+        size = jnp.where(share, self.limit, 1.0)
+        return jax.nn.relu((value - self.limit) / size)
+
+
+class AbstractConstraint(AbstractPathConstraint):
+    """A constraint on a quantity that each point of the flight has by itself."""
+
+    @abstractmethod
+    def value(self, point: PathPoint) -> Scalar:
+        """The quantity at a point of a flight."""
+
+
+class AbstractIntegral(AbstractPathConstraint):
+    """A constraint on an integral over time, which is flown along with the motion.
+
+    It begins at zero. A scenario without one integrates nothing more than the motion.
+    """
+
+    @abstractmethod
+    def rate(self, point: PathPoint) -> Scalar:
+        """The integrand at a point of a flight: the unit of the integral, per second."""
+
+
+class Drag(AbstractConstraint):
+    """Specific drag."""
+
+    limit: Scalar | None = optional_scalar(unit="m/s2")
+    unit = "m/s2"
+
+    def value(self, point: PathPoint) -> Scalar:
+        return point.air.drag
+
+
+class DynamicPressure(AbstractConstraint):
+    """Dynamic pressure."""
+
+    limit: Scalar | None = optional_scalar(unit="Pa")
+    unit = "Pa"
+
+    def value(self, point: PathPoint) -> Scalar:
+        return point.air.dynamic_pressure
+
+
+class HeatRate(AbstractConstraint):
+    """Convective heat rate at the stagnation point: `convective_heat_rate`."""
+
+    limit: Scalar | None = optional_scalar(unit="W/m2")
+    unit = "W/m2"
+
+    def value(self, point: PathPoint) -> Scalar:
+        return _heat_rate(point)
+
+
+class LoadFactor(AbstractConstraint):
+    """Total aerodynamic acceleration in units of 9.80665 m/s2."""
+
+    limit: Scalar | None = optional_scalar()
+    unit = "1"
+    shown_unit = "g"
+
+    def value(self, point: PathPoint) -> Scalar:
+        return load_factor(point.air)
+
+
+class NormalLoadFactor(AbstractConstraint):
+    """Aerodynamic acceleration across the airframe, in units of 9.80665 m/s2.
+
+    lift * cos(angle of attack) + drag * sin(angle of attack)
+    """
+
+    limit: Scalar | None = optional_scalar()
+    unit = "1"
+    shown_unit = "g"
+
+    def value(self, point: PathPoint) -> Scalar:
+        sine, cosine = sincos(point.controls.angle_of_attack)
+        air = point.air
+        return (air.lift * cosine + air.drag * sine) / standard_gravity
+
+
+class HeatLoad(AbstractIntegral):
+    """Heat per area that the stagnation point has taken: the integral of the heat rate."""
+
+    limit: Scalar | None = optional_scalar(unit="J/m2")
+    unit = "J/m2"
+
+    def rate(self, point: PathPoint) -> Scalar:
+        return _heat_rate(point)
+
+
+class EquilibriumGlide(AbstractConstraint):
+    """How much vertical acceleration lacks for an equilibrium glide at a bank angle.
+
+    In units of 9.80665 m/s2: zero where the flight-path angle would not change at that
+    bank angle, negative below this, in denser air, and positive above it. With the limit
+    0 a vehicle at that bank can always keep its path from bending down. Near zero path
+    angle over a planet at rest, lift * cos(bank) = g - V^2 / r at a value of zero.
+
+    Reference: D.-W. Lee, K.-R. Cho, H. Yan, "Re-Entry Trajectory Tracking Via an Inverse
+    Dynamics Method", 2004, equation (8), for zero bank.
+    """
+
+    bank_angle: Scalar = scalar(0.0, unit="rad")
+    limit: Scalar | None = optional_scalar()
+    unit = "1"
+    shown_unit = "g"
+
+    def value(self, point: PathPoint) -> Scalar:
+        angle_of_attack = point.controls.angle_of_attack
+        controls = Controls.from_bank(self.bank_angle, angle_of_attack)
+        rates = point.dynamics.rates(point.planet, point.vehicle, point.state, controls)
+        return -point.state.velocity * rates.flight_path_angle / standard_gravity
+
+
+def _heat_rate(point: PathPoint) -> Scalar:
+    planet = point.planet
+    return convective_heat_rate(
+        point.air.density,
+        point.air.airspeed,
+        point.vehicle.nose_radius,
+        planet.heating_coefficient,
+        planet.heating_exponent,
+    )
+
+
+Constraints = dict[str, AbstractPathConstraint]
+"""The path constraints of a scenario, by name"""
+
+
+def usual_constraints() -> Constraints:
+    """Drag, dynamic pressure, heat rate and load factor, without limits."""
+    return {
+        "drag": Drag(),
+        "dynamic_pressure": DynamicPressure(),
+        "heat_rate": HeatRate(),
+        "load_factor": LoadFactor(),
+    }
+
+
+@jax.tree_util.register_pytree_with_keys_class
+class ConstraintValues(Mapping[str, Any]):
+    """Numbers of path constraints by name, `values["drag"]` or `values.drag`."""
+
+    def __init__(self, values: Mapping[str, Any]):
+        self._values = {name: values[name] for name in sorted(values)}
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name not in self._values:
+            raise AttributeError(
+                f"no path constraint {name!r} in this scenario, which has "
+                f"{', '.join(self.__dict__.get('_values', ())) or 'none'}: add it to "
+                "`Scenario.constraints`"
+            )
+        return self._values[name]
+
+    def __repr__(self) -> str:
+        return f"ConstraintValues({self._values})"
+
+    def tree_flatten_with_keys(self):
+        keys = (jax.tree_util.GetAttrKey(name) for name in self._values)
+        children = zip(keys, self._values.values(), strict=True)
+        return tuple(children), tuple(self._values)
+
+    @classmethod
+    def tree_unflatten(cls, names, children):
+        return cls(dict(zip(names, children, strict=True)))
+
+
+def constraint_values(
+    constraints: Constraints, point: PathPoint, integrals: Mapping[str, Scalar]
+) -> ConstraintValues:
+    """The constrained quantities at a point; `integrals` are those up to there."""
+    return ConstraintValues(
+        {
+            name: constraint.value(point)
+            if isinstance(constraint, AbstractConstraint)
+            else integrals[name]
+            for name, constraint in constraints.items()
+        }
+    )
+
+
+def integrals_of(constraints: Constraints) -> dict[str, AbstractIntegral]:
+    """Those of the constraints that are integrated along with the motion."""
+    return {n: c for n, c in constraints.items() if isinstance(c, AbstractIntegral)}
+
+
+def excesses(constraints: Constraints, values: ConstraintValues) -> ConstraintValues:
+    """What the values of one flight exceed each limit by; see `excess`.
+
+    Constraints without a limit are left out. Of peaks, for the penalty of a loss:
+
+        outputs = lambda scenario, flight: (
+            misses(scenario, flight), excesses(scenario.constraints, flight.peaks)
+        )
+    """
+    return ConstraintValues(
+        {n: c.excess(values[n]) for n, c in constraints.items() if c.limit is not None}
+    )
