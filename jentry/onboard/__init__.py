@@ -5,7 +5,13 @@ from .estimation import (
     FactorEstimator as FactorEstimator,
     Factors as Factors,
 )
-from .model import OnboardModel as OnboardModel, WorldModel as WorldModel
+from .flow import (
+    BankedMotion as BankedMotion,
+    SensedPoint as SensedPoint,
+    sensed_flow as sensed_flow,
+    twice_along as twice_along,
+)
+from .model import OnboardModel as OnboardModel
 from .navigation import (
     AbstractAccelerometers as AbstractAccelerometers,
     Accelerometers as Accelerometers,
@@ -25,10 +31,8 @@ from .profiles import (
     quintic_profile as quintic_profile,
 )
 from .reference import (
-    AbstractIndex as AbstractIndex,
     DragReference as DragReference,
-    EnergyIndex as EnergyIndex,
-    TimeIndex as TimeIndex,
-    VelocityIndex as VelocityIndex,
+    along as along,
+    index_motion as index_motion,
 )
 from .track import Track as Track, TrackPosition as TrackPosition

@@ -20,9 +20,10 @@ from ..flight.solver import FixedStep
 from ..flight.termination import Termination, VelocityBelow
 from ..guidance.open_loop import BankProfile
 from ..motion.forces import air_data
+from ..motion.index import AbstractIndex
 from ..motion.state import EntryState
 from ..onboard.profiles import PolynomialProfile, QuinticProfile, quintic_profile
-from ..onboard.reference import AbstractIndex, DragReference
+from ..onboard.reference import DragReference
 
 
 def plan_bank_profile(

@@ -13,10 +13,11 @@ from ...flight.scenario import Scenario
 from ...guidance.drag_tracking import ObserverGains
 from ...guidance.lateral import LateralCorridor
 from ...guidance.range_tracking import Aim, RangeTracking, ScaleLimits
+from ...motion.index import EnergyIndex
 from ...motion.quantities import ground_track
 from ...onboard.model import OnboardModel
 from ...onboard.profiles import PolynomialProfile, QuinticProfile
-from ...onboard.reference import DragReference, EnergyIndex
+from ...onboard.reference import DragReference
 from ...planning.reference_flight import ReferenceFlight, open_loop, plan_drag_reference
 from ...units import km
 from ..mission import Mission
