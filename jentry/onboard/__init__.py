@@ -28,10 +28,14 @@ from .profiles import (
     AbstractProfile as AbstractProfile,
     PolynomialProfile as PolynomialProfile,
     QuinticProfile as QuinticProfile,
+    QuinticTable as QuinticTable,
+    grid as grid,
     quintic_profile as quintic_profile,
+    quintic_table as quintic_table,
 )
 from .reference import (
     DragReference as DragReference,
+    Reference as Reference,
     along as along,
     index_motion as index_motion,
 )

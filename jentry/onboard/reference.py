@@ -1,4 +1,4 @@
-"""The reference drag over its index, with time derivatives along the flight."""
+"""References over an index, with time derivatives along the flight."""
 
 import equinox as eqx
 
@@ -8,7 +8,7 @@ from ..motion.index import AbstractIndex
 from .flow import BankedMotion, SensedPoint, sensed_flow, twice_along
 from .model import OnboardModel
 from .navigation import Measurement
-from .profiles import AbstractProfile
+from .profiles import AbstractProfile, QuinticTable
 
 
 def index_motion(
@@ -53,13 +53,50 @@ def index_motion(
 
 def along(profile: AbstractProfile, index: BankedMotion) -> BankedMotion:
     """A profile and its time derivatives by the chain rule, where its index moves so."""
-    value, first, second = profile.with_derivatives(index.value)
+    return _along(profile.with_derivatives(index.value), index)
+
+
+def _along(
+    derivatives: tuple[Scalar, Scalar, Scalar], index: BankedMotion
+) -> BankedMotion:
+    value, first, second = derivatives
     return BankedMotion(
         value=value,
         rate=first * index.rate,
         drift=second * index.rate * index.rate + first * index.drift,
         gain=first * index.gain,
     )
+
+
+class Reference(eqx.Module):
+    """Quantities of a flight over one index, such as drag, bank and flight-path angle.
+
+    motions = reference.at(time, measurement, model, angle_of_attack)
+    motions["altitude"].rate
+    """
+
+    index: AbstractIndex
+    table: QuinticTable
+    """Over the index, by name"""
+
+    def at(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        model: OnboardModel,
+        angle_of_attack: Scalar,
+        drag_rate: Scalar | None = None,
+    ) -> dict[str, BankedMotion]:
+        """Each quantity with its time derivatives, where the vehicle is.
+
+        Arguments as of `index_motion`. Derivatives over the index itself are in
+        `table.with_derivatives`.
+        """
+        motion = index_motion(
+            self.index, time, measurement, model, angle_of_attack, drag_rate
+        )
+        read = self.table.with_derivatives(motion.value)
+        return {name: _along(values, motion) for name, values in read.items()}
 
 
 class DragReference(eqx.Module):

@@ -52,7 +52,8 @@ def _plan(
 
     assert isinstance(drag.drag, QuinticProfile)
     at_gate = drag.drag.start
-    return drag, flight.tabulate(downrange, EnergyIndex(), 2000, at_gate)
+    flown = flight.tabulate({"downrange": downrange}, EnergyIndex(), 2000, at_gate)
+    return drag, flown.profile("downrange")
 
 
 @functools.cache
