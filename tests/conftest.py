@@ -71,7 +71,7 @@ def planned():
     """The planned Mars reference: bank profile, flight, and drag over energy and time."""
     from helpers import mars_scenario
 
-    from jentry.onboard import EnergyIndex, TimeIndex
+    from jentry.motion.index import EnergyIndex, TimeIndex
     from jentry.planning.reference_flight import (
         ReferenceFlight,
         open_loop,

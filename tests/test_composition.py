@@ -37,7 +37,7 @@ from jentry.guidance import (
 )
 from jentry.guidance.composition import _banked_more
 from jentry.guidance.law import begun, commanded
-from jentry.motion import Controls, Response, SecondOrderAttitude
+from jentry.motion import Controls, EntryDynamics, Response, SecondOrderAttitude
 from jentry.onboard import (
     DragReference,
     EnergyIndex,
@@ -117,7 +117,7 @@ def test_beside_the_trim_angle_a_bank_law_flies_bit_for_bit_as_alone(name):
     law = all_laws[name](reference())
     ends = []
     for one in (law, compose(TrimAngleOfAttack(), law)):
-        scenario = mars_scenario(one, in_plane=False, time_limit=150.0)
+        scenario = mars_scenario(one, dynamics=EntryDynamics(), time_limit=150.0)
         scenario = with_leaf(scenario, lambda s: s.vehicle.trim_angle_of_attack, 0.1)
         ends.append(fly_compiled(scenario, FixedStep(0.5)))
     for a, b in zip(jax.tree.leaves(ends[0]), jax.tree.leaves(ends[1]), strict=True):

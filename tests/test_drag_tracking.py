@@ -27,14 +27,8 @@ from jentry.guidance.drag_tracking import (
     observe,
 )
 from jentry.motion import Controls, EntryState, air_data, energy, entry_dynamics
-from jentry.onboard import (
-    EnergyIndex,
-    OnboardModel,
-    TimeIndex,
-    VelocityIndex,
-    measure,
-    quintic_profile,
-)
+from jentry.motion.index import AltitudeIndex, EnergyIndex, TimeIndex, VelocityIndex
+from jentry.onboard import OnboardModel, index_motion, measure, quintic_profile
 from jentry.units import degree, km
 
 
@@ -72,7 +66,8 @@ def along_the_flight(output, state, cos_bank):
 @jax.vmap
 def drag_both_ways(state, cos_bank):
     planet, vehicle = mars_planet(), mars_vehicle()
-    closed = drag_dynamics(OnboardModel(planet, vehicle), measured(state))
+    model = OnboardModel(planet, vehicle)
+    closed = drag_dynamics(model, measured(state), jnp.zeros_like(cos_bank))
 
     def drag(time, state):
         return air_data(planet, vehicle, state, jnp.zeros_like(time)).drag
@@ -90,16 +85,21 @@ def test_closed_form_of_the_drag_dynamics(key):
         u = jnp.full(100, cos_bank)
         closed, (_, rate, second) = drag_both_ways(drawn, u)
         # Rounding of sums whose terms cancel by some orders of magnitude.
-        np.testing.assert_allclose(closed.drag_rate, rate, rtol=1e-9)
-        found = closed.f + closed.g0 * u
+        np.testing.assert_allclose(closed.rate, rate, rtol=1e-9)
+        found = closed.drift + closed.gain * u
         np.testing.assert_allclose(found, second, rtol=1e-9)
         # By itself a sum of terms of either sign must not hide g0.
-        assert np.all(closed.g0 < 0.0)
+        assert np.all(closed.gain < 0.0)
 
 
 @pytest.mark.parametrize(
     "index",
-    [EnergyIndex(), VelocityIndex(), TimeIndex()],
+    [
+        EnergyIndex(),
+        VelocityIndex(),
+        TimeIndex(),
+        AltitudeIndex(),
+    ],
     ids=lambda x: type(x).__name__,
 )
 def test_closed_form_of_the_index_motion(index, key):
@@ -111,8 +111,8 @@ def test_closed_form_of_the_index_motion(index, key):
     def both(state, cos_bank):
         time = 0.0 * cos_bank
         measurement = measured(state)
-        rate = drag_dynamics(model, measurement).drag_rate
-        motion = index.motion(time, measurement, model, rate)
+        rate = drag_dynamics(model, measurement, time).rate
+        motion = index_motion(index, time, measurement, model, time, rate)
         second = motion.drift + motion.gain * cos_bank
         exact = along_the_flight(lambda *at: index.value(planet, *at), state, cos_bank)
         return (motion.value, motion.rate, second), exact
@@ -241,10 +241,11 @@ def test_reference_is_the_flown_drag(kind, planned):
         exact = derivatives_along(flow, drag, (time, state))
         measurement = measured(state)
         model = OnboardModel(planet, vehicle)
-        rate = drag_dynamics(model, measurement).drag_rate
-        wanted = reference.at(time, measurement, model, rate)
-        second = wanted.acceleration + wanted.gain * cos_bank
-        return (wanted.drag, wanted.rate, second), exact
+        angle = 0.0 * time
+        rate = drag_dynamics(model, measurement, angle).rate
+        wanted = reference.at(time, measurement, model, angle, rate)
+        second = wanted.drift + wanted.gain * cos_bank
+        return (wanted.value, wanted.rate, second), exact
 
     # From 30 s on (drag above 1 m/s2): before that the energy hardly falls, and its nodes
     # are many seconds apart.

@@ -29,7 +29,7 @@ from jentry.guidance import (
 )
 from jentry.guidance.lateral import predicted_crossrange, reverse_bank, turned
 from jentry.guidance.open_loop import vertical_lift_command
-from jentry.motion import EntryState, ground_track
+from jentry.motion import EntryDynamics, EntryState, ground_track
 from jentry.onboard import Measurement
 from jentry.units import degree, km
 
@@ -320,7 +320,7 @@ def steady(lateral) -> Scenario:
     """Free flight on Mars with a bank profile of 60 degrees."""
     law = with_leaf(bank_profile(), lambda law: law.cos_bank.coefficients, [0.5, 0.0])
     law = with_leaf(law, lambda law: law.lateral, lateral)
-    return with_leaf(mars_scenario(in_plane=False), lambda s: s.guidance, law)
+    return with_leaf(mars_scenario(dynamics=EntryDynamics()), lambda s: s.guidance, law)
 
 
 def sampled(scenario: Scenario, period=1.0) -> Scenario:

@@ -13,14 +13,8 @@ from jentry.missions.mars import (
     range_tracking as mars_range_tracking,
 )
 from jentry.motion import EntryDynamics, EquatorialDynamics
-from jentry.onboard import (
-    DragReference,
-    EnergyIndex,
-    PolynomialProfile,
-    TimeIndex,
-    VelocityIndex,
-    quintic_profile,
-)
+from jentry.motion.index import EnergyIndex, TimeIndex, VelocityIndex
+from jentry.onboard import DragReference, PolynomialProfile, quintic_profile
 from jentry.units import degree
 
 

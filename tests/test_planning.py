@@ -15,7 +15,8 @@ from helpers import fly_compiled, mars_entry, mars_scenario, with_leaf
 
 from jentry.flight import FixedStep, Outcome
 from jentry.missions.cav_h.scenario import stored
-from jentry.onboard import EnergyIndex, PolynomialProfile, measure
+from jentry.motion.index import EnergyIndex
+from jentry.onboard import PolynomialProfile, measure
 from jentry.planning import (
     k2_polynomial,
     open_loop,

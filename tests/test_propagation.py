@@ -15,6 +15,7 @@ from jentry.campaign import monte_carlo
 from jentry.fields import Scalar
 from jentry.flight import FixedStep, Outcome
 from jentry.guidance import AbstractSampledLaw, FixedCycle
+from jentry.guidance.open_loop import vertical_lift_command
 from jentry.missions.mars import range_tracking
 from jentry.motion import Controls, EntryDynamics, EquatorialDynamics
 from jentry.motion.forces import air_data
@@ -24,7 +25,7 @@ from jentry.onboard import (
     Estimate,
     FactorEstimator,
     Factors,
-    WorldModel,
+    OnboardModel,
     propagate,
     propagate_over,
 )
@@ -32,7 +33,7 @@ from jentry.units import degree
 
 
 SCENARIO = mars_scenario()
-MODEL = WorldModel(SCENARIO.planet, SCENARIO.vehicle)
+MODEL = OnboardModel(SCENARIO.planet, SCENARIO.vehicle)
 START = SCENARIO.initial_state
 ENDS = (
     lambda state: state.velocity - 503.0,
@@ -369,7 +370,7 @@ class Held(eqx.Module):
 class Correcting(AbstractSampledLaw[tuple[()], Held]):
     """The cosine of the bank with which the rest of the flight ends at the target."""
 
-    model: WorldModel
+    model: OnboardModel
     origin: eqx.Module
     target: Scalar
     estimator: FactorEstimator = FactorEstimator()
@@ -416,13 +417,13 @@ class Correcting(AbstractSampledLaw[tuple[()], Held]):
 
     def __call__(self, time, measurement, memory, held):
         angle = measurement.trim_angle_of_attack
-        return Controls(angle, held.cos_bank, 0.0 * held.cos_bank), ()
+        return vertical_lift_command(held.cos_bank, angle), ()
 
 
 def correcting() -> "eqx.Module":
     scenario = range_tracking.in_plane()
     law = scenario.guidance
-    believed = WorldModel(law.model.planet, law.model.vehicle)
+    believed = OnboardModel(law.model.planet, law.model.vehicle)
     law = Correcting(believed, law.aim.origin, law.aim.downrange)
     return dataclasses.replace(scenario, guidance=law)
 

@@ -14,6 +14,7 @@ from helpers import (
     all_gravities,
     fly_compiled,
     free_scenario,
+    mars_entry,
     mars_planet,
     mars_vehicle,
     tabulated_aerodynamics,
@@ -264,10 +265,16 @@ def test_what_the_onboard_model_says_of_itself():
     )
     model = OnboardModel(mars_planet(), vehicle)
     lift, drag = 0.9 * 0.26, 1.2 * 0.436
-    assert float(model.lift_to_drag) == pytest.approx(lift / drag, rel=1e-14)
+    state, angle = mars_entry(), jnp.asarray(0.2)
+    assert float(model.lift_to_drag(state, angle)) == pytest.approx(
+        lift / drag, rel=1e-14
+    )
     expected = 900.0 / (drag * 15.0)
-    assert float(model.ballistic_coefficient) == pytest.approx(expected, rel=1e-14)
-    assert float(model.scale_height) == 9354.5
+    assert float(model.ballistic_coefficient(state, angle)) == pytest.approx(
+        expected, rel=1e-14
+    )
+    height = float(model.scale_height(state.altitude))
+    assert height == pytest.approx(9354.5, rel=1e-14)
 
 
 @pytest.mark.parametrize("sine", [0.6, -0.6, 0.0])

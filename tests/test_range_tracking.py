@@ -18,7 +18,8 @@ from jentry.guidance.range_tracking import scale_to_reach
 from jentry.missions.mars import range_tracking as mars_range_tracking
 from jentry.missions.mars.drag_tracking import entry
 from jentry.motion import energy, ground_track
-from jentry.onboard import TimeIndex, measure
+from jentry.motion.index import TimeIndex
+from jentry.onboard import measure
 from jentry.units import km
 
 
@@ -83,6 +84,7 @@ def scale_of(law, now, range_to_go, drag_factor):
         now,
         range_to_go,
         drag_factor,
+        jnp.zeros_like(now),
     )
 
 
@@ -93,7 +95,7 @@ def scale_by_search(law, now, range_to_go, drag_factor):
     D, S = (np.asarray(jax.vmap(p)(E)) for p in (law.reference.drag, law.range_flown))
     potential = jax.jit(jax.vmap(planet.gravity.potential))
     ground_drag = drag_factor * planet.density(jnp.asarray(0.0))
-    ground_drag = float(ground_drag / law.model.ballistic_coefficient)
+    ground_drag = float(ground_drag / 115.0)
 
     def too_far(scale):
         altitude = np.full_like(E, 15 * km)
@@ -101,7 +103,7 @@ def scale_by_search(law, now, range_to_go, drag_factor):
             kinetic = E - np.asarray(potential(planet.radius + altitude))
             kinetic = np.maximum(kinetic, 1e4)
             ratio = ground_drag * kinetic / (scale * D)
-            altitude = float(law.model.scale_height) * np.log(ratio)
+            altitude = 9354.5 * np.log(ratio)
         over = (kinetic <= 0.5 * aim.velocity**2) | (altitude <= aim.altitude)
         end = np.argmax(over)
         assert 0 < end

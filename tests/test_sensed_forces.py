@@ -23,7 +23,8 @@ from jentry.guidance import (
     Sampled,
 )
 from jentry.motion import Controls
-from jentry.onboard import Accelerometers, EnergyIndex, PolynomialProfile
+from jentry.motion.index import EnergyIndex
+from jentry.onboard import Accelerometers, PolynomialProfile
 from jentry.planning.reference_flight import ReferenceFlight, plan_drag_reference
 from jentry.world import PolynomialAerodynamics, Vehicle
 

@@ -28,7 +28,8 @@ from jentry.guidance import (
 )
 from jentry.guidance.drag_tracking import track
 from jentry.motion import EntryState
-from jentry.onboard import DragReference, EnergyIndex, PolynomialProfile, measure
+from jentry.motion.index import EnergyIndex
+from jentry.onboard import DragReference, PolynomialProfile, measure
 from jentry.tuning.smoothing import smooth_switching
 from jentry.units import degree, km
 

@@ -12,12 +12,13 @@ import jax.numpy as jnp
 from .._interpolation import clamp
 from .._newton import by_jvp, newton
 from ..fields import Scalar, scalar
+from ..motion.index import EnergyIndex
 from ..motion.quantities import ground_track
 from ..motion.state import Controls, EntryState
 from ..onboard.model import OnboardModel
 from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
-from ..onboard.reference import DragReference, EnergyIndex
+from ..onboard.reference import DragReference
 from .cycle import FixedCycle
 from .drag_tracking import (
     ErrorGains,
@@ -82,6 +83,7 @@ def scale_to_reach(
     energy: Scalar,
     range_to_go: Scalar,
     drag_factor: Scalar,
+    angle_of_attack: Scalar,
 ) -> Scalar:
     """Scale K of the reference drag that flies the range to go until the predicted end.
 
@@ -104,6 +106,7 @@ def scale_to_reach(
     - `energy`: now, J/kg.
     - `range_to_go`: m.
     - `drag_factor`: q, sensed drag over that of the onboard model.
+    - `angle_of_attack`: of the rest of the flight, rad.
 
     NaN where the search meets what is not finite.
     """
@@ -115,7 +118,13 @@ def scale_to_reach(
     def through(altitude: Scalar, kinetic: Scalar) -> tuple[Scalar, Scalar]:
         """Error in range of the profile that ends here (m), and its scale."""
         end = kinetic + planet.gravity.potential(planet.radius + altitude)
-        modelled = planet.density(altitude) * kinetic / model.ballistic_coefficient
+        there = eqx.tree_at(
+            lambda s: (s.altitude, s.velocity),
+            aim.origin,
+            (altitude, jnp.sqrt(2.0 * kinetic)),
+        )
+        loading = model.ballistic_coefficient(there, angle_of_attack)
+        modelled = planet.density(altitude) * kinetic / loading
         scale = drag_factor * modelled / reference.drag(end)
         return scale * range_to_go - (range_flown(end) - flown), scale
 
@@ -198,9 +207,8 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
 
         sensed = measurement.drag > self.reference.gate
         scales = sensed & (range_to_go > self.limits.last_range)
-        believed = measure(
-            planet, self.model.vehicle, state, self.model.vehicle.trim_angle_of_attack
-        )
+        angle = measurement.trim_angle_of_attack
+        believed = measure(planet, self.model.vehicle, state, angle)
         scale = scale_to_reach(
             aim,
             self.reference,
@@ -210,6 +218,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
             # Where it is not used it may be zero, of which the derivative is not finite.
             jnp.where(scales, range_to_go, aim.downrange),
             measurement.drag / believed.drag,
+            angle,
         )
         scales = scales & jnp.isfinite(scale)
         scale = clamp(scale, self.limits.lower, self.limits.upper)
@@ -234,9 +243,10 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
     ) -> ObserverState:
         """The estimates of D - K D* and of its rate after K has jumped."""
         nothing = jnp.zeros_like(jump)
-        wanted = self.reference.at(time, measurement, self.model, nothing)
+        angle = measurement.trim_angle_of_attack
+        wanted = self.reference.at(time, measurement, self.model, angle, nothing)
         return ObserverState(
-            drag_error=memory.drag_error - jump * wanted.drag,
+            drag_error=memory.drag_error - jump * wanted.value,
             drag_error_rate=memory.drag_error_rate - jump * wanted.rate,
         )
 

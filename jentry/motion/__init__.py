@@ -31,6 +31,14 @@ from .dynamics import (
     with_respect_to as with_respect_to,
 )
 from .forces import AirData as AirData, air_data as air_data
+from .index import (
+    AbstractIndex as AbstractIndex,
+    AltitudeIndex as AltitudeIndex,
+    DownrangeIndex as DownrangeIndex,
+    EnergyIndex as EnergyIndex,
+    TimeIndex as TimeIndex,
+    VelocityIndex as VelocityIndex,
+)
 from .quantities import (
     convective_heat_rate as convective_heat_rate,
     detra_kemp_riddell_heat_rate as detra_kemp_riddell_heat_rate,

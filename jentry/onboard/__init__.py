@@ -5,7 +5,13 @@ from .estimation import (
     FactorEstimator as FactorEstimator,
     Factors as Factors,
 )
-from .model import OnboardModel as OnboardModel, WorldModel as WorldModel
+from .flow import (
+    BankedMotion as BankedMotion,
+    SensedPoint as SensedPoint,
+    sensed_flow as sensed_flow,
+    twice_along as twice_along,
+)
+from .model import OnboardModel as OnboardModel
 from .navigation import (
     AbstractAccelerometers as AbstractAccelerometers,
     Accelerometers as Accelerometers,
@@ -22,7 +28,10 @@ from .profiles import (
     AbstractProfile as AbstractProfile,
     PolynomialProfile as PolynomialProfile,
     QuinticProfile as QuinticProfile,
+    QuinticTable as QuinticTable,
+    grid as grid,
     quintic_profile as quintic_profile,
+    quintic_table as quintic_table,
 )
 from .propagation import (
     NO_END as NO_END,
@@ -31,10 +40,9 @@ from .propagation import (
     propagate_over as propagate_over,
 )
 from .reference import (
-    AbstractIndex as AbstractIndex,
     DragReference as DragReference,
-    EnergyIndex as EnergyIndex,
-    TimeIndex as TimeIndex,
-    VelocityIndex as VelocityIndex,
+    Reference as Reference,
+    along as along,
+    index_motion as index_motion,
 )
 from .track import Track as Track, TrackPosition as TrackPosition

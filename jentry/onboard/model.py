@@ -1,66 +1,58 @@
 """What a law believes of planet and vehicle."""
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 
 from ..fields import Scalar
-from ..world.atmosphere import ExponentialAtmosphere
-from ..world.gravity import InverseSquareGravity
+from ..motion.state import EntryState
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 
 
-class WorldModel(eqx.Module):
-    """The nominal world on board: a copy of its own, which dispersing the truth leaves."""
+class OnboardModel(eqx.Module):
+    """The nominal world on board: a copy of its own, which dispersing the truth leaves.
+
+    Any atmosphere, gravity and aerodynamics. What laws need beside the forces is taken
+    from these by forward differentiation, in the state and at the angle of attack (rad)
+    that are flown.
+    """
 
     planet: Planet
     vehicle: Vehicle
 
+    def scale_height(self, altitude: Scalar) -> Scalar:
+        """Density over its decrease with altitude, -rho / rho', m."""
+        density, slope = jax.jvp(
+            self.planet.density, (altitude,), (jnp.ones_like(altitude),)
+        )
+        return -density / slope
 
-class OnboardModel(WorldModel):
-    """The nominal world for laws that need the rates of density and gravity.
-
-    Its atmosphere is exponential, since laws use its scale height, and its gravity that
-    of a sphere, since they use its rate of change.
-    """
-
-    def __check_init__(self):
-        atmosphere = self.planet.atmosphere
-        if not isinstance(atmosphere, ExponentialAtmosphere):
-            raise ValueError(
-                f"the onboard model has a {type(atmosphere).__name__}: it needs an "
-                "ExponentialAtmosphere, fitted to the corridor that is flown"
-            )
-
-        gravity = self.planet.gravity
-        if not isinstance(gravity, InverseSquareGravity):
-            raise ValueError(
-                f"the onboard model has a {type(gravity).__name__}: it needs an "
-                "InverseSquareGravity"
-            )
-
-    @property
-    def scale_height(self) -> Scalar:
-        """m"""
-        atmosphere = self.planet.atmosphere
-        assert isinstance(atmosphere, ExponentialAtmosphere)
-        return atmosphere.scale_height
-
-    @property
-    def lift_to_drag(self) -> Scalar:
-        """At the trim angle of attack, a Mach number of 20 and 6 km/s."""
-        lift, drag = self._trim_coefficients()
+    def lift_to_drag(self, state: EntryState, angle_of_attack: Scalar) -> Scalar:
+        """Ratio of lift to drag."""
+        lift, drag = self._coefficients(state, angle_of_attack)
         return lift / drag
 
-    @property
-    def ballistic_coefficient(self) -> Scalar:
-        """m / (C_D S), kg/m2, likewise."""
-        _, drag = self._trim_coefficients()
+    def ballistic_coefficient(
+        self, state: EntryState, angle_of_attack: Scalar
+    ) -> Scalar:
+        """m / (C_D S), kg/m2."""
+        _, drag = self._coefficients(state, angle_of_attack)
         return self.vehicle.mass / (drag * self.vehicle.reference_area)
 
-    def _trim_coefficients(self) -> tuple[Scalar, Scalar]:
-        angle_of_attack = self.vehicle.trim_angle_of_attack
-        return self.vehicle.coefficients(
-            angle_of_attack,
-            20.0 + 0.0 * angle_of_attack,
-            6000.0 + 0.0 * angle_of_attack,
-        )
+    def logarithm_of_drag(self, state: EntryState, angle_of_attack: Scalar) -> Scalar:
+        """Natural logarithm of the drag, up to a constant; in still air.
+
+        Its rate is that of the drag in units of the drag, whatever factor the actual
+        drag has on the modelled one.
+        """
+        _, drag = self._coefficients(state, angle_of_attack)
+        density = self.planet.density(state.altitude)
+        return jnp.log(density) + 2.0 * jnp.log(state.velocity) + jnp.log(drag)
+
+    def _coefficients(
+        self, state: EntryState, angle_of_attack: Scalar
+    ) -> tuple[Scalar, Scalar]:
+        sound = self.planet.atmosphere.speed_of_sound(state.altitude)
+        velocity = state.velocity
+        return self.vehicle.coefficients(angle_of_attack, velocity / sound, velocity)

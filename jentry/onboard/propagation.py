@@ -17,7 +17,7 @@ from ..fields import Count, Flag, Scalar
 from ..motion.dynamics import AbstractDynamics, EntryDynamics, with_respect_to
 from ..motion.state import Controls, EntryState
 from .estimation import Factors
-from .model import WorldModel
+from .model import OnboardModel
 
 
 Command = Callable[[Scalar, EntryState], Controls]
@@ -70,7 +70,7 @@ class _Moving(eqx.Module):
 
 
 def propagate(
-    model: WorldModel,
+    model: OnboardModel,
     state: EntryState,
     command: Command,
     ends: Sequence[Margin],
@@ -180,7 +180,7 @@ def propagate(
 def propagate_over(
     index: Index,
     end: Scalar | float,
-    model: WorldModel,
+    model: OnboardModel,
     state: EntryState,
     command: Command,
     *,
@@ -228,7 +228,7 @@ def propagate_over(
 
 
 def _flow(
-    model: WorldModel,
+    model: OnboardModel,
     command: Command,
     factors: Factors | None,
     dynamics: AbstractDynamics,

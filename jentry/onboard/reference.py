@@ -1,110 +1,102 @@
-"""The reference drag and what it is a function of: energy, velocity or time."""
-
-from abc import abstractmethod
+"""References over an index, with time derivatives along the flight."""
 
 import equinox as eqx
-import jax.numpy as jnp
 
-from .._math import sincos
+from .._dependence import Traced
 from ..fields import Scalar, scalar
-from ..motion.quantities import energy
-from ..motion.state import EntryState
-from ..world.planet import Planet
+from ..motion.index import AbstractIndex
+from .flow import BankedMotion, SensedPoint, sensed_flow, twice_along
 from .model import OnboardModel
 from .navigation import Measurement
-from .profiles import AbstractProfile
+from .profiles import AbstractProfile, QuinticTable
 
 
-class IndexMotion(eqx.Module):
-    """An index along the flight: x, x' and x'' = drift + gain cos(bank)."""
+def index_motion(
+    index: AbstractIndex,
+    time: Scalar,
+    measurement: Measurement,
+    model: OnboardModel,
+    angle_of_attack: Scalar,
+    drag_rate: Scalar | None = None,
+) -> BankedMotion:
+    """An index along the flight, with the sensed drag and the lift-to-drag ratio on board.
 
-    value: Scalar
-    rate: Scalar
-    drift: Scalar
-    gain: Scalar
+    By forward differentiation for any index; `drag_rate` (m/s3) where it is known
+    already. Measured for 200 Mars entries, against the same rates expanded by hand: 1 to
+    2 % more time for a flight with `jentry.setup(fast=True)`, 3 % less without.
+
+    **Raises:** `ValueError` for an index of the flight-path angle or the heading, whose
+    rate contains the bank.
+    """
+    planet, state = model.planet, measurement.state
+
+    def turned(path: Scalar, heading: Scalar) -> Scalar:
+        there = eqx.tree_at(
+            lambda s: (s.flight_path_angle, s.heading), state, (path, heading)
+        )
+        return index.value(planet, time, there)
+
+    if Traced(turned, state.flight_path_angle, state.heading).depends():
+        raise ValueError(
+            f"{type(index).__name__} depends on the flight-path angle or the heading: "
+            "its rate contains the bank, and it must be a function of time, position and "
+            "velocity"
+        )
+
+    def value(point: SensedPoint) -> Scalar:
+        return index.value(planet, point.time, point.state)
+
+    flow = sensed_flow(model, angle_of_attack, drag_rate)
+    lift = model.lift_to_drag(state, angle_of_attack) * measurement.drag
+    return twice_along(flow, value, measurement, time, lift)
 
 
-class AbstractIndex(eqx.Module):
-    """What a reference is a function of. A law follows it through its rates."""
+def along(profile: AbstractProfile, index: BankedMotion) -> BankedMotion:
+    """A profile and its time derivatives by the chain rule, where its index moves so."""
+    return _along(profile.with_derivatives(index.value), index)
 
-    @abstractmethod
-    def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
-        """The index in a state."""
 
-    @abstractmethod
-    def motion(
+def _along(
+    derivatives: tuple[Scalar, Scalar, Scalar], index: BankedMotion
+) -> BankedMotion:
+    value, first, second = derivatives
+    return BankedMotion(
+        value=value,
+        rate=first * index.rate,
+        drift=second * index.rate * index.rate + first * index.drift,
+        gain=first * index.gain,
+    )
+
+
+class Reference(eqx.Module):
+    """Quantities of a flight over one index, such as drag, bank and flight-path angle.
+
+    motions = reference.at(time, measurement, model, angle_of_attack)
+    motions["altitude"].rate
+    """
+
+    index: AbstractIndex
+    table: QuinticTable
+    """Over the index, by name"""
+
+    def at(
         self,
         time: Scalar,
         measurement: Measurement,
         model: OnboardModel,
-        drag_rate: Scalar,
-    ) -> IndexMotion:
-        """The index now, with rates by the onboard model; `drag_rate` is in m/s3."""
+        angle_of_attack: Scalar,
+        drag_rate: Scalar | None = None,
+    ) -> dict[str, BankedMotion]:
+        """Each quantity with its time derivatives, where the vehicle is.
 
-
-class EnergyIndex(AbstractIndex):
-    """V^2/2 + potential, J/kg: it falls throughout, so that it needs no gate."""
-
-    def value(self, planet, time, state):
-        return energy(planet, state)
-
-    def motion(self, time, measurement, model, drag_rate):
-        state, drag = measurement.state, measurement.drag
-        velocity = state.velocity
-        sin, _ = sincos(state.flight_path_angle)
-        gravity = model.planet.gravity.acceleration(
-            model.planet.radius + state.altitude
+        Arguments as of `index_motion`. Derivatives over the index itself are in
+        `table.with_derivatives`.
+        """
+        motion = index_motion(
+            self.index, time, measurement, model, angle_of_attack, drag_rate
         )
-        acceleration = -drag - gravity * sin
-        return IndexMotion(
-            value=self.value(model.planet, time, state),
-            rate=-drag * velocity,
-            drift=-drag_rate * velocity - drag * acceleration,
-            gain=jnp.zeros_like(drag),
-        )
-
-
-class VelocityIndex(AbstractIndex):
-    """Velocity, m/s. It rises at first, and its second rate contains the bank."""
-
-    def value(self, planet, time, state):
-        return state.velocity
-
-    def motion(self, time, measurement, model, drag_rate):
-        state, drag = measurement.state, measurement.drag
-        velocity = state.velocity
-        sin, cos = sincos(state.flight_path_angle)
-        radius = model.planet.radius + state.altitude
-        gravity = model.planet.gravity.acceleration(radius)
-        lift = model.lift_to_drag * drag
-        turn = (velocity / radius - gravity / velocity) * cos
-        gravity_rate = -2.0 * gravity * velocity * sin / radius
-        return IndexMotion(
-            value=self.value(model.planet, time, state),
-            rate=-drag - gravity * sin,
-            drift=-drag_rate - gravity_rate * sin - gravity * cos * turn,
-            gain=-gravity * cos * lift / velocity,
-        )
-
-
-class TimeIndex(AbstractIndex):
-    """Time since the start, s: exact in the nominal case, poor under dispersions."""
-
-    def value(self, planet, time, state):
-        return time
-
-    def motion(self, time, measurement, model, drag_rate):
-        nothing = jnp.zeros_like(time)
-        return IndexMotion(time, jnp.ones_like(time), nothing, nothing)
-
-
-class WantedDrag(eqx.Module):
-    """Reference drag, D*, its rate, and D*'' = acceleration + gain cos(bank)."""
-
-    drag: Scalar
-    rate: Scalar
-    acceleration: Scalar
-    gain: Scalar
+        read = self.table.with_derivatives(motion.value)
+        return {name: _along(values, motion) for name, values in read.items()}
 
 
 class DragReference(eqx.Module):
@@ -123,14 +115,11 @@ class DragReference(eqx.Module):
         time: Scalar,
         measurement: Measurement,
         model: OnboardModel,
-        drag_rate: Scalar,
-    ) -> WantedDrag:
-        """Reference drag and its time derivatives here, by the chain rule."""
-        index = self.index.motion(time, measurement, model, drag_rate)
-        value, first, second = self.drag.with_derivatives(index.value)
-        return WantedDrag(
-            drag=value,
-            rate=first * index.rate,
-            acceleration=second * index.rate * index.rate + first * index.drift,
-            gain=first * index.gain,
+        angle_of_attack: Scalar,
+        drag_rate: Scalar | None = None,
+    ) -> BankedMotion:
+        """Reference drag and its time derivatives here; arguments as of `index_motion`."""
+        motion = index_motion(
+            self.index, time, measurement, model, angle_of_attack, drag_rate
         )
+        return along(self.drag, motion)

@@ -1,6 +1,6 @@
 """Plan a reference: solve a bank profile for its end point, tabulate what it flies."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import equinox as eqx
 import jax
@@ -22,9 +22,16 @@ from ..flight.solver import FixedStep
 from ..flight.termination import Termination, VelocityBelow
 from ..guidance.open_loop import BankProfile
 from ..motion.forces import air_data
+from ..motion.index import AbstractIndex
 from ..motion.state import EntryState
-from ..onboard.profiles import PolynomialProfile, QuinticProfile, quintic_profile
-from ..onboard.reference import AbstractIndex, DragReference
+from ..onboard.profiles import (
+    Nodes,
+    PolynomialProfile,
+    QuinticTable,
+    grid,
+    quintic_table,
+)
+from ..onboard.reference import DragReference
 
 
 @needs_float64
@@ -159,23 +166,73 @@ class ReferenceFlight(eqx.Module):
 
     def tabulate(
         self,
-        quantity: Quantity,
+        quantities: Mapping[str, Quantity],
         index: AbstractIndex,
         intervals: int,
         first_value: Scalar | None = None,
-    ) -> QuinticProfile:
-        """A quantity over an index as a quintic profile with exact nodes.
+        power: int = 1,
+    ) -> QuinticTable:
+        """Quantities over an index as a table with exact nodes.
 
         Each node is a state of the flight itself: one step of the solver from the state
         before it. The derivatives are those along the flow.
 
         **Arguments:**
 
-        - `quantity`: of time and state.
+        - `quantities`: each of time and state, by name.
         - `index`: monotonic from `first_value` on.
         - `intervals`: how many between `first_value` and the end.
         - `first_value`: of the index; its value at the start if not given.
+        - `power`: 1 for even intervals, 2 for short ones at first. See `QuinticTable`.
         """
+        start, end = self._ends(index, first_value)
+        nodes = grid(start, end, intervals, power)
+        exact = self._exact(quantities, index, nodes, first_value)
+        return quintic_table(nodes, exact, power)
+
+    def interpolation_error(
+        self,
+        table: QuinticTable,
+        quantities: Mapping[str, Quantity],
+        index: AbstractIndex,
+    ) -> dict[str, Scalar]:
+        """Largest error of a table half way between its nodes, in units of the quantity.
+
+        There the error of a quintic is largest. The exact values are those of the flight.
+        """
+        some = next(iter(table.coefficients.values()))
+        intervals = some.shape[0]
+        end = table.start + intervals * table.spacing
+        nodes = grid(table.start, end, intervals, table.power)
+        between = 0.5 * (nodes[1:] + nodes[:-1])
+        exact = self._exact(quantities, index, between, table.start)
+        read = jax.vmap(table.with_derivatives)(between)
+        return {
+            name: jnp.max(jnp.abs(read[name][0] - values[0]))
+            for name, values in exact.items()
+        }
+
+    def _along(self, index: AbstractIndex) -> Float[Array, " n"]:
+        planet = self.scenario.planet
+        values = jax.vmap(lambda *point: index.value(planet, *point))
+        return jnp.asarray(values(self.times, self.states))
+
+    def _ends(
+        self, index: AbstractIndex, first_value: Scalar | None
+    ) -> tuple[Scalar, Scalar]:
+        along = self._along(index)
+        last = jnp.sum(jnp.isfinite(along)) - 1
+        start = along[0] if first_value is None else jnp.asarray(first_value, float)
+        return start, along[last]
+
+    def _exact(
+        self,
+        quantities: Mapping[str, Quantity],
+        index: AbstractIndex,
+        nodes: Float[Array, " nodes"],
+        first_value: Scalar | None,
+    ) -> dict[str, Nodes]:
+        """Quantities with two derivatives over the index, where it has given values."""
         planet = self.scenario.planet
         field = vector_field(self.scenario, None)
 
@@ -193,11 +250,10 @@ class ReferenceFlight(eqx.Module):
             moving = solver.advance(field, time, duration, Moving(state, None, None))
             return time + duration, moving.state
 
-        along = jnp.asarray(jax.vmap(index_at)((self.times, self.states)))
+        along = self._along(index)
         finite = jnp.isfinite(along)
         last = jnp.sum(finite) - 1
-        start = along[0] if first_value is None else jnp.asarray(first_value, float)
-        nodes = jnp.linspace(start, along[last], intervals + 1)
+        start, _ = self._ends(index, first_value)
         falling = jnp.where(along[last] < start, -1.0, 1.0)
         # The index may turn before the first node; look only at what comes after.
         place = jnp.where(finite, falling * along, jnp.inf)
@@ -228,17 +284,22 @@ class ReferenceFlight(eqx.Module):
             late, rates = -early(point, wanted), lax.stop_gradient(flow(point))
             point = jax.tree.map(lambda x, rate: x + late * rate, point, rates)
 
-            def both(point):
-                return index_at(point), quantity(*point)
+            def all_of_them(point):
+                return index_at(point), {
+                    name: quantity(*point) for name, quantity in quantities.items()
+                }
 
-            (_, value), (rate, first), (acceleration, second) = derivatives_along(
-                flow, both, point
+            (_, values), (rate, firsts), (acceleration, seconds) = derivatives_along(
+                flow, all_of_them, point
             )
-            slope = first / rate
-            return value, slope, (second - slope * acceleration) / (rate * rate)
+            found = {}
+            for name, value in values.items():
+                slope = firsts[name] / rate
+                bend = (seconds[name] - slope * acceleration) / (rate * rate)
+                found[name] = value, slope, bend
+            return found
 
-        value, slope, bend = jax.vmap(node)(nodes)
-        return quintic_profile(nodes[0], nodes[1] - nodes[0], value, slope, bend)
+        return jax.vmap(node)(nodes)
 
 
 @needs_float64
@@ -247,10 +308,13 @@ def plan_drag_reference(
     index: AbstractIndex,
     gate: float = 0.0,
     intervals: int = 2000,
+    power: int = 1,
 ) -> DragReference:
     """Drag of a flown bank profile over an index, for a drag-tracking law.
 
-    With a gate (m/s2) the table starts where the drag first exceeds it.
+    With a gate (m/s2) the table starts where the drag first exceeds it. Over energy from
+    the entry interface on, `power=2` makes the table's error small there; see
+    `ReferenceFlight.interpolation_error`.
     """
     scenario = flight.scenario
     law = scenario.guidance
@@ -270,5 +334,5 @@ def plan_drag_reference(
         first = jnp.argmax(drags > gate)
         state = jax.tree.map(lambda x: x[first], flight.states)
         first_value = index.value(planet, flight.times[first], state)
-    profile = flight.tabulate(drag, index, intervals, first_value)
-    return DragReference(index, profile, law.cos_bank, gate)
+    table = flight.tabulate({"drag": drag}, index, intervals, first_value, power)
+    return DragReference(index, table.profile("drag"), law.cos_bank, gate)

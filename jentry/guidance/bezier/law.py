@@ -13,7 +13,7 @@ from ...fields import QUARTER, Scalar, scalar
 from ...motion.forces import air_data
 from ...motion.state import Controls, EntryState
 from ...onboard.estimation import Estimate, FactorEstimator
-from ...onboard.model import WorldModel
+from ...onboard.model import OnboardModel
 from ...onboard.navigation import Measurement
 from ...onboard.track import Track
 from ...world.aerodynamics import AbstractInvertibleAerodynamics
@@ -71,7 +71,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
     parameters: BezierParameters
     track: Track
     arrival: Arrival
-    model: WorldModel
+    model: OnboardModel
     limits: FlightLimits
     estimator: FactorEstimator = eqx.field(default_factory=FactorEstimator)
     anchoring: AbstractAnchoring = StoredParameters()

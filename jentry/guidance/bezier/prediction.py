@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from ...fields import Scalar, table
 from ...onboard.estimation import Factors
-from ...onboard.model import WorldModel
+from ...onboard.model import OnboardModel
 from ...onboard.network import Network
 from .allocation import FlightLimits, attitude
 from .anchoring import AbstractAnchoring, Shape
@@ -33,7 +33,7 @@ class Situation(eqx.Module):
 class Glide(eqx.Module):
     """What flies the curve: the model on board, the limits and the rule of anchoring."""
 
-    model: WorldModel
+    model: OnboardModel
     limits: FlightLimits
     anchoring: AbstractAnchoring
 

@@ -32,7 +32,7 @@ from ...guidance.bezier.velocity_control import (
 )
 from ...guidance.cycle import ShorteningCycle
 from ...motion.state import EntryState
-from ...onboard.model import WorldModel
+from ...onboard.model import OnboardModel
 from ...onboard.navigation import Accelerometers
 from ...onboard.track import Track
 from ...planning.bezier_curve import k2_polynomials
@@ -129,7 +129,7 @@ def glide(
         parameters=parameters,
         track=track,
         arrival=arrival,
-        model=WorldModel(known, vehicle),
+        model=OnboardModel(known, vehicle),
         limits=FlightLimits(
             least_angle_of_attack=0.0,
             largest_angle_of_attack=20.0 * degree,

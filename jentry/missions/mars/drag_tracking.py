@@ -26,16 +26,16 @@ from ...guidance.drag_tracking import (
 )
 from ...guidance.open_loop import BankProfile
 from ...motion.dynamics import EquatorialDynamics
-from ...motion.state import EntryState
-from ...onboard.model import OnboardModel
-from ...onboard.profiles import PolynomialProfile
-from ...onboard.reference import (
+from ...motion.index import (
     AbstractIndex,
-    DragReference,
     EnergyIndex,
     TimeIndex,
     VelocityIndex,
 )
+from ...motion.state import EntryState
+from ...onboard.model import OnboardModel
+from ...onboard.profiles import PolynomialProfile
+from ...onboard.reference import DragReference
 from ...planning.reference_flight import (
     ReferenceFlight,
     open_loop,

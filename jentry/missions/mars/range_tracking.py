@@ -14,10 +14,11 @@ from ...guidance.drag_tracking import ObserverGains
 from ...guidance.lateral import CrossrangeCorridor
 from ...guidance.range_tracking import Aim, RangeTracking, ScaleLimits
 from ...motion.dynamics import EntryDynamics, EquatorialDynamics
+from ...motion.index import EnergyIndex
 from ...motion.quantities import ground_track
 from ...onboard.model import OnboardModel
 from ...onboard.profiles import PolynomialProfile, QuinticProfile
-from ...onboard.reference import DragReference, EnergyIndex
+from ...onboard.reference import DragReference
 from ...planning.reference_flight import ReferenceFlight, open_loop, plan_drag_reference
 from ...units import km
 from ..mission import Mission
@@ -52,7 +53,8 @@ def _plan(
 
     assert isinstance(drag.drag, QuinticProfile)
     at_gate = drag.drag.start
-    return drag, flight.tabulate(downrange, EnergyIndex(), 2000, at_gate)
+    flown = flight.tabulate({"downrange": downrange}, EnergyIndex(), 2000, at_gate)
+    return drag, flown.profile("downrange")
 
 
 @functools.cache

@@ -1,0 +1,70 @@
+"""What a reference is a function of: time, velocity, energy, altitude or downrange."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+
+from ..fields import Scalar
+from ..world.planet import Planet
+from .quantities import energy, ground_track
+from .state import EntryState
+
+
+class AbstractIndex(eqx.Module):
+    """What a reference, a gain schedule or a segment of a flight is a function of.
+
+    An index says its value and nothing else: its rates along a flight are taken by
+    forward differentiation. A law that turns the bank needs an index whose rate does not
+    depend on the bank, as that of every function of time, position and velocity. One of
+    your own:
+
+        class MachIndex(AbstractIndex):
+            def value(self, planet, time, state):
+                sound = planet.atmosphere.speed_of_sound(state.altitude)
+                return state.velocity / sound
+    """
+
+    @abstractmethod
+    def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
+        """The index at a time (s) and in a state; twice differentiable in both."""
+
+
+class TimeIndex(AbstractIndex):
+    """Time since the start, s: exact in the nominal case, poor under dispersions."""
+
+    def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
+        return time
+
+
+class VelocityIndex(AbstractIndex):
+    """Velocity, m/s. It rises at first, and its second derivative contains the bank."""
+
+    def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
+        return state.velocity
+
+
+class EnergyIndex(AbstractIndex):
+    """V^2/2 + potential, J/kg: it falls throughout, so that it needs no gate."""
+
+    def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
+        return energy(planet, state)
+
+
+class AltitudeIndex(AbstractIndex):
+    """Altitude, m. It falls throughout in entries that do not skip."""
+
+    def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
+        return state.altitude
+
+
+class DownrangeIndex(AbstractIndex):
+    """Downrange from an origin, m, as in `ground_track`: it rises throughout.
+
+    The range to go to a target is the downrange of the target less this one.
+    """
+
+    origin: EntryState
+
+    def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
+        downrange, _ = ground_track(planet, self.origin, state)
+        return downrange

@@ -1,0 +1,115 @@
+"""How the vehicle moves on board: sensed forces, and rates to the second by jvp."""
+
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .._math import sincos
+from ..fields import Scalar
+from ..motion.state import EntryState
+from ..world.planet import Planet
+from .model import OnboardModel
+from .navigation import Measurement
+
+
+class SensedPoint(eqx.Module):
+    """A point of the flight as the vehicle senses it, or its time derivative."""
+
+    time: Scalar
+    state: EntryState
+    drag: Scalar
+    """Sensed, m/s2"""
+
+
+class BankedMotion(eqx.Module):
+    """A quantity x along the flight: x, x' and x'' = drift + gain cos(bank)."""
+
+    value: Scalar
+    rate: Scalar
+    drift: Scalar
+    gain: Scalar
+
+
+Flow = Callable[[SensedPoint], SensedPoint]
+"""Time derivative of a point, without the part of the bank in it."""
+
+
+def sensed_flow(
+    model: OnboardModel, angle_of_attack: Scalar, drag_rate: Scalar | None = None
+) -> Flow:
+    """Motion on board where the vehicle senses its drag, at an angle of attack (rad).
+
+    The planet is at rest, the air still and the lift sideways: the part of the vertical
+    lift is added by `twice_along`. The sensed drag is one of the coordinates. It changes
+    in proportion to the drag of the model; where its rate (m/s3) is known already it is
+    given as `drag_rate`.
+    """
+
+    def flow(point: SensedPoint) -> SensedPoint:
+        rates = _rates(model.planet, point.state, point.drag)
+        if drag_rate is None:
+            _, relative = jax.jvp(
+                lambda state: model.logarithm_of_drag(state, angle_of_attack),
+                (point.state,),
+                (rates,),
+            )
+            changes = point.drag * relative
+        else:
+            changes = drag_rate
+        return SensedPoint(jnp.ones_like(point.time), rates, changes)
+
+    return flow
+
+
+def _rates(planet: Planet, state: EntryState, drag: Scalar) -> EntryState:
+    """Rates over a sphere at rest, with drag (m/s2) and without lift."""
+    sin_path, cos_path = sincos(state.flight_path_angle)
+    sin_heading, cos_heading = sincos(state.heading)
+    sin_latitude, cos_latitude = sincos(state.latitude)
+    velocity = state.velocity
+    radius = planet.radius + state.altitude
+    gravity = planet.gravity.acceleration(radius)
+    ground_rate = velocity * cos_path * (1.0 / radius)
+    turn = ground_rate * sin_heading * (1.0 / cos_latitude)
+    return EntryState(
+        altitude=velocity * sin_path,
+        longitude=turn,
+        latitude=ground_rate * cos_heading,
+        velocity=-drag - gravity * sin_path,
+        flight_path_angle=ground_rate - gravity * cos_path * (1.0 / velocity),
+        heading=turn * sin_latitude,
+    )
+
+
+def twice_along(
+    flow: Flow,
+    quantity: Callable[[SensedPoint], Scalar],
+    measurement: Measurement,
+    time: Scalar,
+    lift: Scalar,
+) -> BankedMotion:
+    """A quantity along the flight, with its second derivative affine in cos(bank).
+
+    By two nested forward derivatives. The quantity is a function of time, position,
+    velocity and drag, so that its rate does not contain the bank: the vertical lift,
+    `lift` (m/s2) times cos(bank), turns the flight path alone. What the sideways lift
+    adds to the second derivative is left out. It is zero for quantities of the motion in
+    the vertical plane.
+    """
+    point = SensedPoint(time, measurement.state, measurement.drag)
+
+    def first(point: SensedPoint) -> tuple[Scalar, tuple[Scalar, SensedPoint]]:
+        rates = flow(point)
+        value, rate = jax.jvp(quantity, (point,), (rates,))
+        return rate, (value, rates)
+
+    # Linearised once for two directions: half of the tracing of two forward derivatives.
+    rate, second, (value, rates) = jax.linearize(first, point, has_aux=True)
+    turn = eqx.tree_at(
+        lambda point: point.state.flight_path_angle,
+        jax.tree.map(jnp.zeros_like, point),
+        lift / measurement.state.velocity,
+    )
+    return BankedMotion(value, rate, drift=second(rates), gain=second(turn))
