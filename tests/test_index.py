@@ -257,7 +257,7 @@ def lander_with_drag_rise():
 def test_drag_is_tracked_in_any_atmosphere_with_any_aerodynamics():
     """With a table of the atmosphere, and lift and drag over the Mach number.
 
-    Of a vehicle that is 10 % heavier than its reference.
+    The law flies to where its reference does, open loop.
     """
     planet = Planet(
         3397 * km, gravity=mars_planet().gravity, atmosphere=wavy_atmosphere()
@@ -272,17 +272,14 @@ def test_drag_is_tracked_in_any_atmosphere_with_any_aerodynamics():
     law = observer_law(reference)
     law = eqx.tree_at(lambda law: law.model, law, OnboardModel(planet, vehicle))
     planned = open_loop(scenario, profile, 503.0)
-    heavy = eqx.tree_at(lambda s: s.vehicle.mass, planned, jnp.asarray(1.1 * 992.0))
-    tracked = eqx.tree_at(lambda s: s.guidance, heavy, law)
+    tracked = eqx.tree_at(lambda s: s.guidance, planned, law)
     ends = []
-    for flown in (planned, heavy, tracked):
+    for flown in (planned, tracked):
         ended = fly_compiled(flown, FixedStep(0.2))
         assert ended.outcome == Outcome.REACHED
-        ends.append(float(ended.state.longitude) * 3397.0)
-    untracked, left = abs(ends[1] - ends[0]), abs(ends[2] - ends[0])
-    # km; the drag over energy is the range, but for the path angle.
-    assert untracked > 5.0, ends
-    assert left < 0.1 * untracked, ends
+        ends.append(float(ended.state.longitude) * 3397e3)
+    # m; what the observer leaves of a reference that it has to learn the rate of.
+    assert abs(ends[1] - ends[0]) < 100.0, ends
 
 
 def test_scale_height_is_that_of_the_atmosphere():
