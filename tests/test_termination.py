@@ -252,7 +252,7 @@ def test_which_flights_have_an_end():
     }
     assert set(ends) == set(Outcome)
     # Codes are stored in files: they never change.
-    assert [int(outcome) for outcome in ends] == list(range(7))
+    assert [int(outcome) for outcome in ends] == list(range(8))
     for outcome, whether in ends.items():
         assert bool(has_end(int(outcome))) == whether
     assert np.array_equal(has_end(np.array(list(ends))), list(ends.values()))
