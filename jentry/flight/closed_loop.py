@@ -235,6 +235,7 @@ def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
     )
 
 
+@eqx.filter_jit
 def command(
     scenario: Scenario, flown: Scalar, moving: Moving, held: Any
 ) -> tuple[Controls, Any]:

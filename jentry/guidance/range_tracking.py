@@ -144,7 +144,6 @@ def scale_to_reach(
         _NEWTON_STEPS,
         lower=0.0,
         upper=jnp.maximum(energy - corner_energy, 0.0),
-        unroll=True,
     )
     _, scale = along(found.x)
     return jnp.where(found.known, scale, jnp.nan)

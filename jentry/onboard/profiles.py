@@ -192,11 +192,13 @@ def quintic_profile(
     second: Float[Array, " nodes"],
 ) -> QuinticProfile:
     """Profile through exact nodes, each with its two derivatives, on a uniform grid."""
-    return QuinticProfile(_coefficients(spacing, value, first, second), start, spacing)
+    widths = jnp.asarray(spacing)
+    coefficients = _coefficients(widths, value, first, second)
+    return QuinticProfile(coefficients, start, spacing)
 
 
 def _coefficients(
-    widths: Scalar,
+    widths: Array,
     value: Float[Array, " nodes"],
     first: Float[Array, " nodes"],
     second: Float[Array, " nodes"],
