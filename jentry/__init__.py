@@ -10,6 +10,7 @@ tuned = jentry.tune(scenario, where, loss, optimizer, dispersions, key)
 """
 
 from importlib import import_module
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 
@@ -38,5 +39,9 @@ def __dir__() -> list[str]:
 def _import_all() -> None:
     """Put here all that is offered, with `__all__`."""
     api = vars(import_module("._api", __name__))
-    offered = {name: x for name, x in api.items() if not name.startswith("_")}
+    offered = {
+        name: x
+        for name, x in api.items()
+        if not name.startswith("_") and not isinstance(x, ModuleType)
+    }
     globals().update(offered, __all__=sorted(offered))

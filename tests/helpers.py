@@ -29,6 +29,7 @@ from jentry.guidance import (
     AbstractContinuousLaw,
     AbstractSampledLaw,
     Aim,
+    AngleOfAttackProfile,
     BankProfile,
     CrossrangeCorridor,
     ErrorGains,
@@ -39,6 +40,8 @@ from jentry.guidance import (
     Sampled,
     ScaleLimits,
     StateFeedbackDragTracking,
+    TrimAngleOfAttack,
+    compose,
 )
 from jentry.missions.cav_h.scenario import stored
 from jentry.motion import Controls, EntryDynamics, EntryState, EquatorialDynamics
@@ -238,6 +241,12 @@ all_laws = {
     "Bézier": lambda reference: stored().guidance,
     "sampled bank profile": lambda reference: Sampled(bank_profile(), 1.0),
     "sampled observer": lambda reference: Sampled(observer_law(reference), 1.0),
+    "composition": lambda reference: compose(
+        AngleOfAttackProfile(PolynomialProfile([0.05, 1e-6])), observer_law(reference)
+    ),
+    "sampled composition": lambda reference: compose(
+        TrimAngleOfAttack(), Sampled(observer_law(reference), 1.0)
+    ),
 }
 """Makers of every law, each from a drag reference over energy."""
 

@@ -188,6 +188,8 @@ CONFIG = {
 }
 """By what is written: these are refused by every command that reads a configuration."""
 
+ALONE = "[dispersions]\nreplace = true\n"
+
 DISPERSED = {
     dispersion(lower="1000", upper="900"): "lower is 1000: it must be below upper",
     dispersion(lower="900", upper="900"): "it must be below upper",
@@ -291,7 +293,7 @@ TUNE = {
 OTHERS = {
     "": "Usage",
     "flie cheap": "flie",
-    "list cheap": "unexpected",
+    "list chaep": "no mission 'chaep'",
     "show": "Missing argument",
     "fly": "Missing argument",
     "show cheap mars": "mars",
@@ -330,7 +332,7 @@ COMMANDS = (
         for text, word in CONFIG.items()
     ]
     + [
-        (["monte-carlo", "cheap", "--config", "x.toml"], {"x.toml": text}, word)
+        (["monte-carlo", "cheap", "--config", "x.toml"], {"x.toml": ALONE + text}, word)
         for text, word in DISPERSED.items()
     ]
     + [
@@ -369,13 +371,6 @@ COMMANDS += [
         ("--config x.toml", {"x.toml": dispersion()}, "--inputs takes the place"),
         ("--config x.toml", {"x.toml": "dispersions = 'all'"}, "--inputs takes the pl"),
     )
-]
-COMMANDS += [
-    (
-        ["monte-carlo", "cheap", "--config", "x.toml", "--dispersions", "all"],
-        {"x.toml": dispersion()},
-        "dispersions are given by --dispersions and by --config",
-    ),
 ]
 
 

@@ -10,7 +10,7 @@ import pytest
 from helpers import fly_compiled, mars_scenario
 
 from jentry.flight import FixedStep, fly
-from jentry.guidance import AbstractContinuousLaw, Sampled
+from jentry.guidance import AbstractContinuousLaw, Sampled, SmoothReversals
 from jentry.motion import AirData, Controls
 from jentry.onboard import Accelerometers, FactorEstimator, PerfectAccelerometers
 
@@ -70,7 +70,12 @@ def test_noise_is_refused_where_it_would_not_be_sampled():
 
 
 class SaysWhatItSenses(AbstractContinuousLaw[None]):
-    """Commands the sensed drag and lift as the cosine and the sine of the bank."""
+    """Commands the sensed drag and lift as the cosine and the sine of the bank.
+
+    A surrogate may command less than a whole bank.
+    """
+
+    surrogate: SmoothReversals = SmoothReversals()
 
     def init(self, measurement):
         return None

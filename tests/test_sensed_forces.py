@@ -21,6 +21,7 @@ from jentry.guidance import (
     BankProfile,
     FixedCycle,
     Sampled,
+    SmoothReversals,
 )
 from jentry.motion import Controls
 from jentry.motion.index import EnergyIndex
@@ -40,6 +41,7 @@ TICK = 5.0
 class Recording(AbstractContinuousLaw[Scalar]):
     """Commands an angle of attack, and tells what it senses by the cosine of the bank.
 
+    With the sine, for the lift, that is less than a bank: a surrogate may command it.
     Memory begins with the first drag that is sensed, and its rate is the drag.
     """
 
@@ -47,6 +49,7 @@ class Recording(AbstractContinuousLaw[Scalar]):
     per_drag: float = eqx.field(default=0.0, static=True)
     per_velocity: float = eqx.field(default=0.0, static=True)
     per_memory: float = eqx.field(default=0.0, static=True)
+    surrogate: SmoothReversals = SmoothReversals()
 
     def init(self, measurement):
         return measurement.drag
@@ -67,6 +70,7 @@ class Acting(AbstractSampledLaw[Scalar, Scalar]):
 
     between: bool = eqx.field(default=False, static=True)
     cycle: FixedCycle = FixedCycle(TICK)
+    surrogate: SmoothReversals = SmoothReversals()
 
     def init(self, measurement):
         return measurement.drag, 0.1 + 0.0 * measurement.drag

@@ -92,8 +92,6 @@ def command(
             raise ValueError(f"--runs is {runs}, and {inputs} has {rows}: give no more")
     elif runs is None:
         runs = 1000
-    if given is None:
-        print_what_is_flown(chosen, scenario, overrides, reading, table)
     folder = Path("results") / chosen.name if out is None else out
     solver = FixedStep(step)
     with rounding_off("the same command resumes") as look, progress(runs) as told:
@@ -116,6 +114,8 @@ def command(
             variant=variant,
         )
     results = open_campaign(folder, runs)
+    if given is None:
+        print_what_is_flown(chosen, scenario, overrides, reading, table)
     print_campaign(chosen, results, as_published)
     typer.echo(f"stored: {folder}")
     if figures:

@@ -64,16 +64,15 @@ def command(
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
     reading, table = dispersion_table(chosen, overrides, dispersions)
-    print_what_is_flown(chosen, scenario, overrides, reading, table)
     solver = FixedStep(step)
-    if wrt:
-        addresses = expanded(scenario, wrt, ())
-        found = sensitivity(scenario, wrt=AtAddresses(tuple(addresses)), solver=solver)
-        print_sensitivity(scenario, found)
     factors = scale or (0.1, 1.0)
     for factor in factors:
         if not 0.0 < factor < math.inf:
             raise ValueError(f"scale is {factor:g}: it must be greater than zero")
+    if wrt:
+        addresses = expanded(scenario, wrt, ())
+        found = sensitivity(scenario, wrt=AtAddresses(tuple(addresses)), solver=solver)
+        print_sensitivity(scenario, found)
     for factor in factors:
         analysis = linear_covariance(
             scenario,
@@ -83,4 +82,6 @@ def command(
             solver=solver,
             mode="difference" if differences else None,
         )
+        if factor is factors[0]:
+            print_what_is_flown(chosen, scenario, overrides, reading, table)
         print_covariance(scenario, analysis, factor)

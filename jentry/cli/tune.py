@@ -155,7 +155,6 @@ def command(
     addresses = expanded(scenario, gains or (), default)
     folder = Path("results") / f"{chosen.name}-tuned" if out is None else out
     record = folder / "tuning.npz"
-    print_what_is_flown(chosen, scenario, overrides, reading, table)
     with rounding_off("the same command resumes") as look:
 
         def report(history: list, best: int) -> None:
@@ -188,6 +187,7 @@ def command(
             },
             report=report,
         )
+    print_what_is_flown(chosen, scenario, overrides, reading, table)
     print_tuned(chosen, scenario, tuned)
     write_history(folder / "history.csv", tuned)
     stepped = "" if step is None else f", --step {step:g}"
