@@ -1,6 +1,6 @@
 """What the tests of the commands share."""
 
-import sys
+import importlib
 
 import cheap
 import jax
@@ -34,7 +34,7 @@ def intercepted(monkeypatch, module, name):
         seen.update(options, given=given)
         raise Arrived
 
-    monkeypatch.setattr(sys.modules[module], name, function)
+    monkeypatch.setattr(importlib.import_module(module), name, function)
     return seen
 
 
