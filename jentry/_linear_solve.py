@@ -20,7 +20,8 @@ from jaxtyping import Array, PyTree
 
 Places = TypeVar("Places", bound=PyTree)
 X = TypeVar("X", bound=PyTree)
-Arrays = Sequence[Array]
+# Leaves, and where JAX takes a program apart also its literals.
+Leaves = Sequence[Any]
 
 
 def linear_solve(
@@ -48,7 +49,7 @@ def linear_solve(
     flat_right, structure = jax.tree.flatten(right)
 
     def flat(function):
-        def on_leaves(places: Arrays, x: Arrays) -> list[Array]:
+        def on_leaves(places: Leaves, x: Leaves) -> list[Array]:
             out = function(
                 jax.tree.unflatten(places_structure, places),
                 jax.tree.unflatten(structure, x),
@@ -67,12 +68,12 @@ def linear_solve(
 class _System:
     """Functions of the leaves of places and of x, to leaves like those of x."""
 
-    equations: Callable[[Arrays, Arrays], Arrays]
-    solve: Callable[[Arrays, Arrays], Arrays]
-    transpose_solve: Callable[[Arrays, Arrays], Arrays]
+    equations: Callable[[Leaves, Leaves], Leaves]
+    solve: Callable[[Leaves, Leaves], Leaves]
+    transpose_solve: Callable[[Leaves, Leaves], Leaves]
 
     def transposed(self) -> "_System":
-        def equations(places: Arrays, x: Arrays) -> Arrays:
+        def equations(places: Leaves, x: Leaves) -> Leaves:
             transpose = jax.linear_transpose(
                 functools.partial(self.equations, places), x
             )
@@ -96,7 +97,7 @@ _solve.multiple_results = True
 
 
 @_solve.def_impl
-def _solved(*leaves: Array, system: _System, count: int) -> Arrays:
+def _solved(*leaves: Array, system: _System, count: int) -> Leaves:
     return system.solve(list(leaves[:count]), list(leaves[count:]))
 
 
@@ -104,18 +105,18 @@ mlir.register_lowering(_solve, mlir.lower_fun(_solved, multiple_results=True))
 
 
 @_solve.def_abstract_eval
-def _(*leaves: Any, system: _System, count: int) -> Sequence[Any]:
+def _(*leaves: Any, system: _System, count: int) -> Leaves:
     return [ShapedArray(r.shape, r.dtype) for r in leaves[count:]]
 
 
-def _jvp(primals: Arrays, tangents: Sequence[Any], *, system: _System, count: int):
+def _jvp(primals: Leaves, tangents: Leaves, *, system: _System, count: int):
     places, _ = primals[:count], primals[count:]
     found = _solve.bind(*primals, system=system, count=count)
     sides = [ad.instantiate_zeros(t) for t in tangents[count:]]
     moved = [i for i in range(count) if type(tangents[i]) is not ad.Zero]
     if moved:
 
-        def at(leaves: Arrays) -> Arrays:
+        def at(leaves: Leaves) -> Leaves:
             there = list(places)
             for i, leaf in zip(moved, leaves, strict=True):
                 there[i] = leaf
@@ -130,7 +131,7 @@ def _jvp(primals: Arrays, tangents: Sequence[Any], *, system: _System, count: in
 ad.primitive_jvps[_solve] = _jvp
 
 
-def _transpose(cotangents: Sequence[Any], *leaves: Any, system: _System, count: int):
+def _transpose(cotangents: Leaves, *leaves: Any, system: _System, count: int):
     given = [ad.instantiate_zeros(c) for c in cotangents]
     system = system.transposed()
     out = _solve.bind(*leaves[:count], *given, system=system, count=count)
@@ -144,7 +145,7 @@ def _transpose(cotangents: Sequence[Any], *leaves: Any, system: _System, count: 
 ad.primitive_transposes[_solve] = _transpose
 
 
-def _batch(leaves: Arrays, axes: Sequence[Any], *, system: _System, count: int):
+def _batch(leaves: Leaves, axes: Sequence[Any], *, system: _System, count: int):
     mapped = zip(leaves, axes, strict=True)
     size = next(x.shape[a] for x, a in mapped if a is not None)
     right = [

@@ -20,7 +20,7 @@ from jentry.campaign.description import describe
 from jentry.fields import Scalar, scalar
 
 
-ROOT = Path(jentry.__file__).parents[1]
+ROOT = Path(__file__).parents[1]
 
 NEEDED = """
     __version__ scalar table optional_scalar Scalar
