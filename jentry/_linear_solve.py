@@ -20,7 +20,7 @@ from jaxtyping import Array, PyTree
 
 Places = TypeVar("Places", bound=PyTree)
 X = TypeVar("X", bound=PyTree)
-# Leaves, and where JAX takes a program apart also its literals.
+# Arrays, and where JAX takes a program apart also its literals.
 Leaves = Sequence[Any]
 
 
@@ -97,7 +97,7 @@ _solve.multiple_results = True
 
 
 @_solve.def_impl
-def _solved(*leaves: Array, system: _System, count: int) -> Leaves:
+def _solved(*leaves: Any, system: _System, count: int) -> Leaves:
     return system.solve(list(leaves[:count]), list(leaves[count:]))
 
 
