@@ -18,7 +18,7 @@ _DIR, _SECONDS = (
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
 )
 jax.config.update(_DIR.lower(), os.environ.setdefault(_DIR, _COMPILED))
-jax.config.update(_SECONDS.lower(), float(os.environ.setdefault(_SECONDS, "0.2")))
+jax.config.update(_SECONDS.lower(), float(os.environ.setdefault(_SECONDS, "0")))
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 

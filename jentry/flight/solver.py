@@ -6,6 +6,7 @@ from typing import TypeVar
 
 import diffrax
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import PyTree
 
@@ -82,10 +83,17 @@ class FixedStep(AbstractSolver):
         return max(1, math.ceil(duration / self.step - 1e-9))
 
     def advance(self, field: VectorField, time: Scalar, duration: Scalar, y: Y) -> Y:
-        """One step."""
+        """One step. For reverse mode its stages are computed again, not kept."""
         terms = diffrax.ODETerm(lambda t, y, args: field(jnp.asarray(t), y))
-        y1, *_ = self.method.step(terms, time, time + duration, y, None, None, False)
-        return y1
+
+        def step(time: Scalar, duration: Scalar, y: Y) -> Y:
+            end = time + duration
+            y1, *_ = self.method.step(terms, time, end, y, None, None, False)
+            return y1
+
+        if not isinstance(self.method, RungeKutta4):  # it sees to its stages itself
+            step = jax.checkpoint(step, prevent_cse=False)
+        return step(time, duration, y)
 
 
 class Adaptive(AbstractSolver):

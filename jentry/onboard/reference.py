@@ -51,14 +51,13 @@ def index_motion(
     return twice_along(flow, value, measurement, time, lift)
 
 
-def along(profile: AbstractProfile, index: BankedMotion) -> BankedMotion:
-    """A profile and its time derivatives by the chain rule, where its index moves so."""
-    return _along(profile.with_derivatives(index.value), index)
-
-
-def _along(
+def along(
     derivatives: tuple[Scalar, Scalar, Scalar], index: BankedMotion
 ) -> BankedMotion:
+    """A profile along the flight by the chain rule, where its index moves so.
+
+    `derivatives` are its value and both derivatives over the index, there.
+    """
     value, first, second = derivatives
     return BankedMotion(
         value=value,
@@ -76,8 +75,17 @@ class Reference(eqx.Module):
     """
 
     index: AbstractIndex
-    table: QuinticTable
-    """Over the index, by name"""
+    quantities: QuinticTable | dict[str, AbstractProfile]
+    """Over the index, by name: in one table, or each a profile"""
+
+    def over_index(self, value: Scalar) -> dict[str, tuple[Scalar, Scalar, Scalar]]:
+        """Each quantity with its two derivatives over the index, by name."""
+        if isinstance(self.quantities, QuinticTable):
+            return self.quantities.with_derivatives(value)
+        return {
+            name: profile.with_derivatives(value)
+            for name, profile in self.quantities.items()
+        }
 
     def at(
         self,
@@ -87,16 +95,15 @@ class Reference(eqx.Module):
         angle_of_attack: Scalar,
         drag_rate: Scalar | None = None,
     ) -> dict[str, BankedMotion]:
-        """Each quantity with its time derivatives, where the vehicle is.
+        """Each quantity with its time derivatives, where the vehicle is, by name.
 
-        Arguments as of `index_motion`. Derivatives over the index itself are in
-        `table.with_derivatives`.
+        Arguments as of `index_motion`.
         """
         motion = index_motion(
             self.index, time, measurement, model, angle_of_attack, drag_rate
         )
-        read = self.table.with_derivatives(motion.value)
-        return {name: _along(values, motion) for name, values in read.items()}
+        read = self.over_index(motion.value)
+        return {name: along(values, motion) for name, values in read.items()}
 
 
 class DragReference(eqx.Module):
@@ -119,7 +126,6 @@ class DragReference(eqx.Module):
         drag_rate: Scalar | None = None,
     ) -> BankedMotion:
         """Reference drag and its time derivatives here; arguments as of `index_motion`."""
-        motion = index_motion(
-            self.index, time, measurement, model, angle_of_attack, drag_rate
-        )
-        return along(self.drag, motion)
+        reference = Reference(self.index, {"drag": self.drag})
+        motions = reference.at(time, measurement, model, angle_of_attack, drag_rate)
+        return motions["drag"]

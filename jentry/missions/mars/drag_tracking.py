@@ -121,7 +121,9 @@ def _plan(
 ) -> DragReference:
     profile = plan_bank_profile(entry, END_VELOCITY, curvature)
     flight = ReferenceFlight.of(open_loop(entry, profile, TABULATED_TO))
-    return plan_drag_reference(flight, index, gate)
+    # The energy hardly falls before there is drag: short intervals at first.
+    power = 2 if isinstance(index, EnergyIndex) else 1
+    return plan_drag_reference(flight, index, gate, power=power)
 
 
 @functools.cache
