@@ -88,14 +88,31 @@ class FixedSide(AbstractLateralLogic[None]):
         return -1.0 if self.to_the_left else 1.0
 
 
-class CrossrangeCorridor(AbstractLateralLogic[Scalar]):
+class AbstractCorridor(AbstractLateralLogic[Scalar]):
+    """Reverses the bank at the edges of a corridor; the side is the sign of the bank."""
+
+    first_sign: eqx.AbstractVar[Scalar]
+    """Of the bank at the start: 1 to the right, -1 to the left"""
+    switching: eqx.AbstractVar[AbstractSwitching]
+    """Of the sign, at an edge"""
+
+    def __check_init__(self):
+        _check_sign(self.first_sign)
+
+    def init(self, measurement: Measurement) -> Scalar:
+        return self.first_sign + 0.0 * measurement.drag
+
+    def sign(self, side: Scalar) -> Scalar:
+        return side
+
+
+class CrossrangeCorridor(AbstractCorridor):
     """Reverses the bank when the flight would pass the destination of its law too far off.
 
     The crossrange there is predicted along the great circle that is flown now. It is left
     alone where |crossrange error| <= floor + widening V^2. This corridor narrows along the
     flight as what one bank can still change does, so that the reversals spread over the
-    flight: a wide corridor has few, a low floor ends close. The side is the sign of the
-    bank.
+    flight: a wide corridor has few, a low floor ends close.
     """
 
     floor: Scalar = scalar(unit="m", positive=True)
@@ -104,15 +121,9 @@ class CrossrangeCorridor(AbstractLateralLogic[Scalar]):
     """Of the bank at the start: 1 to the right, -1 to the left"""
     switching: AbstractSwitching = Sharp()
 
-    def __check_init__(self):
-        _check_sign(self.first_sign)
-
     def half_width(self, velocity: Scalar) -> Scalar:
         """m"""
         return self.floor + self.widening * velocity * velocity
-
-    def init(self, measurement: Measurement) -> Scalar:
-        return self.first_sign + 0.0 * measurement.drag
 
     def update(
         self,
@@ -138,16 +149,12 @@ class CrossrangeCorridor(AbstractLateralLogic[Scalar]):
         miss = passing - destination.crossrange
         return reverse_bank(side, miss, half_width, self.switching)
 
-    def sign(self, side: Scalar) -> Scalar:
-        return side
 
-
-class HeadingCorridor(AbstractLateralLogic[Scalar]):
+class HeadingCorridor(AbstractCorridor):
     """Reverses the bank when the heading is too far off the bearing of a target.
 
     The heading error is left alone up to a half width that is a piecewise linear function
-    of the velocity, constant beyond its ends; two points make it a straight line. The side
-    is the sign of the bank.
+    of the velocity, constant beyond its ends; two points make it a straight line.
     """
 
     longitude: Scalar = scalar(unit="rad")
@@ -165,7 +172,6 @@ class HeadingCorridor(AbstractLateralLogic[Scalar]):
     switching: AbstractSwitching = Sharp()
 
     def __check_init__(self):
-        _check_sign(self.first_sign)
         shapes = jnp.shape(self.velocities), jnp.shape(self.half_widths)
         if shapes[0] != shapes[1] or len(shapes[0]) != 1 or shapes[0][0] == 0:
             raise ValueError(
@@ -185,9 +191,6 @@ class HeadingCorridor(AbstractLateralLogic[Scalar]):
         ahead, right, _ = self._direction(state)
         return jnp.arctan2(right, ahead)
 
-    def init(self, measurement: Measurement) -> Scalar:
-        return self.first_sign + 0.0 * measurement.drag
-
     def update(
         self,
         time: Scalar,
@@ -204,9 +207,6 @@ class HeadingCorridor(AbstractLateralLogic[Scalar]):
         miss = jnp.arctan2(right, ahead) * distance
         half_width = self.half_width(state.velocity) * distance
         return reverse_bank(side, miss, half_width, self.switching)
-
-    def sign(self, side: Scalar) -> Scalar:
-        return side
 
     def _direction(self, state: EntryState) -> tuple[Scalar, Scalar, Scalar]:
         """Unit vector to the target: along the heading, to its right, and upwards."""
