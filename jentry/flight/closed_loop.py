@@ -48,6 +48,9 @@ class Moving(eqx.Module):
     """Of the law"""
     integrals: Mapping[str, Scalar] = eqx.field(default_factory=dict)
     """Of path constraints that are integrals, by name"""
+    off_a_bank: Scalar | None = None
+    """Integral over what was commanded: zero as long as that was a bank. None where
+    nobody asks"""
 
 
 class Instant(eqx.Module):
@@ -201,7 +204,8 @@ def start(scenario: Scenario, step: float) -> Lane:
     margin = conditions.smallest_margin(flown, state, conditions.always)
     first, _ = commanded(scenario.guidance, flown, measurement, memory, held)
     integrals = {n: jnp.zeros_like(flown) for n in integrals_of(scenario.constraints)}
-    moving = Moving(state, scenario.attitude.init(first), memory, integrals)
+    attitude = scenario.attitude.init(first)
+    moving = Moving(state, attitude, memory, integrals, jnp.zeros_like(flown))
     peaks = path_constraints(scenario, flown, moving, held)
     first_instant = lax.stop_gradient(Instant(flown, state))
     at_peaks = {name: first_instant for name in scenario.located_peaks}
@@ -254,6 +258,7 @@ def caveats(scenario: Scenario, held: Any) -> dict[str, Scalar]:
 def vector_field(scenario: Scenario, held: Any):
     """Time derivative of what is integrated within a cycle, `field(flown, moving)`."""
     dynamics, attitude = scenario.dynamics, scenario.attitude
+    shared = shares_reversals(scenario.guidance)
 
     def field(flown: Scalar, moving: Moving) -> Moving:
         wish, memory_rate = command(scenario, flown, moving, held)
@@ -262,7 +267,9 @@ def vector_field(scenario: Scenario, held: Any):
         rate = dynamics.rates(planet, vehicle, moving.state, controls)
         integrands = _integrands(scenario, moving, controls)
         turning = attitude.rate(moving.attitude, wish)
-        return Moving(rate, turning, memory_rate, integrands)
+        # In each stage, since there the command is known.
+        off = None if moving.off_a_bank is None else wish.off_a_bank(shared)
+        return Moving(rate, turning, memory_rate, integrands, off)
 
     return field
 
@@ -287,17 +294,9 @@ def path_constraints(
     scenario: Scenario, flown: Scalar, moving: Moving, held: Any
 ) -> ConstraintValues:
     """The constrained quantities at an instant of a flight."""
-    return inspected(scenario, flown, moving, held)[0]
-
-
-def inspected(
-    scenario: Scenario, flown: Scalar, moving: Moving, held: Any
-) -> tuple[ConstraintValues, Flag]:
-    """The constrained quantities at an instant, and whether a bank is commanded."""
     wish, _ = command(scenario, flown, moving, held)
     controls = scenario.attitude.flown(moving.attitude, wish)
-    shared = shares_reversals(scenario.guidance)
-    return constrained(scenario, moving, controls), wish.is_bank(shared)
+    return constrained(scenario, moving, controls)
 
 
 def raised(

@@ -16,10 +16,11 @@ from ..guidance.law import AbstractLaw, AbstractSampledLaw
 from .closed_loop import (
     Bracket,
     Lane,
+    Moving,
     decide,
     guidance_period,
-    inspected,
     is_finite,
+    path_constraints,
     raised,
     select,
     vector_field,
@@ -197,7 +198,7 @@ def _fixed_cycle(
         bracket = lane.bracket
         moving = solver.advance(field, lane.flown, bracket.trial, lane.moving)
         flown = lane.flown + bracket.trial
-        now, is_bank = inspected(scenario, flown, moving, lane.held)
+        now = path_constraints(scenario, flown, moving, lane.held)
         peaks, at_peaks = raised(lane, flown, moving, now)
 
         counting = conditions.counting(lane.flown, lane.state)
@@ -205,7 +206,7 @@ def _fixed_cycle(
         finite = is_finite(moving)
         taken = lane.running & finite & (margin > 0.0)
         singular = dynamics.is_singular(lane.state, moving.state)
-        stopped = _stopped(lane, taken, singular, is_bank)
+        stopped = _stopped(lane, taken, singular, moving)
         taken = taken & (stopped < 0)
         flown, moving, peaks, at_peaks = select(
             taken,
@@ -223,10 +224,11 @@ def _fixed_cycle(
     return lax.scan(step, lane, None, length=steps)[0]
 
 
-def _stopped(lane: Lane, going: Flag, singular: Flag, is_bank: Flag) -> Count:
+def _stopped(lane: Lane, going: Flag, singular: Flag, moving: Moving) -> Count:
     """Code of what stops a flight in a step that it would take otherwise; else -1."""
     stop = jnp.where(singular, Outcome.SINGULAR, -1)
-    stop = jnp.where(is_bank, stop, Outcome.NOT_A_BANK)
+    assert moving.off_a_bank is not None
+    stop = jnp.where(moving.off_a_bank > 0.0, Outcome.NOT_A_BANK, stop)
     return jnp.where(going, stop, lane.stopped)
 
 
@@ -306,9 +308,9 @@ def _adaptive_cycle(
         solution.result == diffrax.RESULTS.event_occurred
     )
     going = lane.running & good & is_finite(moving)
-    now, is_bank = inspected(scenario, after, moving, lane.held)
+    now = path_constraints(scenario, after, moving, lane.held)
     singular = scenario.dynamics.is_beyond(moving.state)
-    stopped = _stopped(lane, going, singular, is_bank)
+    stopped = _stopped(lane, going, singular, moving)
     going = going & (stopped < 0)
     peaks, at_peaks = raised(lane, after, moving, now)
     flown, moving, peaks, at_peaks = select(

@@ -2,9 +2,10 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 
 from .._math import safe_arccos, sincos
-from ..fields import ABOVE_GROUND, QUARTER, Flag, Scalar, scalar
+from ..fields import ABOVE_GROUND, QUARTER, Scalar, scalar
 
 
 _ROUNDING = 1e-9
@@ -47,16 +48,17 @@ class Controls(eqx.Module):
         sine, cosine = sincos(bank_angle)
         return cls(angle_of_attack, cosine, sine)
 
-    def is_bank(self, shares_reversals: bool = False) -> Flag:
-        """Whether the squares of cosine and sine add up to one, but for rounding.
+    def off_a_bank(self, shares_reversals: bool = False) -> Scalar:
+        """How far the squares of cosine and sine add up to another sum than one.
 
-        With reversals that are shared out, whether they add up to no more than one. Numbers
-        that are not finite are no concern of this.
+        Zero for what is a bank but for rounding; with reversals that are shared out, for
+        any sum of no more than one. Not negative, and without a derivative. Numbers that
+        are not finite are no concern of this.
         """
         excess = self.cos_bank * self.cos_bank + self.sin_bank * self.sin_bank - 1.0
         rounding = max(_ROUNDING, 32.0 * float(jnp.finfo(jnp.result_type(excess)).eps))
         off = excess if shares_reversals else jnp.abs(excess)
-        return jnp.logical_not(off > rounding)
+        return lax.stop_gradient(jnp.where(off > rounding, off, 0.0))
 
     @property
     def bank_angle(self) -> Scalar:
