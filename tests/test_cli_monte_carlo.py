@@ -167,7 +167,7 @@ def test_given_inputs(command, tmp_path, words, runs):
     assert open_campaign(out)["vehicle.mass"].values.tolist() == masses[:runs]
 
 
-UNITS = {"km": 1e3, "km/s": 1e3, "m/s²": 1.0, "deg": math.pi / 180.0, "s": 1.0}
+UNITS = {"km": 1e3, "m/s": 1.0, "m/s²": 1.0, "deg": math.pi / 180.0, "s": 1.0}
 """SI value of each unit on an axis"""
 
 

@@ -47,8 +47,8 @@ from jentry.motion import (
     LoadFactor,
     NormalLoadFactor,
     PathPoint,
-    drag_at_limit,
-    drag_limits,
+    corridor_point,
+    entry_corridor,
     entry_dynamics,
     excesses,
 )
@@ -229,9 +229,17 @@ def limits(**limits):
     }
     velocity, angle = jnp.asarray(VELOCITY), jnp.full(3, 0.4)
     start = EntryState(0.0, 0.0, 0.2, 1.0, -0.3, 1.1)
-    return drag_limits(
+    points = entry_corridor(
         constraints, mars_planet(), mars_vehicle(), start, velocity, angle
     )
+    # In an exponential atmosphere the drag tells the altitude.
+    for each in points.values():
+        density = 2.0 * BETA * each.drag / VELOCITY**2
+        expected = SCALE_HEIGHT * jnp.log(DENSITY / density)
+        assert isinstance(each.drag, jax.core.Tracer) or jnp.allclose(
+            each.altitude, expected, rtol=1e-10, atol=0.0
+        )
+    return {name: each.drag for name, each in points.items()}
 
 
 def test_corridor_is_that_of_lee_cho_and_yan():
@@ -270,11 +278,12 @@ def test_corridor_has_derivatives():
 
 def test_a_limit_that_is_met_nowhere_and_one_that_is_none():
     where = mars_planet(), mars_vehicle(), point().state, jnp.asarray(0.3)
-    assert np.isnan(drag_at_limit(DynamicPressure(1e9), *where))
+    nowhere = corridor_point(DynamicPressure(1e9), *where)
+    assert np.isnan(nowhere.drag) and np.isnan(nowhere.altitude)
     with pytest.raises(ValueError, match="Drag has no limit"):
-        drag_at_limit(Drag(), *where)
+        corridor_point(Drag(), *where)
     with pytest.raises(ValueError, match="HeatLoad is no quantity of a point"):
-        drag_at_limit(HeatLoad(1.0), *where)
+        corridor_point(HeatLoad(1.0), *where)
 
 
 # In flight.
@@ -481,7 +490,7 @@ def test_ones_own_is_in_results_tables_figures_and_penalties(campaign, capsys):
     usual = ("heat_rate", "dynamic_pressure", "load_factor")
     assert names == (*usual, "heat_load", "nose_temperature")
     panel = glide.over_time(results, names).axes[-1]
-    assert panel.get_ylabel() == "Nose temperature, K"
+    assert panel.get_ylabel() == "Nose temperature (K)"
     np.testing.assert_array_equal(panel.lines[-1].get_ydata(), [1500.0, 1500.0])
 
     peaks = jax.tree.map(jnp.asarray, campaign.flights.peaks)

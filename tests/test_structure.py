@@ -27,6 +27,7 @@ FLOORS = {
     "_interpolation": 0,
     "_tables": 0,
     "_setup": 0,
+    "_printed": 0,
     "world": 1,
     "motion": 2,
     "onboard": 3,

@@ -53,8 +53,8 @@ class Moving(eqx.Module):
 class Instant(eqx.Module):
     """When and where a flight was."""
 
-    time: Scalar
-    """s since the start"""
+    time: Scalar = eqx.field(metadata={"unit": "s"})
+    """Since the start"""
     state: EntryState
 
 

@@ -21,7 +21,11 @@ from .constraints import (
     excesses as excesses,
     usual_constraints as usual_constraints,
 )
-from .corridor import drag_at_limit as drag_at_limit, drag_limits as drag_limits
+from .corridor import (
+    CorridorPoint as CorridorPoint,
+    corridor_point as corridor_point,
+    entry_corridor as entry_corridor,
+)
 from .dynamics import (
     AbstractDynamics as AbstractDynamics,
     EntryDynamics as EntryDynamics,

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from .._math import sincos
+from .._printed import as_text
 from ..fields import Scalar, optional_scalar, scalar
 from ..units import standard_gravity
 from ..world.planet import Planet
@@ -223,8 +224,12 @@ def usual_constraints() -> Constraints:
 class ConstraintValues(Mapping[str, Any]):
     """Numbers of path constraints by name, `values["drag"]` or `values.drag`."""
 
-    def __init__(self, values: Mapping[str, Any]):
+    def __init__(
+        self, values: Mapping[str, Any], units: Mapping[str, str] | None = None
+    ):
+        """`units` are those in which the values are counted, by name."""
         self._values = {name: values[name] for name in sorted(values)}
+        self._units = {n: u for n, u in (units or {}).items() if n in values}
 
     def __getitem__(self, name: str) -> Any:
         return self._values[name]
@@ -247,14 +252,17 @@ class ConstraintValues(Mapping[str, Any]):
     def __repr__(self) -> str:
         return f"ConstraintValues({self._values})"
 
+    __str__ = as_text
+
     def tree_flatten_with_keys(self):
         keys = (jax.tree_util.GetAttrKey(name) for name in self._values)
         children = zip(keys, self._values.values(), strict=True)
-        return tuple(children), tuple(self._values)
+        return tuple(children), (tuple(self._values), tuple(self._units.items()))
 
     @classmethod
-    def tree_unflatten(cls, names, children):
-        return cls(dict(zip(names, children, strict=True)))
+    def tree_unflatten(cls, described, children):
+        names, units = described
+        return cls(dict(zip(names, children, strict=True)), dict(units))
 
 
 def constraint_values(
@@ -267,7 +275,8 @@ def constraint_values(
             if isinstance(constraint, AbstractConstraint)
             else integrals[name]
             for name, constraint in constraints.items()
-        }
+        },
+        {name: each.shown_unit or each.unit for name, each in constraints.items()},
     )
 
 

@@ -4,7 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import safe_arccos, sincos
-from ..fields import ABOVE_GROUND, QUARTER, Flag, Scalar, scalar
+from .._printed import as_text
+from ..fields import ABOVE_GROUND, QUARTER, Flag, Scalar, in_unit, scalar
 
 
 _ROUNDING = 1e-9
@@ -27,6 +28,8 @@ class EntryState(eqx.Module):
     flight_path_angle: Scalar = scalar(unit="rad", range=QUARTER)
     heading: Scalar = scalar(unit="rad")
 
+    __str__ = as_text
+
 
 class Controls(eqx.Module):
     """What a law commands, and what the vehicle flies of it: angle of attack and bank.
@@ -40,6 +43,8 @@ class Controls(eqx.Module):
     angle_of_attack: Scalar = scalar(unit="rad")
     cos_bank: Scalar = scalar()
     sin_bank: Scalar = scalar()
+
+    __str__ = as_text
 
     @classmethod
     def from_bank(cls, bank_angle: Scalar, angle_of_attack: Scalar) -> "Controls":
@@ -59,6 +64,7 @@ class Controls(eqx.Module):
         return jnp.logical_not(off > rounding)
 
     @property
+    @in_unit("rad")
     def bank_angle(self) -> Scalar:
-        """rad, in [-pi, pi]"""
+        """In [-pi, pi], rad."""
         return jnp.where(self.sin_bank < 0.0, -1.0, 1.0) * safe_arccos(self.cos_bank)

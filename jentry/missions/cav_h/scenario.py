@@ -36,6 +36,7 @@ from ...onboard.model import OnboardModel
 from ...onboard.navigation import Accelerometers
 from ...onboard.track import Track
 from ...planning.bezier_curve import k2_polynomials
+from ...plots import GLIDE
 from ...units import degree, km, standard_gravity
 from ...world.aerodynamics import ExponentialAerodynamics
 from ...world.atmosphere import AbstractAtmosphere, ExponentialAtmosphere
@@ -310,6 +311,7 @@ MISSION = Mission(
     },
     gains=("guidance.parameters",),
     train=_train,
+    figures=GLIDE,
     published=(
         *_errors("miss distance", "m", "miss_distance", 1.0, (159.0, 0.22, 4.54)),
         *_errors(
