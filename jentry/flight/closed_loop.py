@@ -119,7 +119,7 @@ def _acting(scenario: Scenario, flown: Scalar, moving: Moving, held: Any) -> Tra
     trim = scenario.vehicle.trim_angle_of_attack
 
     def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
-        measurement = Measurement(state, lift, drag, trim)
+        measurement = Measurement(state, lift, drag, trim, scenario.constraints)
         return commanded(scenario.guidance, flown, measurement, memory, held)
 
     return Traced(act, state.altitude, state.altitude)
@@ -162,6 +162,7 @@ def _measured(
         angle_of_attack,
         scenario.accelerometers,
         sampled_at,
+        scenario.constraints,
     )
 
 
@@ -180,7 +181,7 @@ def first_measurement(scenario: Scenario) -> Measurement:
     trim = scenario.vehicle.trim_angle_of_attack
 
     def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
-        measurement = Measurement(state, lift, drag, trim)
+        measurement = Measurement(state, lift, drag, trim, scenario.constraints)
         begin = begun(law, measurement)
         return commanded(law, 0.0 * state.altitude, measurement, *begin)
 

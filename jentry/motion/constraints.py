@@ -1,5 +1,6 @@
 """Path constraints: what may not be exceeded on the way, with names, units and limits."""
 
+import functools
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
@@ -278,6 +279,21 @@ def constraint_values(
         },
         {name: each.shown_unit or each.unit for name, each in constraints.items()},
     )
+
+
+def limit_of(constraints: Constraints, kind: type) -> Scalar | None:
+    """The limit on a quantity: the smallest of the constraints of a class.
+
+    None where there is none with a limit. So a law reads what it has to keep:
+
+        limit_of(measurement.constraints, HeatRate)
+    """
+    limits = [
+        each.limit
+        for each in constraints.values()
+        if isinstance(each, kind) and each.limit is not None
+    ]
+    return functools.reduce(jnp.minimum, limits) if limits else None
 
 
 def integrals_of(constraints: Constraints) -> dict[str, AbstractIntegral]:
