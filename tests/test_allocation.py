@@ -14,7 +14,6 @@ from jentry.motion.constraints import (
     DynamicPressure,
     HeatRate,
     LoadFactor,
-    limit_of,
 )
 from jentry.units import degree, km, standard_gravity
 
@@ -30,7 +29,7 @@ KINDS = {
     "heat_rate": HeatRate,
     "load_factor": LoadFactor,
 }
-UNLIMITED = {"dynamic_pressure": None, "heat_rate": None}
+UNLIMITED = {"dynamic_pressure": 1e12, "heat_rate": 1e15}
 
 
 def controls(vertical, lateral, factor=1.0, altitude=ALTITUDE, **limits):

@@ -21,6 +21,7 @@ from ..addresses import field_metadata, leaves_by_address, unit_of
 from ..campaign.outputs import at_end, error_of, is_error, is_output, peak_of, shown
 from ..campaign.populations import finite_flights, population, sets_of
 from ..fields import units_of
+from ..flight.closed_loop import Instant
 from ..flight.effect import unfelt
 from ..flight.flight import Flight, caveat_sentence
 from ..flight.miss import Misses, misses
@@ -77,7 +78,7 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     met = has_end(outcome) or outcome == Outcome.BEGAN_BEYOND_END
     ended_by = scenario.termination.names[int(flight.ended_by)]
     table = new_table("", "value", "unit")
-    table.add_row("time", f"{float(flight.time):.4f}", "s")
+    table.add_row("time", f"{float(flight.time):.4f}", units_of(Flight)["time"])
     table.add_section()
     for name, unit in units_of(EntryState).items():
         _add_number(table, in_words(name), getattr(flight.state, name), unit)
@@ -93,7 +94,8 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     for name, there in flight.at_peaks.items():
         table.add_section()
         words = f"at {in_words(peak_of(name))}"
-        table.add_row(f"time {words}", f"{float(there.time):.4f}", "s")
+        unit = units_of(Instant)["time"]
+        table.add_row(f"time {words}", f"{float(there.time):.4f}", unit)
         for component, unit in units_of(EntryState).items():
             value = getattr(there.state, component)
             _add_number(table, f"{in_words(component)} {words}", value, unit)

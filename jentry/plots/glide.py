@@ -29,7 +29,6 @@ END_ERRORS = (
 def over_time(
     trajectories: "xarray.Dataset",
     names: tuple[str, ...],
-    limits: Mapping[str, float] | None = None,
     title: str = "",
 ) -> "matplotlib.figure.Figure":
     """Every run over time, a panel for each quantity.
@@ -38,8 +37,8 @@ def over_time(
 
     - `trajectories`: runs with histories, on (run, time), NaN after the end.
     - `names`: such as `STATES`, `CONTROLS` or `CONSTRAINTS`.
-    - `limits`: of some of them in SI units, drawn as lines; if not given, those of the
-      scenario's path constraints.
+
+    Path constraints of the scenario have a line at their limit.
     """
     with in_style():
         figure, panels = panelled(3.1 * len(names), 2.9, len(names), title)
@@ -47,7 +46,7 @@ def over_time(
         for axes, name in zip(panels, names, strict=True):
             drawn = scaled(trajectories[name])
             axes.plot(time.values, drawn.values.T, color=RUNS, lw=0.4, alpha=0.25)
-            limit = (limits or {}).get(name, trajectories[name].attrs.get("limit"))
+            limit = trajectories[name].attrs.get("limit")
             if limit is not None:
                 at = limit / drawn.size
                 axes.axhline(at, color=ENDS[-1], lw=1.4, label="limit")

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..units import degree
 from .bands import at_velocity, draw_bands, velocity_grid
 from .style import MUTED, NOMINAL, count, scaled
 
@@ -59,7 +60,7 @@ class Trajectory:
         axes.set_xlim(left=0.0)
         axes.set_ylim(bottom=0.0)
         axes.set_title(count(runs), loc="left")
-        if drawn.unit == "deg":
+        if drawn.size == degree:
             from matplotlib.ticker import MultipleLocator
 
             axes.yaxis.set_major_locator(MultipleLocator(30.0))
