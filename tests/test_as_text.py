@@ -112,6 +112,10 @@ def test_peaks_have_the_units_of_their_constraints():
     assert shown["load factor"].endswith(" g") and shown["drag"].endswith(" m/s2")
     assert lines(str(excesses(constraints, values))) == {"nose": "0.5"}
     assert "1500 K" not in repr(values)
+    other_order = dict(reversed(constraints.items()))
+    assert jax.tree.structure(constraint_values(other_order, point, {})) == (
+        jax.tree.structure(values)
+    )
 
 
 OBJECTS = {

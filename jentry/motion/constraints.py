@@ -71,7 +71,7 @@ class AbstractPathConstraint(eqx.Module):
     unit: ClassVar[str]
     """SI unit of the value and of the limit"""
     shown_unit: ClassVar[str | None] = None
-    """What a table for one flight writes in place of the unit, for the same number"""
+    """What tables and figures write in place of the unit, for the same number"""
 
     def excess(self, value: Scalar) -> Scalar:
         """What a value exceeds the limit by, and zero within it.
@@ -230,7 +230,8 @@ class ConstraintValues(Mapping[str, Any]):
     ):
         """`units` are those in which the values are counted, by name."""
         self._values = {name: values[name] for name in sorted(values)}
-        self._units = {n: u for n, u in (units or {}).items() if n in values}
+        known = units or {}
+        self._units = {name: known[name] for name in self._values if name in known}
 
     def __getitem__(self, name: str) -> Any:
         return self._values[name]
