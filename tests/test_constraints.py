@@ -33,6 +33,8 @@ from jentry.flight import (
     Termination,
     fly,
 )
+from jentry.flight.closed_loop import Moving, command, first_measurement
+from jentry.guidance import AbstractContinuousLaw
 from jentry.motion import (
     AbstractConstraint,
     AbstractDynamics,
@@ -51,6 +53,8 @@ from jentry.motion import (
     entry_corridor,
     entry_dynamics,
     excesses,
+    limit_of,
+    usual_constraints,
 )
 from jentry.plots import glide
 from jentry.tuning.losses import penalty
@@ -498,3 +502,30 @@ def test_ones_own_is_in_results_tables_figures_and_penalties(campaign, capsys):
     assert set(over) == {"heat_load", "nose_temperature"}
     expected = np.maximum(results["peak_nose_temperature"] / 1500.0 - 1.0, 0.0)
     np.testing.assert_allclose(over["nose_temperature"], expected, rtol=1e-12)
+
+
+class BanksByTheLimit(AbstractContinuousLaw[None]):
+    """A law that reads a limit of the scenario: its bank is the load factor, in rad."""
+
+    def init(self, measurement):
+        return None
+
+    def __call__(self, time, measurement, memory):
+        limit = limit_of(measurement.constraints, LoadFactor)
+        return Controls.from_bank(limit, 0.0 * limit), None
+
+
+def test_a_continuous_law_is_told_the_constraints():
+    """At the start and wherever it commands, also as it was changed in the scenario."""
+    scenario = dataclasses.replace(
+        constrained_scenario(),
+        guidance=BanksByTheLimit(),
+        constraints=usual_constraints() | {"load_factor": LoadFactor(0.25)},
+    )
+    scenario = eqx.tree_at(
+        lambda s: s.constraints["load_factor"].limit, scenario, jnp.asarray(0.5)
+    )
+    assert limit_of(first_measurement(scenario).constraints, LoadFactor) == 0.5
+    moving = Moving(scenario.initial_state, None, None)
+    controls, _ = command(scenario, jnp.asarray(0.0), moving, None)
+    np.testing.assert_allclose(controls.bank_angle, 0.5, rtol=1e-12)

@@ -37,6 +37,7 @@ from jentry.plots import (
 
 
 RUNS, TIMES = 40, 61
+NOT_FINITE = int(Outcome.NOT_FINITE)
 LABELS = ["5–95 %", "25–75 %", "median", "nominal"]
 
 
@@ -535,3 +536,25 @@ def test_without_a_limit_there_is_no_corridor(corridor_data):
     for lacking in ({"scenario": free}, {"scenario": None}, {"trajectories": None}):
         data = dataclasses.replace(corridor_data, **lacking)
         assert "corridor" not in campaign_figures(data)
+
+
+def test_what_is_left_out_is_counted_where_it_is_left_out(runs):
+    """Of the results by the figures of the ends, of the trajectories by their own."""
+    lose = lambda n: runs.assign(outcome=("run", (np.arange(RUNS) < n) * NOT_FINITE))
+    figures = figures_of(lose(3), lose(5), runs.isel(run=[0]))
+    said = "{} of 40 runs not finite or without an end: left out"
+    for name in ("downrange", "footprint", "overview"):
+        assert figures[name].get_supxlabel() == said.format(3)
+    for name in ("drag", "altitude", "bank"):
+        assert figures[name].get_supxlabel() == said.format(5)
+
+
+def test_the_nominal_flight_is_in_the_units_of_its_axes(runs, figures):
+    nominal = runs.isel(run=0)
+    flying = np.isfinite(nominal["velocity"].values)
+    speed, altitude = line(figures["altitude"].axes[0], "nominal")
+    np.testing.assert_allclose(speed, nominal["velocity"].values[flying])
+    np.testing.assert_allclose(altitude, nominal["altitude"].values[flying] / 1e3)
+    _, bank = line(figures["bank"].axes[0], "nominal")
+    expected = np.abs(np.degrees(nominal["bank_angle"].values[flying]))
+    np.testing.assert_allclose(bank, expected)

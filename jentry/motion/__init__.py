@@ -19,6 +19,7 @@ from .constraints import (
     NormalLoadFactor as NormalLoadFactor,
     PathPoint as PathPoint,
     excesses as excesses,
+    limit_of as limit_of,
     usual_constraints as usual_constraints,
 )
 from .corridor import (

@@ -62,6 +62,8 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
 
     - `parameters`: k1 and k2 of the curve at the start.
     - `track`, `arrival`: where to, and how.
+    - `limits`: of what it commands. The limits of load factor, dynamic pressure and heat
+      rate that it keeps are those of `Scenario.constraints`, if they have any.
     - `cycle`: the guidance cycles.
     - `anchoring`: `StoredParameters` (the paper's) or `Subdivision`.
     - `acceleration_loop`: the commanded specific force is achieved, by the estimated
