@@ -111,6 +111,7 @@ def test_fly_prints_what_was_flown(capsys):
         (np.pi, "rad", (180.0, "deg")),
         (250.0, "Pa", (0.25, "kPa")),
         (5e5, "W/m2", (50.0, "W/cm2")),
+        (5e7, "J/m2", (5000.0, "J/cm2")),
         (9.0, "m/s", (9.0, "m/s")),
         (3.0, "kg", (3.0, "kg")),
     ],
