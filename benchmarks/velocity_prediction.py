@@ -40,7 +40,9 @@ def situations():
         held = law.init(first_measurement(moved))[1]
         return law.situation(start, held)
 
-    return law.glide, jax.vmap(one)(7400.0 + 3.0 * jnp.arange(LANES))
+    return law.glide(scenario.constraints), jax.vmap(one)(
+        7400.0 + 3.0 * jnp.arange(LANES)
+    )
 
 
 def seconds(function, *arguments, rounds: int) -> float:

@@ -1,8 +1,10 @@
 """Array types, and the fields that make every physical number a leaf."""
 
+import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import MISSING
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -78,6 +80,46 @@ def optional_scalar(*, unit: str = "1", range: Range | None = None) -> Any:
 
     metadata = _about(unit, False, range)
     return eqx.field(converter=convert, metadata=metadata, default=None)
+
+
+def output(*, unit: str = "1", default: Any = MISSING) -> Any:
+    """A number that a flight gives, of any shape, with its SI unit.
+
+    Its name and its unit are those of tables, results, figures and of `jentry tune`.
+    """
+    given = {} if default is MISSING else {"default": default}
+    return eqx.field(metadata={"unit": unit}, **given)
+
+
+Getter = TypeVar("Getter", bound=Callable)
+
+
+def in_unit(unit: str) -> Callable[[Getter], Getter]:
+    """The unit of a number that is a property, and so has no field to state it.
+
+    @property
+    @in_unit("m")
+    def distance(self): ...
+    """
+
+    def marked(getter: Getter) -> Getter:
+        getter.unit = unit  # pyright: ignore[reportFunctionMemberAccess]
+        return getter
+
+    return marked
+
+
+def units_of(kind: type) -> dict[str, str]:
+    """SI units of the numbers of a class by name: of its fields, then its properties."""
+    found = {
+        field.name: field.metadata["unit"]
+        for field in dataclasses.fields(kind)
+        if "unit" in field.metadata
+    }
+    for name, member in vars(kind).items():
+        if isinstance(member, property) and hasattr(member.fget, "unit"):
+            found[name] = getattr(member.fget, "unit")  # noqa: B009
+    return found
 
 
 def table(*, unit: str = "1", positive: bool = False, increasing: bool = False) -> Any:

@@ -10,6 +10,8 @@ import math
 import re
 from typing import Any, NamedTuple
 
+import numpy as np
+
 
 km = 1000.0
 degree = math.pi / 180.0
@@ -139,6 +141,31 @@ def _factor(given: str, unit: str, text: str) -> float:
 def _kind(dimension: Any) -> str:
     """A dimension in words: `[length] / [time]`."""
     return str(dimension) if dimension else "without a dimension"
+
+
+_EDGE = {"m": ("km", km), "rad": ("deg", degree), "Pa": ("kPa", 1e3)}
+_EDGE |= {"W/m2": ("W/cm2", 1e4), "J/m2": ("J/cm2", 1e4)}
+
+_SHORT = 10.0
+"""m; lengths that are all below it are shown in metres"""
+
+
+def edge_unit(unit: str, values: Any) -> tuple[str, float]:
+    """The unit in which people read values that are in an SI unit, and its SI value.
+
+    Tables, figures and printed objects show every number in it. Values that stand beside
+    one another share it; those that are not finite do not count.
+    """
+    sizes = np.abs(np.asarray(values, dtype=float))
+    if unit == "m" and np.all(sizes[np.isfinite(sizes)] < _SHORT):
+        return unit, 1.0
+    return _EDGE.get(unit, (unit, 1.0))
+
+
+def at_edge(values: Any, unit: str) -> tuple[Any, str]:
+    """Values in the unit in which people read them, and that unit: see `edge_unit`."""
+    shown, size = edge_unit(unit, values)
+    return np.asarray(values) / size, shown
 
 
 _DEFINITIONS = """

@@ -3,10 +3,13 @@
 import functools
 
 from helpers import free_scenario
+from matplotlib.figure import Figure
 
 from jentry.campaign import Dispersion, Uniform, add, multiply, run_campaign
 from jentry.flight import FixedStep, Scenario
 from jentry.missions.mission import Mission, PublishedValue
+from jentry.plots import USUAL, FigureData
+from jentry.plots.style import panelled, scaled
 from jentry.units import degree
 
 
@@ -50,12 +53,23 @@ def campaign(out, runs, seed=SEED, table=None, **options) -> None:
     run_campaign(out, scenario(), table, seed, runs, solver=SOLVER, **options)
 
 
+def ends(data: FigureData) -> Figure:
+    """A figure of this mission's own: where the runs ended, and the bank of the law."""
+    figure, (axes,) = panelled(3.0, 3.0, 1, data.title)
+    drawn = scaled(data.results["end_altitude"])
+    axes.plot(drawn.values, ".")
+    assert data.scenario is not None
+    axes.set(ylabel=drawn.label, xlabel=type(data.scenario.guidance).__name__)
+    return data.noted(figure)
+
+
 MISSION = Mission(
     name="cheap",
     title="Constant bank",
     source="none",
     variants={"right": scenario, "steep": lambda: free_scenario(10 * degree)},
     dispersions={"all": dispersions, "mass-only": mass_only},
+    figures=USUAL | {"ends": ends},
     published=(
         PublishedValue("mean time", 300.0, "s", lambda v: float(v["end_time"].mean())),
     ),

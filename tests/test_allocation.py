@@ -10,6 +10,11 @@ from jentry.guidance.bezier.allocation import attitude
 from jentry.guidance.bezier.inverse_dynamics import Acceleration
 from jentry.missions.cav_h.scenario import stored
 from jentry.motion import EntryState, air_data
+from jentry.motion.constraints import (
+    DynamicPressure,
+    HeatRate,
+    LoadFactor,
+)
 from jentry.units import degree, km, standard_gravity
 
 
@@ -18,16 +23,24 @@ PLANET, VEHICLE = LAW.model.planet, LAW.model.vehicle
 ALTITUDE, VELOCITY = jnp.asarray(38.0 * km), jnp.asarray(5500.0)
 
 
+LIMITS = {"dynamic_pressure": 200e3, "heat_rate": 2e6, "load_factor": 2.0}
+KINDS = {
+    "dynamic_pressure": DynamicPressure,
+    "heat_rate": HeatRate,
+    "load_factor": LoadFactor,
+}
 UNLIMITED = {"dynamic_pressure": 1e12, "heat_rate": 1e15}
 
 
 def controls(vertical, lateral, factor=1.0, altitude=ALTITUDE, **limits):
-    limits = {name: jnp.asarray(value) for name, value in limits.items()}
+    own = {n: jnp.asarray(x) for n, x in limits.items() if n not in KINDS}
+    constraints = {n: k(limits.get(n, LIMITS[n])) for n, k in KINDS.items()}
     wanted = Acceleration(jnp.asarray(vertical), jnp.asarray(lateral))
     return attitude(
         PLANET,
         VEHICLE,
-        dataclasses.replace(LAW.limits, **limits),
+        dataclasses.replace(LAW.limits, **own),
+        constraints,
         altitude,
         VELOCITY,
         wanted,

@@ -13,6 +13,7 @@ import pytest
 from helpers import ahead
 
 from jentry._batching import where_due
+from jentry.flight.closed_loop import first_measurement
 from jentry.guidance import (
     AbstractVelocityPredictor,
     BezierPath,
@@ -28,8 +29,15 @@ from jentry.guidance.bezier.anchoring import Shape
 from jentry.guidance.bezier.inverse_dynamics import required_acceleration
 from jentry.guidance.bezier.prediction import Inputs, Situation, features
 from jentry.missions import find_mission
-from jentry.missions.cav_h.scenario import stored
+from jentry.missions.cav_h.scenario import constraints, stored
 from jentry.motion import EntryState, air_data
+from jentry.motion.constraints import (
+    Drag,
+    DynamicPressure,
+    HeatRate,
+    LoadFactor,
+    limit_of,
+)
 from jentry.onboard import Estimate, Factors, Measurement, Network
 from jentry.units import degree, km
 from jentry.world import USStandardAtmosphere1976
@@ -291,7 +299,9 @@ def situation(second=0.717, lift=1.0, drag=1.0):
 
 
 def adjusted(control, here, cycle=0.0):
-    found = control.adjusted(LAW.glide, here, number(cycle), number(800.0))
+    found = control.adjusted(
+        LAW.glide(constraints()), here, number(cycle), number(800.0)
+    )
     return float(found[0].second)
 
 
@@ -335,7 +345,7 @@ def test_features_by_hand():
     to_go = float(here.target.along) - 0.2
     expected = [to_go, 4.2, -100.0 * 9e3 / (6371e3 + 42e3), 3.0, 2.0, 5.6]
     expected += [0.848, 0.7, 1.03, 0.98]
-    found = features(LAW.glide, here, Inputs.ALL)
+    found = features(LAW.glide(constraints()), here, Inputs.ALL)
     np.testing.assert_allclose(found, expected, rtol=1e-13)
 
 
@@ -356,7 +366,7 @@ def test_output_of_a_network_is_the_logarithm_of_the_velocity_per_radian():
     )
     velocities = jnp.array([1e3, 4e3])
     predictor = NetworkPredictor(says, velocities, Inputs.STATE)
-    predicted = predictor.predict(LAW.glide, here)
+    predicted = predictor.predict(LAW.glide(constraints()), here)
     assert float(predicted) == pytest.approx(2650.0, rel=1e-13)
 
 
@@ -378,3 +388,44 @@ def test_a_batch_that_is_due_for_some_leaves_the_others():
     np.testing.assert_array_equal(batch(due, values), [1.0, 20.0, 3.0])
     np.testing.assert_array_equal(batch(due & False, values), values)
     np.testing.assert_array_equal(jax.jit(batch)(due | True, values), 10.0 * values)
+
+
+# What it may not exceed.
+
+
+def commanded_below(**kept):
+    """With the forces that the model expects at trim."""
+    state = at()
+    forces = expected_forces(state, VEHICLE.trim_angle_of_attack)
+    told = Measurement(state, *forces, number(0.0), kept)
+    _, before = LAW.init(told)
+    return decided(LAW, told, before).controls
+
+
+def test_it_keeps_the_limits_of_the_scenario():
+    """The least angle of attack at which it would glide below a limit, and the largest
+    that its load factor allows; without a limit there is none.
+    """
+    free = float(commanded_below().angle_of_attack)
+    by_load = commanded_below(load=LoadFactor(0.3), other=LoadFactor(5.0))
+    assert float(by_load.angle_of_attack) < free
+    lift, _ = expected_forces(at(), by_load.angle_of_attack)
+    assert float(lift) == pytest.approx(0.3 * 9.80665, rel=1e-9)
+    gliding = commanded_below(pressure=DynamicPressure(2e3))
+    assert float(gliding.angle_of_attack) > free
+    hot = commanded_below(heat=HeatRate(1e5))
+    assert float(hot.angle_of_attack) > free
+    none = commanded_below(heat=HeatRate(), load=LoadFactor(), glide=Drag(0.1))
+    assert float(none.angle_of_attack) == free
+
+
+def test_the_limits_are_told_to_the_law_in_flight():
+    """A constraint of the scenario is the law's: no other copy of it is anywhere."""
+    scenario = stored()
+    found = first_measurement(scenario).constraints
+    assert found is scenario.constraints
+    assert limit_of(found, HeatRate) == 2e6
+    assert limit_of({"a": HeatRate(3.0), "b": HeatRate(2.0)}, HeatRate) == 2.0
+    assert limit_of({"a": HeatRate(), "b": Drag(1.0)}, HeatRate) is None
+    glide = scenario.guidance.glide(scenario.constraints)
+    assert glide.constraints is scenario.constraints

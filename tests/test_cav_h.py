@@ -27,7 +27,7 @@ from jentry.campaign.campaign import drawn_inputs, monte_carlo
 from jentry.flight import Outcome, misses
 from jentry.guidance import BezierParameters, FlownModel, ShorteningCycle
 from jentry.missions import find_mission
-from jentry.missions.cav_h.scenario import glide, stored
+from jentry.missions.cav_h.scenario import constraints, glide, stored
 from jentry.onboard import Measurement
 from jentry.planning.bezier_curve import k2_polynomial, plan_parameters, velocity_map
 from jentry.units import degree
@@ -145,7 +145,9 @@ def test_the_polynomial_gives_back_the_k2_that_was_flown():
     @jax.jit
     def reached(k2):
         moved = eqx.tree_at(lambda d: d.shape.second, held, k2)
-        return FlownModel().predict(law.glide, law.situation(start, moved))
+        return FlownModel().predict(
+            law.glide(constraints()), law.situation(start, moved)
+        )
 
     np.testing.assert_allclose(control.to_go[-1], 55.9067 * degree, rtol=1e-8)
     nominal = float(reached(jnp.asarray(0.717)))

@@ -167,7 +167,7 @@ def test_given_inputs(command, tmp_path, words, runs):
     assert open_campaign(out)["vehicle.mass"].values.tolist() == masses[:runs]
 
 
-UNITS = {"km": 1e3, "km/s": 1e3, "m/s²": 1.0, "deg": math.pi / 180.0, "s": 1.0}
+UNITS = {"km": 1e3, "m/s": 1.0, "m/s²": 1.0, "deg": math.pi / 180.0, "s": 1.0}
 """SI value of each unit on an axis"""
 
 
@@ -202,11 +202,16 @@ def test_figures_are_drawn(command, tmp_path, monkeypatch):
         "bank",
         "downrange",
         "drag",
+        "ends",
         "footprint",
         "overview",
     }
     results = open_campaign(tmp_path / "out")
     axes = {name: figure.axes[0] for name, figure in drawn.items()}
+    assert axes["ends"].get_xlabel() == "ConstantBank"
+    (line,) = axes["ends"].lines
+    altitude = in_si(axes["ends"].get_ylabel(), line.get_ydata())
+    assert altitude == pytest.approx(results["end_altitude"].values)
     nominal = {}
     for name in ("altitude", "drag", "bank"):
         (line,) = [x for x in axes[name].lines if x.get_label() == "nominal"]

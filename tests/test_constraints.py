@@ -33,6 +33,8 @@ from jentry.flight import (
     Termination,
     fly,
 )
+from jentry.flight.closed_loop import Moving, command, first_measurement
+from jentry.guidance import AbstractContinuousLaw
 from jentry.motion import (
     AbstractConstraint,
     AbstractDynamics,
@@ -47,10 +49,12 @@ from jentry.motion import (
     LoadFactor,
     NormalLoadFactor,
     PathPoint,
-    drag_at_limit,
-    drag_limits,
+    corridor_point,
+    entry_corridor,
     entry_dynamics,
     excesses,
+    limit_of,
+    usual_constraints,
 )
 from jentry.plots import glide
 from jentry.tuning.losses import penalty
@@ -229,9 +233,17 @@ def limits(**limits):
     }
     velocity, angle = jnp.asarray(VELOCITY), jnp.full(3, 0.4)
     start = EntryState(0.0, 0.0, 0.2, 1.0, -0.3, 1.1)
-    return drag_limits(
+    points = entry_corridor(
         constraints, mars_planet(), mars_vehicle(), start, velocity, angle
     )
+    # In an exponential atmosphere the drag tells the altitude.
+    for each in points.values():
+        density = 2.0 * BETA * each.drag / VELOCITY**2
+        expected = SCALE_HEIGHT * jnp.log(DENSITY / density)
+        assert isinstance(each.drag, jax.core.Tracer) or jnp.allclose(
+            each.altitude, expected, rtol=1e-10, atol=0.0
+        )
+    return {name: each.drag for name, each in points.items()}
 
 
 def test_corridor_is_that_of_lee_cho_and_yan():
@@ -270,11 +282,12 @@ def test_corridor_has_derivatives():
 
 def test_a_limit_that_is_met_nowhere_and_one_that_is_none():
     where = mars_planet(), mars_vehicle(), point().state, jnp.asarray(0.3)
-    assert np.isnan(drag_at_limit(DynamicPressure(1e9), *where))
+    nowhere = corridor_point(DynamicPressure(1e9), *where)
+    assert np.isnan(nowhere.drag) and np.isnan(nowhere.altitude)
     with pytest.raises(ValueError, match="Drag has no limit"):
-        drag_at_limit(Drag(), *where)
+        corridor_point(Drag(), *where)
     with pytest.raises(ValueError, match="HeatLoad is no quantity of a point"):
-        drag_at_limit(HeatLoad(1.0), *where)
+        corridor_point(HeatLoad(1.0), *where)
 
 
 # In flight.
@@ -481,7 +494,7 @@ def test_ones_own_is_in_results_tables_figures_and_penalties(campaign, capsys):
     usual = ("heat_rate", "dynamic_pressure", "load_factor")
     assert names == (*usual, "heat_load", "nose_temperature")
     panel = glide.over_time(results, names).axes[-1]
-    assert panel.get_ylabel() == "Nose temperature, K"
+    assert panel.get_ylabel() == "Nose temperature (K)"
     np.testing.assert_array_equal(panel.lines[-1].get_ydata(), [1500.0, 1500.0])
 
     peaks = jax.tree.map(jnp.asarray, campaign.flights.peaks)
@@ -489,3 +502,30 @@ def test_ones_own_is_in_results_tables_figures_and_penalties(campaign, capsys):
     assert set(over) == {"heat_load", "nose_temperature"}
     expected = np.maximum(results["peak_nose_temperature"] / 1500.0 - 1.0, 0.0)
     np.testing.assert_allclose(over["nose_temperature"], expected, rtol=1e-12)
+
+
+class BanksByTheLimit(AbstractContinuousLaw[None]):
+    """A law that reads a limit of the scenario: its bank is the load factor, in rad."""
+
+    def init(self, measurement):
+        return None
+
+    def __call__(self, time, measurement, memory):
+        limit = limit_of(measurement.constraints, LoadFactor)
+        return Controls.from_bank(limit, 0.0 * limit), None
+
+
+def test_a_continuous_law_is_told_the_constraints():
+    """At the start and wherever it commands, also as it was changed in the scenario."""
+    scenario = dataclasses.replace(
+        constrained_scenario(),
+        guidance=BanksByTheLimit(),
+        constraints=usual_constraints() | {"load_factor": LoadFactor(0.25)},
+    )
+    scenario = eqx.tree_at(
+        lambda s: s.constraints["load_factor"].limit, scenario, jnp.asarray(0.5)
+    )
+    assert limit_of(first_measurement(scenario).constraints, LoadFactor) == 0.5
+    moving = Moving(scenario.initial_state, None, None)
+    controls, _ = command(scenario, jnp.asarray(0.0), moving, None)
+    np.testing.assert_allclose(controls.bank_angle, 0.5, rtol=1e-12)

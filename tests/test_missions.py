@@ -287,13 +287,13 @@ def test_cav_h():
     expected |= below("guidance.parameters", **ZHOU["parameters"])
     expected |= below(
         "guidance.limits",
-        load_factor=limits["load_factor"],
-        dynamic_pressure=limits["dynamic_pressure_Pa"],
-        heat_rate=limits["heat_rate_W_m2"],
         least_angle_of_attack=assumed["least_angle_of_attack_deg"] * degree,
         largest_angle_of_attack=assumed["largest_angle_of_attack_deg"] * degree,
         largest_bank=assumed["largest_bank_deg"] * degree,
     )
+    for name, unit in (("load_factor", ""), ("dynamic_pressure", "_Pa")):
+        expected |= below(f"constraints.{name}", limit=limits[name + unit])
+    expected |= below("constraints.heat_rate", limit=limits["heat_rate_W_m2"])
     assert_has(scenario, expected)
     assert scenario.planet.heating_exponent == assumed["heating_exponent"]
     law = scenario.guidance

@@ -399,7 +399,7 @@ def test_what_an_in_plane_flight_does_not_use_is_refused():
 
 
 def test_a_campaign_as_a_dataset_and_in_words(tmp_path):
-    """The dataset is that of a stored campaign; the words have its numbers in SI."""
+    """The dataset is that of a stored campaign; the words its numbers in units."""
     scenario, key = cheap.scenario(), jax.random.key(cheap.SEED)
     campaign = monte_carlo(
         scenario, cheap.dispersions(), key, 3, solver=cheap.SOLVER, history=20.0
@@ -417,7 +417,9 @@ def test_a_campaign_as_a_dataset_and_in_words(tmp_path):
     assert lines[0] == "3 of 3 reached the end of guided flight"
     (line,) = [x for x in lines if x.startswith("downrange error")]
     *numbers, unit = line.removeprefix("downrange error").split()
-    missed = campaign.misses.downrange
+    missed = campaign.misses.downrange / 1e3
     expected = np.mean(missed), np.std(missed, ddof=1), np.min(missed), np.max(missed)
     assert [float(x) for x in numbers] == pytest.approx(expected, rel=1e-5)
-    assert unit == "m"
+    assert unit == "km"
+    (line,) = [x for x in lines if x.startswith("peak load factor")]
+    assert line.endswith(" g")

@@ -133,7 +133,7 @@ def test_card_of_a_training(capsys):
         iterations=20,
         held_out=0.3,
     )
-    card, glide = trained.card, stored().guidance.glide
+    card, glide = trained.card, stored().guidance.glide(stored().constraints)
     predict = jax.jit(jax.vmap(lambda s: trained.predictor.predict(glide, s)))
     error = np.abs(
         predict(jax.tree.map(jnp.asarray, samples.situations)) - samples.final_velocity

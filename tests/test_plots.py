@@ -1,27 +1,66 @@
 """Figures show what the runs hold; synthetic runs, nothing is flown."""
 
+import dataclasses
 import math
 import subprocess
 import sys
 
+import cheap
 import numpy as np
 import pytest
 import xarray
 from matplotlib.figure import Figure
 
+from jentry._printed import in_words
+from jentry.campaign.outputs import error_of
+from jentry.fields import units_of
+from jentry.flight import Flight, Misses
 from jentry.flight.termination import Outcome
+from jentry.motion import Controls, EntryState
+from jentry.motion.constraints import (
+    Drag,
+    DynamicPressure,
+    HeatLoad,
+    LoadFactor,
+    usual_constraints,
+)
 from jentry.plots import (
+    GLIDE,
+    USUAL,
+    FigureData,
     at_velocity,
     campaign_figures,
     glide,
-    overview,
     save_figures,
     velocity_grid,
 )
 
 
 RUNS, TIMES = 40, 61
+NOT_FINITE = int(Outcome.NOT_FINITE)
 LABELS = ["5–95 %", "25–75 %", "median", "nominal"]
+
+
+UNITS = units_of(EntryState) | units_of(Controls) | {"time": units_of(Flight)["time"]}
+UNITS |= {error_of(name): unit for name, unit in units_of(Misses).items()}
+UNITS |= {name: each.unit for name, each in usual_constraints().items()}
+
+
+def described(results):
+    """Runs with the attributes that results have."""
+    usual = usual_constraints()
+    for name, variable in results.variables.items():
+        if name in UNITS:
+            variable.attrs["units"] = UNITS[name]
+            variable.attrs["long_name"] = in_words(name)
+        if name in usual and usual[name].shown_unit is not None:
+            variable.attrs["shown_units"] = usual[name].shown_unit
+    return results
+
+
+def figures_of(results, trajectories=None, nominal=None, title="", figures=USUAL):
+    data = FigureData.of(results, trajectories, nominal, None, title)
+    return campaign_figures(data, figures)
 
 
 def synthetic(runs=RUNS, spread=1.0):
@@ -36,7 +75,7 @@ def synthetic(runs=RUNS, spread=1.0):
     velocity[np.arange(TIMES) >= samples[:, None]] = np.nan
     slope = 0.01 + spread * rng.uniform(0.0, 0.01, (runs, 1))
     both = ("run", "time")
-    return xarray.Dataset(
+    results = xarray.Dataset(
         {
             "velocity": (both, velocity),
             "drag": (both, slope * velocity),
@@ -57,6 +96,7 @@ def synthetic(runs=RUNS, spread=1.0):
         },
         {"time": time, "run": np.arange(runs)},
     )
+    return described(results)
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +106,7 @@ def runs():
 
 @pytest.fixture(scope="module")
 def figures(runs):
-    return campaign_figures(runs, runs, runs.isel(run=[0]), "A title")
+    return figures_of(runs, runs, runs.isel(run=[0]), "A title")
 
 
 def line(axes, label):
@@ -91,12 +131,14 @@ def test_all_figures_with_their_labels(figures):
     axes = {name: figure.axes[0] for name, figure in figures.items()}
     labels = {name: (a.get_xlabel(), a.get_ylabel()) for name, a in axes.items()}
     assert labels == {
-        "drag": ("Velocity (km/s)", "Drag acceleration (m/s²)"),
-        "altitude": ("Velocity (km/s)", "Altitude (km)"),
+        "drag": ("Velocity (m/s)", "Drag (m/s²)"),
+        "altitude": ("Velocity (m/s)", "Altitude (km)"),
         "bank": ("Time (s)", "Bank angle magnitude (deg)"),
-        "downrange": ("Downrange error, actual − desired (km)", "Runs"),
+        "downrange": ("Downrange error (km)", "Runs"),
         "footprint": ("Downrange error (km)", "Altitude error (km)"),
+        "overview": ("Velocity (m/s)", "Drag (m/s²)"),
     }
+    figures = {n: f for n, f in figures.items() if n != "overview"}
     for figure in figures.values():
         assert isinstance(figure, Figure)
         assert figure.get_suptitle() == "A title"
@@ -118,11 +160,11 @@ def test_bands_are_percentiles_at_equal_velocity(runs, figures, name, factor):
     """The quantities are linear in velocity: interpolation is exact to rounding."""
     (axes,) = figures[name].axes
     grid, (low, high) = band(axes, "5–95 %")
-    at = np.searchsorted(grid, 5.0)
+    at = np.searchsorted(grid, 5000.0)
     slope = runs["drag"].values[:, 0] / 6000.0
     value = slope if name == "drag" else 10.0
     offset = 0.0 if name == "drag" else 1e6 * slope
-    exact = factor * (value * grid[at] * 1e3 + offset)
+    exact = factor * (value * grid[at] + offset)
     assert [low[at], high[at]] == pytest.approx(np.percentile(exact, [5, 95]), rel=1e-9)
     speeds, median = line(axes, "median")
     there = np.argmin(abs(speeds - grid[at]))
@@ -178,7 +220,7 @@ def test_footprint_tells_the_end_conditions_apart(runs, figures):
 
 def test_crossrange_has_a_panel_when_it_spreads(runs):
     across = runs.assign(crossrange_error=("run", np.linspace(-5e3, 5e3, RUNS)))
-    _, right = campaign_figures(across)["footprint"].axes
+    _, right = figures_of(described(across))["footprint"].axes
     assert right.get_ylabel() == "Crossrange error (km)"
     shown = np.concatenate([c.get_offsets() for c in right.collections])
     assert sorted(shown[:, 1]) == pytest.approx(np.linspace(-5.0, 5.0, RUNS))
@@ -190,26 +232,28 @@ def test_runs_that_are_not_finite_are_left_out_and_counted(runs):
     outcome = runs["outcome"].values.copy()
     outcome[5:8] = [Outcome.NOT_FINITE, Outcome.SINGULAR, Outcome.BEGAN_BEYOND_END]
     lost = runs.assign(downrange_error=("run", errors), outcome=("run", outcome))
-    figures = campaign_figures(lost, lost)
-    for figure in [*figures.values(), overview(lost, lost)]:
+    figures = figures_of(lost, lost)
+    assert set(figures) == set(USUAL) - {"corridor"}
+    for figure in figures.values():
         assert (
             figure.get_supxlabel()
             == "6 of 40 runs not finite or without an end: left out"
         )
         assert figure.axes[0].get_title(loc="left").startswith("34 runs")
     assert sum(counts(figures["downrange"].axes[0])) == 34
-    assert campaign_figures(runs)["downrange"].get_supxlabel() == ""
+    assert figures_of(runs)["downrange"].get_supxlabel() == ""
 
 
 def test_without_trajectories_only_errors(runs):
-    assert list(campaign_figures(runs)) == ["downrange", "footprint"]
-    histogram, footprint = overview(runs).axes
+    figures = figures_of(runs)
+    assert list(figures) == ["downrange", "footprint", "overview"]
+    histogram, footprint = figures["overview"].axes
     assert histogram.get_ylabel() == "Runs"
     assert footprint.get_ylabel() == "Altitude error (km)"
 
 
 def test_overview_is_wide_and_names_the_bands_once(runs):
-    figure = overview(runs, runs, runs.isel(run=[0]))
+    figure = figures_of(runs, runs, runs.isel(run=[0]))["overview"]
     assert tuple(figure.get_size_inches()) == (11.0, 3.6)
     assert [axes.get_legend() is not None for axes in figure.axes] == [1, 0, 0]
     assert figure.axes[1].get_ylabel() == "Bank angle magnitude (deg)"
@@ -232,16 +276,16 @@ DEGENERATE = {
 
 @pytest.mark.parametrize("runs", DEGENERATE.values(), ids=DEGENERATE)
 def test_degenerate_runs_are_drawn(runs, tmp_path):
-    figures = campaign_figures(runs, runs, runs.isel(run=[0]))
-    save_figures({"overview": overview(runs, runs)}, tmp_path)
+    figures = figures_of(runs, runs, runs.isel(run=[0]))
+    save_figures({"overview": figures["overview"]}, tmp_path)
     finite = np.isfinite(runs["downrange_error"].values).sum()
     assert sum(counts(figures["downrange"].axes[0])) == finite
 
 
 def test_files_are_named_after_the_figures(runs, tmp_path):
-    figures = campaign_figures(runs)
+    figures = figures_of(runs)
     paths = save_figures(figures, tmp_path / "new")
-    assert [path.name for path in paths] == ["downrange.png", "footprint.png"]
+    assert [path.name for path in paths] == [f"{name}.png" for name in figures]
     for path in paths:
         assert path.read_bytes().startswith(b"\x89PNG")
 
@@ -265,27 +309,29 @@ def glides():
     histories = {n: (both, rng.uniform(1.0, 2.0, (6, 5))) for n in names}
     errors = ("velocity_error", "flight_path_angle_error", "heading_error")
     ends = {n: ("run", rng.normal(0.0, 1.0, 6)) for n in (*errors, "miss_distance")}
-    return xarray.Dataset(histories | ends, {"run": np.arange(6), "time": time})
+    results = xarray.Dataset(histories | ends, {"run": np.arange(6), "time": time})
+    return described(results.assign(outcome=("run", np.zeros(6, dtype=np.int8))))
 
 
 def test_every_run_is_drawn_over_time_under_its_limit(glides):
-    figure = glide.over_time(glides, glide.CONSTRAINTS, {"heat_rate": 1.5})
+    glides["heat_rate"].attrs["limit"] = 1.5
+    figure = glide.over_time(glides, glide.CONSTRAINTS)
     heat, pressure, load = figure.axes
-    assert heat.get_ylabel() == "Heat rate, MW/m²"
+    assert heat.get_ylabel() == "Heat rate (W/cm²)"
     assert len(heat.lines) == 7 and len(pressure.lines) == len(load.lines) == 6
-    np.testing.assert_allclose(heat.lines[6].get_ydata(), 1.5e-6)
+    np.testing.assert_allclose(heat.lines[6].get_ydata(), 1.5e-4)
     drawn = np.array([line.get_ydata() for line in load.lines])
     np.testing.assert_array_equal(drawn, glides["load_factor"].values)
 
 
-SI = {"km": 1e3, "m": 1.0, "km/s": 1e3, "m/s": 1.0, "deg": math.pi / 180.0}
-SI |= {"MW/m²": 1e6, "kPa": 1e3, "g": 1.0, "s": 1.0}
+SI = {"km": 1e3, "m": 1.0, "m/s": 1.0, "deg": math.pi / 180.0}
+SI |= {"W/cm²": 1e4, "kPa": 1e3, "g": 1.0, "s": 1.0}
 """SI value of each unit on an axis; load factors are counted in g"""
 
 
 def unit(label):
     """SI value of the unit that a label ends in, such as 1e-3 m."""
-    power, _, name = label.rsplit(", ", 1)[1].rpartition(" ")
+    power, _, name = label.rstrip(")").rsplit(" (", 1)[1].rpartition(" ")
     return float(power or 1.0) * SI[name]
 
 
@@ -294,9 +340,9 @@ def test_every_panel_shows_its_quantity_in_the_unit_that_it_names(glides, names)
     """Of sizes that no other unit on the figure would have."""
     figure = glide.over_time(glides, names)
     for axes, name in zip(figure.axes, names, strict=True):
-        words, _ = axes.get_ylabel().rsplit(", ", 1)
-        paper = {"heading": "Azimuth", "flight_path_angle": "Flight-path angle"}
-        assert words == paper.get(name, name.replace("_", " ").capitalize())
+        words, _ = axes.get_ylabel().rsplit(" (", 1)
+        hyphened = {"flight_path_angle": "Flight-path angle"}
+        assert words == hyphened.get(name, name.replace("_", " ").capitalize())
         assert unit(axes.get_xlabel()) == 1.0
         drawn = np.array([line.get_ydata() for line in axes.lines])
         np.testing.assert_allclose(drawn * unit(axes.get_ylabel()), glides[name].values)
@@ -345,11 +391,10 @@ def test_glides_that_are_not_finite_are_left_out_and_counted(glides):
     outcome = np.full(6, Outcome.REACHED)
     outcome[4] = Outcome.NOT_FINITE
     ended_by = synthetic(6)["ended_by"]
-    lost = glides.assign(
-        outcome=("run", outcome), ended_by=ended_by, drag=glides["altitude"]
-    )
-    figures = campaign_figures(lost, lost) | {"overview": overview(lost, lost)}
-    assert {"end_errors", "states", "controls", "constraints"} < set(figures)
+    peaks = {f"peak_{n}": ("run", np.ones(6)) for n in glide.CONSTRAINTS}
+    lost = glides.assign(outcome=("run", outcome), ended_by=ended_by, **peaks)
+    figures = figures_of(lost, lost, figures=GLIDE)
+    assert set(figures) == set(GLIDE) - {"drag", "corridor"}
     for figure in figures.values():
         said = "1 of 6 runs not finite or without an end: left out"
         assert figure.get_supxlabel() == said
@@ -382,20 +427,20 @@ def test_prediction_errors_are_means_over_the_way_to_go():
 def test_small_errors_are_shown_in_powers_of_ten():
     axes = Figure().subplots()
     values = np.array([-4.2e-5, 1e-5, 2e-5])
-    glide.draw_errors(axes, values, "Azimuth error, deg")
-    assert axes.get_xlabel() == "Azimuth error, 1e-5 deg"
+    glide.draw_errors(axes, values, "Heading error (deg)")
+    assert axes.get_xlabel() == "Heading error (1e-5 deg)"
     edges = [axes.patches[0].get_x(), axes.patches[-1].get_x()]
     assert edges[0] == pytest.approx(-4.2)
     assert edges[1] + axes.patches[-1].get_width() == pytest.approx(2.0)
     large = Figure().subplots()
-    glide.draw_errors(large, 1e3 * values, "Velocity error, m/s")
-    assert large.get_xlabel() == "Velocity error, m/s"
+    glide.draw_errors(large, 1e3 * values, "Velocity error (m/s)")
+    assert large.get_xlabel() == "Velocity error (m/s)"
     assert large.patches[0].get_x() == pytest.approx(-0.042)
 
 
 def test_the_nominal_end_is_marked_in_the_footprint(runs):
     nominal = runs.isel(run=[7])
-    (axes,) = campaign_figures(runs, None, nominal)["footprint"].axes
+    (axes,) = figures_of(runs, None, nominal)["footprint"].axes
     (marked,) = [line for line in axes.lines if line.get_label() == "nominal"]
     place = np.array(marked.get_data())[:, 0]
     expected = [runs[f"{n}_error"].values[7] / 1e3 for n in ("downrange", "altitude")]
@@ -403,7 +448,7 @@ def test_the_nominal_end_is_marked_in_the_footprint(runs):
 
 
 def test_each_end_condition_has_the_runs_that_it_ended(runs):
-    (axes,) = campaign_figures(runs)["footprint"].axes
+    (axes,) = figures_of(runs)["footprint"].axes
     for scatter in axes.collections:
         which = {"ended by velocity": 0, "ended by altitude": 1}[scatter.get_label()]
         ended = runs["ended_by"].values == which
@@ -411,9 +456,105 @@ def test_each_end_condition_has_the_runs_that_it_ended(runs):
         np.testing.assert_allclose(np.array(scatter.get_offsets())[:, 1], expected)
 
 
-def test_a_campaign_with_a_direction_has_its_figures(runs):
+def test_figures_are_those_that_the_mission_asks_for(runs):
+    """Whatever the results hold: nothing is guessed from the names of their variables."""
     ends = np.linspace(-1e-4, 1e-4, runs.sizes["run"])
     extra = {n: ("run", ends) for n in ("heading_error", "flight_path_angle_error")}
     extra |= {n: ("run", ends) for n in ("velocity_error", "miss_distance")}
-    assert "end_errors" in campaign_figures(runs.assign(extra))
-    assert "end_errors" not in campaign_figures(runs)
+    directed = runs.assign(extra)
+    assert set(figures_of(directed)) == {"downrange", "footprint", "overview"}
+    drawn = figures_of(directed, figures=GLIDE)
+    assert set(drawn) == {"end_errors", "overview"}
+    own = {"mine": lambda data: Figure(), "none": lambda data: None}
+    assert set(figures_of(runs, figures=own)) == {"mine"}
+
+
+def test_units_of_an_axis_are_those_of_the_results(runs):
+    """Of a unit that jentry does not know, and of lengths that are all short."""
+    other = runs.assign(downrange_error=runs["downrange_error"] * 0.0 + 2.5)
+    other["drag"].attrs.update(units="ft/s2", long_name="deceleration")
+    other["downrange_error"].attrs["units"] = "m"
+    figures = figures_of(other, other)
+    assert figures["drag"].axes[0].get_ylabel() == "Deceleration (ft/s²)"
+    (axes,) = figures["footprint"].axes
+    assert axes.get_xlabel() == "Downrange error (m)"
+    shown = np.concatenate([c.get_offsets() for c in axes.collections])
+    np.testing.assert_array_equal(shown[:, 0], 2.5)
+
+
+# The entry corridor.
+
+
+LIMITED = {
+    "dynamic_pressure": DynamicPressure(9e3),
+    "load_factor": LoadFactor(10.0),
+    "heat_load": HeatLoad(1e8),
+    "drag": Drag(),
+}
+
+
+@pytest.fixture(scope="module")
+def corridor_data(runs):
+    angle = xarray.full_like(runs["velocity"], 0.0) + 0.0 * runs["velocity"]
+    runs = runs.assign(angle_of_attack=angle)
+    scenario = dataclasses.replace(cheap.scenario(), constraints=LIMITED)
+    return FigureData.of(runs, runs, runs.isel(run=[0]), scenario, "A title")
+
+
+def test_the_corridor_has_the_limits_and_the_flights(corridor_data):
+    """Each limit where the exponential air of Mars has it; the load by drag and lift."""
+    figure = campaign_figures(corridor_data)["corridor"]
+    altitude, drag = figure.axes
+    assert altitude.get_ylabel() == "Altitude (km)"
+    assert drag.get_ylabel() == "Drag (m/s²)"
+    labels = ["dynamic pressure, 9 kPa", "load factor, 10 g"]
+    for axes in figure.axes:
+        shown = [text.get_text() for text in axes.get_legend().get_texts()]
+        assert shown == [*LABELS, *labels]
+    ballistic, lift_to_drag = 115.0, 0.18  # kg/m2
+    at_limit = (
+        9e3 / ballistic,
+        10.0 * 9.80665 / np.sqrt(1.0 + lift_to_drag**2),
+    )
+    for label, expected in zip(labels, at_limit, strict=True):
+        speed, found = line(drag, label)
+        assert (np.min(speed), np.max(speed)) == (600.0, 6000.0)
+        density = 2.0 * ballistic * expected / speed**2
+        height = 9354.5 * np.log(0.0158 / density)
+        above = height > 0.0  # else it is met at no altitude
+        assert 30 < np.sum(above) < 79 and not np.isfinite(found[~above]).any()
+        np.testing.assert_allclose(found[above], expected, rtol=1e-9)
+        at, found = line(altitude, label)
+        np.testing.assert_array_equal(at, speed)
+        np.testing.assert_allclose(found[above], height[above] / 1e3, rtol=1e-8)
+    # The nearest limit is always to be seen.
+    assert drag.get_ylim()[1] > min(at_limit)
+
+
+def test_without_a_limit_there_is_no_corridor(corridor_data):
+    free = dataclasses.replace(corridor_data.scenario, constraints={"drag": Drag()})
+    for lacking in ({"scenario": free}, {"scenario": None}, {"trajectories": None}):
+        data = dataclasses.replace(corridor_data, **lacking)
+        assert "corridor" not in campaign_figures(data)
+
+
+def test_what_is_left_out_is_counted_where_it_is_left_out(runs):
+    """Of the results by the figures of the ends, of the trajectories by their own."""
+    lose = lambda n: runs.assign(outcome=("run", (np.arange(RUNS) < n) * NOT_FINITE))
+    figures = figures_of(lose(3), lose(5), runs.isel(run=[0]))
+    said = "{} of 40 runs not finite or without an end: left out"
+    for name in ("downrange", "footprint", "overview"):
+        assert figures[name].get_supxlabel() == said.format(3)
+    for name in ("drag", "altitude", "bank"):
+        assert figures[name].get_supxlabel() == said.format(5)
+
+
+def test_the_nominal_flight_is_in_the_units_of_its_axes(runs, figures):
+    nominal = runs.isel(run=0)
+    flying = np.isfinite(nominal["velocity"].values)
+    speed, altitude = line(figures["altitude"].axes[0], "nominal")
+    np.testing.assert_allclose(speed, nominal["velocity"].values[flying])
+    np.testing.assert_allclose(altitude, nominal["altitude"].values[flying] / 1e3)
+    _, bank = line(figures["bank"].axes[0], "nominal")
+    expected = np.abs(np.degrees(nominal["bank_angle"].values[flying]))
+    np.testing.assert_allclose(bank, expected)

@@ -12,11 +12,10 @@ from jentry.analysis.covariance import Effect, LinearCovariance, LinearModel, Sp
 from jentry.analysis.sensitivities import Sensitivity
 from jentry.cli.analysis_report import print_covariance, print_sensitivity
 from jentry.cli.report import print_flight, print_leaves
-from jentry.cli.tables import at_edge
 from jentry.flight import Flight, Outcome, Target, misses
 from jentry.missions.cav_h.scenario import stored
 from jentry.motion import ConstraintValues, EntryState
-from jentry.units import km
+from jentry.units import at_edge, km
 
 
 SIZE = {
@@ -87,6 +86,8 @@ def test_fly_prints_what_was_flown(capsys):
     expected |= {n.replace("_", " "): x for n, x in vars(flight.state).items()}
     expected |= {f"peak {n}".replace("_", " "): x for n, x in flight.peaks.items()}
     expected |= {f"{n} error".replace("_", " "): x for n, x in vars(missed).items()}
+    expected["miss distance"] = missed.distance
+    expected = {n.replace("flight path", "flight-path"): x for n, x in expected.items()}
     assert set(found) == set(expected)
     for name, value in expected.items():
         shown, unit = found[name]
@@ -95,7 +96,7 @@ def test_fly_prints_what_was_flown(capsys):
         assert abs(shown - float(value) / SIZE[unit]) < half, name
     units = {name: unit for name, (_, unit) in found.items()}
     assert units["altitude"] == units["downrange error"] == "km"
-    assert units["flight path angle error"] == units["heading"] == "deg"
+    assert units["flight-path angle error"] == units["heading"] == "deg"
     assert units["peak heat rate"] == "W/cm2" and units["peak load factor"] == "g"
     assert units["velocity error"] == "m/s" and units["peak drag"] == "m/s2"
 
@@ -110,6 +111,7 @@ def test_fly_prints_what_was_flown(capsys):
         (np.pi, "rad", (180.0, "deg")),
         (250.0, "Pa", (0.25, "kPa")),
         (5e5, "W/m2", (50.0, "W/cm2")),
+        (5e7, "J/m2", (5000.0, "J/cm2")),
         (9.0, "m/s", (9.0, "m/s")),
         (3.0, "kg", (3.0, "kg")),
     ],

@@ -27,6 +27,7 @@ FLOORS = {
     "_interpolation": 0,
     "_tables": 0,
     "_setup": 0,
+    "_printed": 0,
     "world": 1,
     "motion": 2,
     "onboard": 3,
@@ -176,3 +177,32 @@ def test_no_module_has_the_name_of_what_it_holds(path):
             if isinstance(node, ast.ImportFrom):
                 held |= {alias.asname or alias.name for alias in node.names}
     assert not held & modules
+
+
+SHOWN = ("cli", "plots", "campaign", "tuning", "analysis")
+UNITS = {
+    "km",
+    "rad",
+    "deg",
+    "m/s",
+    "m/s2",
+    "Pa",
+    "kPa",
+    "W/m2",
+    "W/cm2",
+    "MW/m²",
+    "J/m2",
+}
+
+
+@pytest.mark.parametrize(
+    "path", [p for p in MODULES if name_of(p)[:1] and name_of(p)[0] in SHOWN], ids=place
+)
+def test_no_unit_of_an_output_is_written_twice(path):
+    """It is on its field, or on the class of its constraint: see `units_of`."""
+    strings = {
+        node.value
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str)
+    }
+    assert not strings & UNITS

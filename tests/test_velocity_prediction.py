@@ -28,10 +28,12 @@ from jentry.guidance.bezier.prediction import (
     Situation,
     features,
 )
-from jentry.missions.cav_h.scenario import glide, stored, subdivided
+from jentry.missions.cav_h.scenario import constraints, glide, stored, subdivided
 from jentry.missions.cav_h.training import network_predictor
 from jentry.onboard import Factors
 
+
+LIMITS = constraints()
 
 LAWS = {"stored": stored().guidance, "subdivision": subdivided().guidance}
 
@@ -59,7 +61,8 @@ def test_prediction_converges(name):
     law = LAWS[name]
     here = situation(law)
     coarse, fine, finest = (
-        float(predict(FlownModel(steps), law.glide, here)) for steps in (16, 32, 128)
+        float(predict(FlownModel(steps), law.glide(LIMITS), here))
+        for steps in (16, 32, 128)
     )
     assert abs(fine - finest) < 0.2
     assert abs(fine - finest) < 0.2 * abs(coarse - finest) + 1e-4
@@ -68,14 +71,20 @@ def test_prediction_converges(name):
 def test_prediction_for_stored_parameters_is_the_continuous_law():
     """The notes to the paper give 2624.6 m/s for it."""
     law = LAWS["stored"]
-    predicted = predict(FlownModel(128), law.glide, situation(law))
+    predicted = predict(FlownModel(128), law.glide(LIMITS), situation(law))
     assert float(predicted) == pytest.approx(2624.6, abs=0.05)
 
 
 def test_lift_and_drag_act_as_they_should():
     law = LAWS["stored"]
     velocity = [
-        float(predict(FlownModel(), law.glide, situation(law, lift=lift, drag=drag)))
+        float(
+            predict(
+                FlownModel(),
+                law.glide(LIMITS),
+                situation(law, lift=lift, drag=drag),
+            )
+        )
         for lift, drag in ((1.0, 1.0), (1.0, 1.1), (1.0, 0.9), (1.05, 1.0))
     ]
     # The notes: 10 % of C_D moves the velocity at the target by some 320 m/s.
@@ -91,7 +100,7 @@ def test_derivative_in_the_shape_is_that_of_differences(name):
 
     @jax.jit
     def predicted(second):
-        return FlownModel().predict(law.glide, situation(law, second=second))
+        return FlownModel().predict(law.glide(LIMITS), situation(law, second=second))
 
     slope = float(jax.jvp(predicted, (second,), (jnp.ones_like(second),))[1])
     step = 1e-5
@@ -130,14 +139,16 @@ def test_newton_brings_the_prediction_to_the_wanted_velocity():
     here = situation(law)
     first = jnp.asarray(0.0)
     adjusted = eqx.filter_jit(control.adjusted)
-    moved, made = adjusted(law.glide, here, first, jnp.asarray(800.0))
+    moved, made = adjusted(law.glide(LIMITS), here, first, jnp.asarray(800.0))
     assert (float(made.asked), float(made.unanswered)) == (1.0, 0.0)
     there = eqx.tree_at(lambda s: s.shape, here, moved)
-    found = predict(FlownModel(), law.glide, there)
+    found = predict(FlownModel(), law.glide(LIMITS), there)
     assert float(found) == pytest.approx(2700.0, abs=1e-6)
     # Between epochs, and near the target, it is left.
     for cycle, seconds in ((7.0, 800.0), (10.0, 30.0)):
-        same, made = adjusted(law.glide, here, jnp.asarray(cycle), jnp.asarray(seconds))
+        same, made = adjusted(
+            law.glide(LIMITS), here, jnp.asarray(cycle), jnp.asarray(seconds)
+        )
         assert float(same.second) == float(here.shape.second)
         assert (float(made.asked), float(made.unanswered)) == (0.0, 0.0)
 
@@ -147,7 +158,7 @@ def test_newton_stays_within_the_bounds():
     control = NewtonAdjustment(500.0, FlownModel(8), Epochs(every=1), iterations=6)
     here = situation(law)
     adjusted = eqx.filter_jit(control.adjusted)
-    moved, _ = adjusted(law.glide, here, jnp.asarray(0.0), jnp.asarray(800.0))
+    moved, _ = adjusted(law.glide(LIMITS), here, jnp.asarray(0.0), jnp.asarray(800.0))
     lower, upper = law.anchoring.bounds(here.point, here.target)
     assert float(lower) <= float(moved.second) <= float(upper)
 
@@ -160,17 +171,17 @@ def test_a_prediction_that_is_not_finite_leaves_the_curve():
     )
     here = situation(law)
     lost = eqx.tree_at(lambda s: s.point, here, law._point(steep))
-    assert not np.isfinite(float(predict(FlownModel(), law.glide, lost)))
+    assert not np.isfinite(float(predict(FlownModel(), law.glide(LIMITS), lost)))
     flat = [jnp.linspace(0.1, 1.0, 3), 0.7, jnp.full(3, 2630.0)]
     control = PolynomialAdjustment(*flat, jnp.full((3, 3), 0.6).at[:, 1:].set(0.0))
     newton = NewtonAdjustment(2700.0, FlownModel(), iterations=2)
     for rule in (control, newton):
         adjusted = eqx.filter_jit(rule.adjusted)
-        kept = adjusted(law.glide, lost, jnp.asarray(0.0), jnp.asarray(800.0))
+        kept = adjusted(law.glide(LIMITS), lost, jnp.asarray(0.0), jnp.asarray(800.0))
         assert float(kept[0].second) == float(lost.shape.second)
     # Where it is finite, the polynomial is what it is: 0.6.
     adjusted = eqx.filter_jit(control.adjusted)
-    moved = adjusted(law.glide, here, jnp.asarray(0.0), jnp.asarray(800.0))
+    moved = adjusted(law.glide(LIMITS), here, jnp.asarray(0.0), jnp.asarray(800.0))
     assert float(moved[0].second) == 0.6
 
 
@@ -191,13 +202,13 @@ def test_epochs_refuse_less_than_a_cycle():
 def test_network_reads_what_it_is_told():
     law = LAWS["subdivision"]
     here = situation(law, lift=1.03, drag=0.98)
-    read = features(law.glide, here, Inputs.ALL)
+    read = features(law.glide(LIMITS), here, Inputs.ALL)
     assert read.shape == (len(Inputs.ALL.names),)
     assert float(read[0]) == pytest.approx(float(law.track.length()))
     assert float(read[1]) == pytest.approx(5.0)
     assert float(read[5]) == pytest.approx(7.5)
     np.testing.assert_allclose(read[-2:], [1.03, 0.98], rtol=1e-15)
-    state = features(law.glide, here, Inputs.STATE)
+    state = features(law.glide(LIMITS), here, Inputs.STATE)
     np.testing.assert_array_equal(state, read[:8])
 
 
@@ -208,8 +219,8 @@ def test_network_agrees_with_the_flown_model(name):
     predictor = network_predictor(name)
     for lift, drag in ((1.0, 1.0), (1.05, 0.97), (0.96, 1.02)):
         here = situation(law, lift=lift, drag=drag)
-        flown = predict(FlownModel(), law.glide, here)
-        assert abs(float(predict(predictor, law.glide, here) - flown)) < 15.0
+        flown = predict(FlownModel(), law.glide(LIMITS), here)
+        assert abs(float(predict(predictor, law.glide(LIMITS), here) - flown)) < 15.0
 
 
 def test_network_of_other_inputs_is_refused():
@@ -226,7 +237,7 @@ K2 = 0.717
 def at_k1(k1, **changes):
     """At the entry, with the paper's k2 and another k1."""
     law = glide(BezierParameters(k1, K2)).guidance
-    return law.glide, situation(law, **changes)
+    return law.glide(LIMITS), situation(law, **changes)
 
 
 @pytest.mark.parametrize("name", ["stored", "state-only"])
@@ -283,7 +294,7 @@ def test_without_an_answer_the_curve_is_left_as_it_is():
             law = LAWS["stored"]
             here = situation(law, velocity=velocity, second=value)
             shape, made = control.adjusted(
-                law.glide, here, jnp.asarray(0.0), jnp.asarray(800.0)
+                law.glide(LIMITS), here, jnp.asarray(0.0), jnp.asarray(800.0)
             )
             return shape.second, made
 

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+from .._printed import in_words
 from .._setup import needs_float64
 from ..addresses import (
     addresses_of,
@@ -27,7 +28,8 @@ from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
 from .batch import in_blocks, over_runs
 from .dispersions import Dispersion, check_dispersions, check_runs, dispersed_inputs
-from .populations import finite_flights, is_output
+from .outputs import is_output, shown
+from .populations import finite_flights
 
 
 if TYPE_CHECKING:
@@ -65,10 +67,11 @@ class Campaign(eqx.Module):
         return dataset(scenario, self, history)
 
     def summary(self, scenario: Scenario) -> str:
-        """Outcomes, and mean, standard deviation and extremes of every output in SI.
+        """Outcomes, and mean, standard deviation and extremes of every output.
 
-        In words and lines, to be printed. Flights that are not finite or have no end are
-        counted among the outcomes, and are left out of the statistics.
+        In words and lines, to be printed, in the units of the tables. Flights that are
+        not finite or have no end are counted among the outcomes, and are left out of the
+        statistics.
 
             print(campaign.summary(scenario))
         """
@@ -85,12 +88,12 @@ class Campaign(eqx.Module):
         columns = "mean", "std", "minimum", "maximum"
         lines.append(f"{'':26}" + "".join(f"{name:>14}" for name in columns))
         for name in filter(is_output, map(str, kept.data_vars)):
-            values, unit = kept[name].values, kept[name].attrs["units"]
+            values, unit = shown(kept[name])
             if values.size:
                 spread = np.std(values, ddof=1) if values.size > 1 else np.nan
                 numbers = values.mean(), spread, values.min(), values.max()
                 cells = "".join(f"{number:14.6g}" for number in numbers)
-                lines.append(f"{name.replace('_', ' '):26}{cells} {unit}")
+                lines.append(f"{in_words(name):26}{cells} {unit}")
         return "\n".join(lines)
 
 

@@ -31,9 +31,9 @@ def describe(
         **labels,
         "seed": seed,
         "history_interval": None if history is None else float(history),
-        "solver": str(solver),
+        "solver": repr(solver),
         "fast_options": fast_options_are_on(),
-        "structure": str(scenario),
+        "structure": repr(scenario),
         "dispersions": {
             name: {
                 "order": place,

@@ -12,18 +12,11 @@ import equinox as eqx
 import numpy as np
 
 from ..flight.termination import has_end
+from .outputs import is_output
 
 
 if TYPE_CHECKING:
     import xarray
-
-
-_OUTPUTS = ("end_", "peak_", "miss_distance")
-
-
-def is_output(name: str) -> bool:
-    """Whether a variable of a result tells how the flight ended, or a peak of it."""
-    return "." not in name and (name.startswith(_OUTPUTS) or name.endswith("_error"))
 
 
 def finite_flights(results: "xarray.Dataset") -> "xarray.Dataset":

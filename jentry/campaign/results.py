@@ -5,49 +5,36 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from .._printed import in_words
 from ..addresses import unit_of
-from ..fields import Scalar
+from ..fields import Scalar, units_of
+from ..flight.closed_loop import Instant
+from ..flight.flight import Flight, History
+from ..flight.miss import Misses
 from ..flight.scenario import Scenario
 from ..flight.termination import Outcome
 from ..motion.constraints import AbstractPathConstraint
-from ..motion.state import Controls
+from ..motion.state import Controls, EntryState
 from .campaign import Campaign
+from .outputs import at_end, error_of, is_error, peak_of
 
 
 if TYPE_CHECKING:
     import xarray
 
-_STATE = {
-    "altitude": "m",
-    "longitude": "rad",
-    "latitude": "rad",
-    "velocity": "m/s",
-    "flight_path_angle": "rad",
-    "heading": "rad",
-}
-_CONTROLS = {"bank_angle": "rad", "angle_of_attack": "rad"}
-_MISSES = {
-    "downrange": "m",
-    "crossrange": "m",
-    "altitude": "m",
-    "velocity": "m/s",
-    "flight_path_angle": "rad",
-    "heading": "rad",
-}
+_ANGLES = ("bank_angle", "angle_of_attack")
+"""What results tell of the controls"""
 
 
 def _angles(controls: Controls) -> dict[str, Scalar]:
-    return {name: getattr(controls, name) for name in _CONTROLS}
+    return {name: getattr(controls, name) for name in _ANGLES}
 
 
-def _limit(constraint: AbstractPathConstraint) -> dict[str, float]:
-    """The attribute of a variable that has a limit."""
-    limit = constraint.limit
-    return {} if limit is None else {"limit": float(limit)}
-
-
-def _words(name: str) -> str:
-    return name.replace("_", " ")
+def _of(constraint: AbstractPathConstraint) -> dict[str, Any]:
+    """The attributes of a variable that is constrained."""
+    limit, shown = constraint.limit, constraint.shown_unit
+    found = {} if limit is None else {"limit": float(limit)}
+    return found if shown is None else found | {"shown_units": shown}
 
 
 def dataset(
@@ -59,9 +46,11 @@ def dataset(
     where it is not zero the run did not go as the law is meant to.
 
     Dimensions: run, and time for histories, whose interval is `history` (s). Errors are
-    actual minus desired.
+    actual minus desired. Names and units are those of the fields of the flight.
     """
     import xarray
+
+    state_units = units_of(EntryState)
 
     flights = campaign.flights
     variables: dict[str, Any] = {}
@@ -89,30 +78,29 @@ def dataset(
         flag_values=np.arange(len(names), dtype=np.int8),
         flag_meanings=" ".join(names),
     )
-    put("end_time", flights.time, "s", "time at the end")
-    for name, unit in _STATE.items():
+    seconds = units_of(Flight)["time"]
+    put(at_end("time"), flights.time, seconds, "time at the end")
+    for name, unit in state_units.items():
         values = getattr(flights.state, name)
-        put(f"end_{name}", values, unit, f"{_words(name)} at the end")
-    for name, unit in _MISSES.items():
-        values = getattr(campaign.misses, name)
+        put(at_end(name), values, unit, f"{in_words(name)} at the end")
+    for miss, unit in units_of(Misses).items():
+        values, name = getattr(campaign.misses, miss), error_of(miss)
         if values is not None:
-            words = f"{_words(name)} error, actual minus desired"
-            put(f"{name}_error", values, unit, words)
-    if scenario.target.heading is not None:
-        distance = campaign.misses.distance
-        put("miss_distance", distance, "m", "distance from the target at the end")
+            signed = {"comment": "actual minus desired"} if is_error(name) else {}
+            put(name, values, unit, in_words(name), **signed)
     for name, peak in flights.peaks.items():
-        constraint, words = scenario.constraints[name], f"peak {_words(name)}"
-        put(f"peak_{name}", peak, constraint.unit, words, **_limit(constraint))
+        constraint, words = scenario.constraints[name], in_words(peak_of(name))
+        put(peak_of(name), peak, constraint.unit, words, **_of(constraint))
         there = flights.at_peaks.get(name)
         if there is not None:
-            put(f"peak_{name}_time", there.time, "s", f"time of the {words}")
-            for component, unit in _STATE.items():
+            time = peak_of(f"{name}_time")
+            put(time, there.time, units_of(Instant)["time"], f"time of the {words}")
+            for component, unit in state_units.items():
                 value = getattr(there.state, component)
-                long_name = f"{_words(component)} at the {words}"
-                put(f"peak_{name}_{component}", value, unit, long_name)
+                long_name = f"{in_words(component)} at the {words}"
+                put(peak_of(f"{name}_{component}"), value, unit, long_name)
     for name, shares in flights.caveats.items():
-        put(name, shares, "1", f"{_words(name)}, share", caveat=1)
+        put(name, shares, "1", f"{in_words(name)}, share", caveat=1)
 
     coordinates: dict[str, Any] = {"run": campaign.runs}
     kept = flights.history
@@ -120,17 +108,19 @@ def dataset(
         if history is None:
             raise ValueError("the campaign kept histories: give their interval")
         grid = history * np.arange(kept.time.shape[1])
-        described = {"units": "s", "long_name": "time since the start"}
+        described = {"units": units_of(History)["time"], "long_name": "time"}
         coordinates["time"] = ("time", grid, described)
         both = ("run", "time")
-        for name, unit in _STATE.items():
-            put(name, getattr(kept.states, name), unit, _words(name), both)
+        for name, unit in state_units.items():
+            put(name, getattr(kept.states, name), unit, in_words(name), both)
+        angle_units = units_of(Controls)
         for before, kind in (("", kept.controls), ("commanded_", kept.commands)):
             if kind is not None:
                 angles = jax.vmap(jax.vmap(_angles))(kind)
-                for name, unit in _CONTROLS.items():
-                    put(before + name, angles[name], unit, _words(before + name), both)
+                for angle, values in angles.items():
+                    name, unit = before + angle, angle_units[angle]
+                    put(name, values, unit, in_words(name), both)
         for name, values in kept.constraints.items():
-            constraint, words = scenario.constraints[name], _words(name)
-            put(name, values, constraint.unit, words, both, **_limit(constraint))
+            constraint, words = scenario.constraints[name], in_words(name)
+            put(name, values, constraint.unit, words, both, **_of(constraint))
     return xarray.Dataset(variables, coordinates)

@@ -7,9 +7,14 @@ import numpy as np
 from ..addresses import unit_of
 from ..analysis.covariance import LinearCovariance
 from ..analysis.sensitivities import Sensitivity
+from ..fields import units_of
+from ..flight.miss import Misses
 from ..flight.scenario import Scenario
-from .tables import at_edge, new_console, new_table, print_under, unit_of_output
+from ..units import at_edge
+from .tables import new_console, new_table, print_under
 
+
+_UNITS = units_of(Misses)
 
 _SIDE_BY_SIDE = 3
 """Misses whose effects fit beside one another"""
@@ -58,7 +63,7 @@ def print_covariance(
         spread = analysis.spreads[name]
         numbers = [spread.nominal, spread.mean, spread.standard_deviation]
         numbers += [spread.flown_mean, spread.flown_standard_deviation]
-        edge, unit = at_edge(np.array(numbers), unit_of_output(None, name))
+        edge, unit = at_edge(np.array(numbers), _UNITS[name])
         cells = ["" if np.isnan(x) else f"{x:z.4f}" for x in edge]
         ratio, verdict = "", ""
         if np.isfinite(spread.ratio):
@@ -92,7 +97,7 @@ def print_covariance(
                 numbers = np.array([effect.linear, effect.flown, effect.bend])
                 if means:
                     numbers = np.insert(numbers, 1, effect.error)
-                edge, _ = at_edge(numbers, unit_of_output(None, name))
+                edge, _ = at_edge(numbers, _UNITS[name])
                 cells += [f"{x:z.4f}" for x in edge]
             table.add_row(dispersion, *cells)
         print_under(console, "effect of one standard deviation, same units", table)

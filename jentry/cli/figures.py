@@ -23,7 +23,7 @@ _TRAJECTORIES = 256
 
 def draw_figures(folder, mission: Mission, scenario: Scenario, results, solver):
     """Draw the figures of stored results into `figures` below their folder."""
-    from ..plots import campaign_figures, overview, save_figures
+    from ..plots import FigureData, campaign_figures, save_figures
 
     known = leaves_by_address(scenario)
     addresses = [str(name) for name in results.data_vars if name in known]
@@ -34,8 +34,8 @@ def draw_figures(folder, mission: Mission, scenario: Scenario, results, solver):
     flown = _fly(scenario, inputs, solver)
     nominal = flown.isel(run=[-1])
     trajectories = flown.isel(run=slice(0, -1)) if few else results
-    figures = campaign_figures(results, trajectories, nominal, mission.title)
-    figures["overview"] = overview(results, trajectories, nominal)
+    data = FigureData.of(results, trajectories, nominal, scenario, mission.title)
+    figures = campaign_figures(data, mission.figures)
     target = folder / "figures"
     save_figures(figures, target)
     return target

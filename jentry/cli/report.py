@@ -16,17 +16,22 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from .._printed import in_words
 from ..addresses import field_metadata, leaves_by_address, unit_of
-from ..campaign.populations import finite_flights, is_output, population, sets_of
+from ..campaign.outputs import at_end, error_of, is_error, is_output, peak_of, shown
+from ..campaign.populations import finite_flights, population, sets_of
+from ..fields import units_of
+from ..flight.closed_loop import Instant
 from ..flight.effect import unfelt
 from ..flight.flight import Flight, caveat_sentence
-from ..flight.miss import misses
+from ..flight.miss import Misses, misses
 from ..flight.scenario import Scenario, allowed
 from ..flight.termination import Outcome, has_end
 from ..missions.mission import Mission
 from ..motion.constraints import AbstractPathConstraint
 from ..motion.state import EntryState
-from .tables import at_edge, new_console, new_table, print_under, unit_of_output
+from ..units import at_edge
+from .tables import new_console, new_table, print_under
 
 
 _PERCENTILES = (1, 5, 50, 95, 99)
@@ -34,7 +39,7 @@ _PERCENTILES = (1, 5, 50, 95, 99)
 SETS = 16
 """Of the size of the paper's, at least, beside a published value"""
 
-_END_STATE = {f"end_{name}" for name in EntryState.__dataclass_fields__}
+_END_STATE = {at_end(name) for name in units_of(EntryState)}
 """Its errors are shown instead"""
 
 
@@ -73,28 +78,27 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     met = has_end(outcome) or outcome == Outcome.BEGAN_BEYOND_END
     ended_by = scenario.termination.names[int(flight.ended_by)]
     table = new_table("", "value", "unit")
-    table.add_row("time", f"{float(flight.time):.4f}", "s")
-    groups = (
-        ("", scenario.initial_state, flight.state),
-        (" error", misses(scenario, flight), misses(scenario, flight)),
-    )
-    for label, described, values in groups:
-        table.add_section()
-        for name, leaf in leaves_by_address(values).items():
-            value, unit = at_edge(leaf, unit_of_output(described, name))
-            words = name.replace("_", " ") + label
-            table.add_row(words, f"{float(value):z.6f}", unit)
+    table.add_row("time", f"{float(flight.time):.4f}", units_of(Flight)["time"])
+    table.add_section()
+    for name, unit in units_of(EntryState).items():
+        _add_number(table, in_words(name), getattr(flight.state, name), unit)
+    table.add_section()
+    missed = misses(scenario, flight)
+    for name, unit in units_of(Misses).items():
+        value = getattr(missed, name)
+        if value is not None:
+            _add_number(table, in_words(error_of(name)), value, unit)
     table.add_section()
     for name, peak in flight.peaks.items():
         _add_peak(table, name, scenario.constraints[name], peak)
     for name, there in flight.at_peaks.items():
         table.add_section()
-        words = f"at peak {name.replace('_', ' ')}"
-        table.add_row(f"time {words}", f"{float(there.time):.4f}", "s")
-        for component, leaf in leaves_by_address(there.state).items():
-            value, unit = at_edge(leaf, unit_of(there.state, component))
-            row = f"{component.replace('_', ' ')} {words}"
-            table.add_row(row, f"{float(value):z.6f}", unit)
+        words = f"at {in_words(peak_of(name))}"
+        unit = units_of(Instant)["time"]
+        table.add_row(f"time {words}", f"{float(there.time):.4f}", unit)
+        for component, unit in units_of(EntryState).items():
+            value = getattr(there.state, component)
+            _add_number(table, f"{in_words(component)} {words}", value, unit)
     title = f"{mission.name}: {outcome.message}" + (f" ({ended_by})" if met else "")
     console = new_console()
     print_under(console, title, table)
@@ -103,17 +107,20 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
             console.print(f"caveat: {caveat_sentence(name, share)}")
 
 
+def _add_number(table: Table, words: str, value, unit: str) -> None:
+    number, shown_unit = at_edge(value, unit)
+    table.add_row(words, f"{float(number):z.6f}", shown_unit)
+
+
 def _add_peak(
     table: Table, name: str, constraint: AbstractPathConstraint, peak
 ) -> None:
     """A row with the peak, and one with the limit where there is one."""
-    words = f"peak {name.replace('_', ' ')}"
-    value, unit = at_edge(peak, constraint.unit)
-    shown = constraint.shown_unit or unit
-    table.add_row(words, f"{float(value):z.6f}", shown)
+    words = in_words(peak_of(name))
+    unit = constraint.shown_unit or constraint.unit
+    _add_number(table, words, peak, unit)
     if constraint.limit is not None:
-        limit, _ = at_edge(constraint.limit, constraint.unit)
-        table.add_row(f"limit of the {words}", f"{float(limit):z.6f}", shown)
+        _add_number(table, f"limit of the {words}", constraint.limit, unit)
 
 
 def print_campaign(mission: Mission, results, as_published: bool) -> None:
@@ -168,10 +175,10 @@ def _print_statistics(console: Console, mission: Mission, results) -> None:
     for name in map(str, results.data_vars):
         if not is_output(name) or name in _END_STATE:
             continue
-        values, unit = at_edge(results[name], results[name].attrs["units"])
-        words = name.replace("_", " ")
+        values, unit = shown(results[name])
+        words = in_words(name)
         _add_statistics(table, words, unit, values)
-        if name.endswith("_error"):
+        if is_error(name):
             _add_statistics(table, f"|{words}|", unit, np.abs(values))
     count = results.sizes["run"]
     title = f"{mission.name}: {count} finite flights, errors are actual minus desired"

@@ -4,14 +4,14 @@ import math
 from collections.abc import Iterable
 
 from ..addresses import leaves_by_address, nearest, require_address, unit_of
+from ..fields import units_of
 from ..flight.miss import Misses
 from ..flight.scenario import Scenario
 from ..tuning.losses import ScaledMisses
 from ..units import km, parse_quantity
-from .tables import unit_of_output
 
 
-_MISSES = tuple(Misses.__dataclass_fields__)
+_MISSES = units_of(Misses)
 
 
 def parse_scales(options: Iterable[str], scenario: Scenario) -> ScaledMisses:
@@ -23,7 +23,7 @@ def parse_scales(options: Iterable[str], scenario: Scenario) -> ScaledMisses:
             raise ValueError(
                 f"--of {option}: no miss {name!r}; {nearest(name, _MISSES)}"
             )
-        unit = unit_of_output(None, name)
+        unit = _MISSES[name]
         if name in scales:
             raise ValueError(f"--of {name} is given twice: once")
         if not equals and unit != "m":

@@ -8,13 +8,18 @@ import numpy as np
 from rich.console import Console
 
 from .._files import write_whole
+from .._printed import in_words
 from ..addresses import unit_of
+from ..campaign.outputs import error_of
+from ..fields import units_of
+from ..flight.miss import Misses
 from ..flight.scenario import Scenario
 from ..missions.mission import Mission
 from ..tuning.judgement import Comparison
 from ..tuning.record import NUMBERS, Entry
 from ..tuning.tuning import Tuned
-from .tables import at_edge, new_console, new_table, print_under, unit_of_output
+from ..units import at_edge
+from .tables import new_console, new_table, print_under
 
 
 _SAME = 1e-4
@@ -98,11 +103,10 @@ def print_judgement(tuned: Tuned) -> None:
     for comparison in judgement.comparisons:
         if _is_nothing(comparison):
             continue
-        name = comparison.quantity.replace("_", " ")
-        unit = "1"
-        if comparison.quantity != "loss":
-            unit = unit_of_output(None, comparison.quantity)
-            name += f" error, {comparison.statistic}"
+        name, unit = comparison.quantity, "1"
+        if name != "loss":
+            unit = units_of(Misses)[name]
+            name = f"{in_words(error_of(name))}, {comparison.statistic}"
         numbers = [comparison.before.value, comparison.after.value]
         change = comparison.change
         numbers += [change.value, change.low, change.high]

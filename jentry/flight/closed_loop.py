@@ -56,8 +56,8 @@ class Moving(eqx.Module):
 class Instant(eqx.Module):
     """When and where a flight was."""
 
-    time: Scalar
-    """s since the start"""
+    time: Scalar = eqx.field(metadata={"unit": "s"})
+    """Since the start"""
     state: EntryState
 
 
@@ -122,7 +122,7 @@ def _acting(scenario: Scenario, flown: Scalar, moving: Moving, held: Any) -> Tra
     trim = scenario.vehicle.trim_angle_of_attack
 
     def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
-        measurement = Measurement(state, lift, drag, trim)
+        measurement = Measurement(state, lift, drag, trim, scenario.constraints)
         return commanded(scenario.guidance, flown, measurement, memory, held)
 
     return Traced(act, state.altitude, state.altitude)
@@ -165,6 +165,7 @@ def _measured(
         angle_of_attack,
         scenario.accelerometers,
         sampled_at,
+        scenario.constraints,
     )
 
 
@@ -183,7 +184,7 @@ def first_measurement(scenario: Scenario) -> Measurement:
     trim = scenario.vehicle.trim_angle_of_attack
 
     def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
-        measurement = Measurement(state, lift, drag, trim)
+        measurement = Measurement(state, lift, drag, trim, scenario.constraints)
         begin = begun(law, measurement)
         return commanded(law, 0.0 * state.altitude, measurement, *begin)
 

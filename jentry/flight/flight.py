@@ -27,8 +27,7 @@ from .solver import AbstractSolver, FixedStep
 class History(eqx.Module):
     """A flight at equal intervals from its start; NaN after its end."""
 
-    time: Float[Array, "*n"]
-    """s"""
+    time: Float[Array, "*n"] = eqx.field(metadata={"unit": "s"})
     states: EntryState
     controls: Controls
     """That were flown"""
@@ -43,8 +42,8 @@ class History(eqx.Module):
 class Flight(eqx.Module):
     """How a flight ended, and on request how it went."""
 
-    time: Scalar
-    """s at the end"""
+    time: Scalar = eqx.field(metadata={"unit": "s"})
+    """At the end"""
     state: EntryState
     """At the end"""
     outcome: Count

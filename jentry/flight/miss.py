@@ -4,7 +4,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..fields import Scalar
+from .._printed import as_text
+from ..fields import Scalar, in_unit, output
 from ..motion.quantities import ground_track
 from .flight import Flight
 from .scenario import Scenario
@@ -13,26 +14,27 @@ from .scenario import Scenario
 class Misses(eqx.Module):
     """Differences at the end of the flight, actual minus desired."""
 
-    downrange: Scalar
-    """m, positive is too far"""
-    crossrange: Scalar
-    """m, positive is to the left"""
-    altitude: Scalar
-    """m"""
-    velocity: Scalar
-    """m/s"""
-    flight_path_angle: Scalar | None = None
-    """rad; none if the target has none"""
-    heading: Scalar | None = None
-    """rad; none if the target has none"""
+    downrange: Scalar = output(unit="m")
+    """Positive is too far"""
+    crossrange: Scalar = output(unit="m")
+    """Positive is to the left"""
+    altitude: Scalar = output(unit="m")
+    velocity: Scalar = output(unit="m/s")
+    flight_path_angle: Scalar | None = output(unit="rad", default=None)
+    """None if the target has none"""
+    heading: Scalar | None = output(unit="rad", default=None)
+    """None if the target has none"""
+
+    __str__ = as_text
 
     @property
+    @in_unit("m")
     def distance(self) -> Array:
         """From the target, m; of one flight or of many."""
         square = sum(
             jnp.square(x) for x in (self.downrange, self.crossrange, self.altitude)
         )
-        missed = square > 0.0
+        missed = square != 0.0  # NaN too, which is no hit
         return jnp.where(missed, jnp.sqrt(jnp.where(missed, square, 1.0)), 0.0)
 
 

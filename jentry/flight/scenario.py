@@ -7,6 +7,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
+from .._printed import as_text
 from ..addresses import field_metadata, leaves_by_address, unit_of, with_leaves
 from ..fields import QUARTER, Scalar, optional_scalar, scalar
 from ..guidance.law import AbstractLaw, reads_forces_between_cycles
@@ -47,6 +48,8 @@ class Target(eqx.Module):
     """None where any will do"""
     heading: Scalar | None = optional_scalar(unit="rad")
     """Likewise"""
+
+    __str__ = as_text
 
 
 class Scenario(eqx.Module):

@@ -56,7 +56,7 @@ def train_predictor(
     - `report`: is told how it goes.
     """
     began = time.perf_counter()
-    glide = bezier_law(scenario).glide
+    glide = bezier_law(scenario).glide(scenario.constraints)
     network_key, split_key, batch_key, fitted_key = jax.random.split(key, 4)
     vehicles = int(np.max(samples.vehicles)) + 1
     out = np.asarray(jax.random.uniform(split_key, (vehicles,))) < held_out

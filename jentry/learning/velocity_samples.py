@@ -125,7 +125,8 @@ def _flown(scenario: Scenario, campaign: Campaign, on_curve: bool) -> _Flown:
     assert history is not None
 
     def expected(state: EntryState, decision: Decision) -> Scalar:
-        return FlownModel().predict(law.glide, law.situation(state, decision))
+        glide = law.glide(scenario.constraints)
+        return FlownModel().predict(glide, law.situation(state, decision))
 
     there = np.isfinite(np.asarray(history.time))
     kept = np.asarray(campaign.flights.outcome) == Outcome.REACHED

@@ -10,11 +10,16 @@ import numpy as np
 from .._setup import needs_float64
 from ..campaign.dispersions import Dispersion
 from ..flight.scenario import Scenario
+from ..plots.campaign import USUAL, DrawFigure
 
 
 _NAME = re.compile(r"\w[\w.-]*")
-_EXAMPLES = {"variants": "scenario", "dispersions": "dispersions"}
-_RETURNED = {"variants": "a Scenario", "dispersions": "a table of dispersions"}
+_EXAMPLES = {"variants": "scenario", "dispersions": "dispersions", "figures": "figure"}
+_MEANT = {
+    "variants": "without arguments that returns a Scenario",
+    "dispersions": "without arguments that returns a table of dispersions",
+    "figures": "of jentry.plots.FigureData that returns a matplotlib figure, or None",
+}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -60,6 +65,11 @@ class Mission:
     some; those that a variant does not have are left out"""
     train: Callable[..., dict[str, dict[str, Any]]] | None = None
     """Trains the mission's networks: of a folder, a seed and options to model cards"""
+    figures: Mapping[str, DrawFigure] = dataclasses.field(
+        default_factory=lambda: dict(USUAL)
+    )
+    """What `jentry monte-carlo` draws of its campaigns, by name: functions of
+    `jentry.plots.FigureData`, such as those of `jentry.plots.USUAL` and `GLIDE`"""
     published: tuple[PublishedValue, ...] = ()
     published_note: str = ""
     published_variant: str = ""
@@ -77,7 +87,7 @@ class Mission:
                 f"the name of a mission is {self.name!r}: it must be of letters, digits, "
                 "dots, dashes and underscores"
             )
-        for what in ("variants", "dispersions"):
+        for what in _EXAMPLES:
             named = getattr(self, what)
             if not isinstance(named, Mapping) or (what == "variants" and not named):
                 raise ValueError(
@@ -88,8 +98,7 @@ class Mission:
                 if not callable(function):
                     raise ValueError(
                         f"{what} {name!r} of mission {self.name} is a "
-                        f"{type(function).__name__}: it must be a function without "
-                        f"arguments that returns {_RETURNED[what]}"
+                        f"{type(function).__name__}: it must be a function {_MEANT[what]}"
                     )
         if isinstance(self.gains, str):
             raise ValueError(

@@ -190,10 +190,10 @@ def _own(
     if not isinstance(mission, Mission):
         raise ValueError(f"{where} is a {type(mission).__name__}: it must be a Mission")
 
-    def told(function: Callable[[], Any]) -> Callable[[], Any]:
-        def call() -> Any:
+    def told(function: Callable) -> Callable:
+        def call(*given: Any) -> Any:
             with _with_the_line(where, sources):
-                return function()
+                return function(*given)
 
         return call
 
@@ -201,6 +201,7 @@ def _own(
         mission,
         variants={name: told(f) for name, f in mission.variants.items()},
         dispersions={name: told(f) for name, f in mission.dispersions.items()},
+        figures={name: told(f) for name, f in mission.figures.items()},
         code=code,
     )
 

@@ -19,9 +19,14 @@ from .constraints import (
     NormalLoadFactor as NormalLoadFactor,
     PathPoint as PathPoint,
     excesses as excesses,
+    limit_of as limit_of,
     usual_constraints as usual_constraints,
 )
-from .corridor import drag_at_limit as drag_at_limit, drag_limits as drag_limits
+from .corridor import (
+    CorridorPoint as CorridorPoint,
+    corridor_point as corridor_point,
+    entry_corridor as entry_corridor,
+)
 from .dynamics import (
     AbstractDynamics as AbstractDynamics,
     EntryDynamics as EntryDynamics,

@@ -1,5 +1,6 @@
 """Path constraints: what may not be exceeded on the way, with names, units and limits."""
 
+import functools
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
@@ -9,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from .._math import sincos
+from .._printed import as_text
 from ..fields import Scalar, optional_scalar, scalar
 from ..units import standard_gravity
 from ..world.planet import Planet
@@ -69,7 +71,7 @@ class AbstractPathConstraint(eqx.Module):
     unit: ClassVar[str]
     """SI unit of the value and of the limit"""
     shown_unit: ClassVar[str | None] = None
-    """What a table for one flight writes in place of the unit, for the same number"""
+    """What tables and figures write in place of the unit, for the same number"""
 
     def excess(self, value: Scalar) -> Scalar:
         """What a value exceeds the limit by, and zero within it.
@@ -223,8 +225,13 @@ def usual_constraints() -> Constraints:
 class ConstraintValues(Mapping[str, Any]):
     """Numbers of path constraints by name, `values["drag"]` or `values.drag`."""
 
-    def __init__(self, values: Mapping[str, Any]):
+    def __init__(
+        self, values: Mapping[str, Any], units: Mapping[str, str] | None = None
+    ):
+        """`units` are those in which the values are counted, by name."""
         self._values = {name: values[name] for name in sorted(values)}
+        known = units or {}
+        self._units = {name: known[name] for name in self._values if name in known}
 
     def __getitem__(self, name: str) -> Any:
         return self._values[name]
@@ -247,14 +254,17 @@ class ConstraintValues(Mapping[str, Any]):
     def __repr__(self) -> str:
         return f"ConstraintValues({self._values})"
 
+    __str__ = as_text
+
     def tree_flatten_with_keys(self):
         keys = (jax.tree_util.GetAttrKey(name) for name in self._values)
         children = zip(keys, self._values.values(), strict=True)
-        return tuple(children), tuple(self._values)
+        return tuple(children), (tuple(self._values), tuple(self._units.items()))
 
     @classmethod
-    def tree_unflatten(cls, names, children):
-        return cls(dict(zip(names, children, strict=True)))
+    def tree_unflatten(cls, described, children):
+        names, units = described
+        return cls(dict(zip(names, children, strict=True)), dict(units))
 
 
 def constraint_values(
@@ -267,8 +277,24 @@ def constraint_values(
             if isinstance(constraint, AbstractConstraint)
             else integrals[name]
             for name, constraint in constraints.items()
-        }
+        },
+        {name: each.shown_unit or each.unit for name, each in constraints.items()},
     )
+
+
+def limit_of(constraints: Constraints, kind: type) -> Scalar | None:
+    """The limit on a quantity: the smallest of the constraints of a class.
+
+    None where there is none with a limit. So a law reads what it has to keep:
+
+        limit_of(measurement.constraints, HeatRate)
+    """
+    limits = [
+        each.limit
+        for each in constraints.values()
+        if isinstance(each, kind) and each.limit is not None
+    ]
+    return functools.reduce(jnp.minimum, limits) if limits else None
 
 
 def integrals_of(constraints: Constraints) -> dict[str, AbstractIntegral]:

@@ -1,13 +1,14 @@
-"""The entry corridor: the drag at which each path constraint binds, over the velocity."""
+"""The entry corridor: altitude and drag at which path constraints bind, over velocity."""
 
 import dataclasses
-from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..fields import Scalar, Vector
+from .._printed import as_text
+from ..fields import Scalar, Vector, output
 from ..units import km
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
@@ -25,7 +26,16 @@ _HALVINGS = 60
 """Of the altitudes searched: down to the rounding of one"""
 
 
-def drag_at_limit(
+class CorridorPoint(eqx.Module):
+    """Where level flight at a velocity meets the limit of a path constraint."""
+
+    altitude: Scalar = output(unit="m")
+    drag: Scalar = output(unit="m/s2")
+
+    __str__ = as_text
+
+
+def corridor_point(
     constraint: AbstractPathConstraint,
     planet: Planet,
     vehicle: Vehicle,
@@ -33,8 +43,8 @@ def drag_at_limit(
     angle_of_attack: Scalar,
     dynamics: AbstractDynamics = EntryDynamics(),
     altitudes: tuple[float, float] = (0.0, 150.0 * km),
-) -> Scalar:
-    """Drag (m/s2) of level flight where a constraint is at its limit.
+) -> CorridorPoint:
+    """Altitude and drag of level flight where a constraint is at its limit.
 
     The altitude at which it binds is found by bisection, so that the quantity must rise
     or fall with the altitude; the air and the coefficients may be any. The result is
@@ -46,7 +56,7 @@ def drag_at_limit(
     - `angle_of_attack`: rad.
     - `altitudes`: between which the limit is sought, m.
 
-    **Returns:** the drag, or NaN where the limit is met at no altitude between these.
+    **Returns:** both, or NaN where the limit is met at no altitude between these.
 
     **Raises:** `ValueError` for a constraint that has no value at a point, such as an
     integral, or no limit.
@@ -81,10 +91,13 @@ def drag_at_limit(
     remainder, slope = jax.jvp(excess, (found,), (jnp.ones_like(found),))
     altitude = found - remainder / lax.stop_gradient(slope)
     binds = excess(low) * excess(high) <= 0.0
-    return jnp.where(binds, at(altitude).air.drag, jnp.nan)
+    return CorridorPoint(
+        jnp.where(binds, altitude, jnp.nan),
+        jnp.where(binds, at(altitude).air.drag, jnp.nan),
+    )
 
 
-def drag_limits(
+def entry_corridor(
     constraints: Constraints,
     planet: Planet,
     vehicle: Vehicle,
@@ -92,11 +105,12 @@ def drag_limits(
     velocity: Vector,
     angle_of_attack: Vector,
     dynamics: AbstractDynamics = EntryDynamics(),
-) -> dict[str, Any]:
-    """Drag (m/s2) over velocity at which each constraint with a limit binds, by name.
+) -> dict[str, CorridorPoint]:
+    """Altitude and drag over velocity at which each constraint binds, by name.
 
-    Those of heat rate, dynamic pressure and load factors bound the drag from above, the
-    one of the equilibrium glide from below. Integrals bound no drag and are left out.
+    Those of heat rate, dynamic pressure and load factors bound the drag from above and
+    the altitude from below, the one of the equilibrium glide the other way around.
+    Constraints without a limit, and integrals, bound nothing at a point and are left out.
 
     **Arguments:**
 
@@ -105,7 +119,7 @@ def drag_limits(
     - `angle_of_attack`: rad at each of these, shape (n,).
 
         s = scenario
-        curves = drag_limits(
+        curves = entry_corridor(
             s.constraints, s.planet, s.vehicle, s.initial_state, velocity, angle
         )
 
@@ -113,12 +127,20 @@ def drag_limits(
     Dynamics Method", 2004, equations (6)-(9).
     """
 
-    def at(velocity: Scalar, angle: Scalar) -> dict[str, Scalar]:
+    def at(velocity: Scalar, angle: Scalar) -> dict[str, CorridorPoint]:
         state = dataclasses.replace(start, velocity=velocity)
         return {
-            name: drag_at_limit(each, planet, vehicle, state, angle, dynamics)
-            for name, each in constraints.items()
-            if each.limit is not None and isinstance(each, AbstractConstraint)
+            name: corridor_point(each, planet, vehicle, state, angle, dynamics)
+            for name, each in bounding(constraints).items()
         }
 
     return jax.vmap(at)(velocity, angle_of_attack)
+
+
+def bounding(constraints: Constraints) -> Constraints:
+    """Those that bound the corridor: with a limit, and a value at each point."""
+    return {
+        name: each
+        for name, each in constraints.items()
+        if each.limit is not None and isinstance(each, AbstractConstraint)
+    }

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from .._math import safe_arccos, sincos
-from ..fields import ABOVE_GROUND, QUARTER, Scalar, scalar
+from .._printed import as_text
+from ..fields import ABOVE_GROUND, QUARTER, Scalar, in_unit, scalar
 
 
 _ROUNDING = 1e-9
@@ -28,6 +29,8 @@ class EntryState(eqx.Module):
     flight_path_angle: Scalar = scalar(unit="rad", range=QUARTER)
     heading: Scalar = scalar(unit="rad")
 
+    __str__ = as_text
+
 
 class Controls(eqx.Module):
     """What a law commands, and what the vehicle flies of it: angle of attack and bank.
@@ -41,6 +44,8 @@ class Controls(eqx.Module):
     angle_of_attack: Scalar = scalar(unit="rad")
     cos_bank: Scalar = scalar()
     sin_bank: Scalar = scalar()
+
+    __str__ = as_text
 
     @classmethod
     def from_bank(cls, bank_angle: Scalar, angle_of_attack: Scalar) -> "Controls":
@@ -61,6 +66,7 @@ class Controls(eqx.Module):
         return lax.stop_gradient(jnp.where(off > rounding, off, 0.0))
 
     @property
+    @in_unit("rad")
     def bank_angle(self) -> Scalar:
-        """rad, in [-pi, pi]"""
+        """In [-pi, pi], rad."""
         return jnp.where(self.sin_bank < 0.0, -1.0, 1.0) * safe_arccos(self.cos_bank)

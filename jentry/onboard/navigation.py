@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from ..fields import NOT_NEGATIVE, Scalar, scalar
+from ..motion.constraints import Constraints
 from ..motion.forces import AirData, air_data
 from ..motion.state import EntryState
 from ..world.planet import Planet
@@ -14,7 +15,7 @@ from ..world.vehicle import Vehicle
 
 
 class Measurement(eqx.Module):
-    """All that a law may know of the true flight."""
+    """All that a law is told of the true flight, and of what it may not exceed."""
 
     state: EntryState
     lift: Scalar
@@ -23,6 +24,8 @@ class Measurement(eqx.Module):
     """Sensed specific force along the relative wind, m/s2"""
     trim_angle_of_attack: Scalar
     """At which the vehicle flies where its law leaves the angle of attack alone, rad"""
+    constraints: Constraints = eqx.field(default_factory=dict)
+    """Those of the scenario: what the law has to keep below their limits"""
 
 
 class AbstractAccelerometers(eqx.Module):
@@ -86,11 +89,13 @@ def measure(
     angle_of_attack: Scalar,
     accelerometers: AbstractAccelerometers = PerfectAccelerometers(),
     sampled_at: Scalar | None = None,
+    constraints: Constraints | None = None,
 ) -> Measurement:
     """Perfect navigation, and the accelerometers, at an angle of attack (rad).
 
-    `sampled_at` as of `AbstractAccelerometers.read`.
+    `sampled_at` as of `AbstractAccelerometers.read`; `constraints` are told as they are.
     """
     air = air_data(planet, vehicle, state, angle_of_attack)
     lift, drag = accelerometers.read(air, sampled_at)
-    return Measurement(state, lift, drag, vehicle.trim_angle_of_attack)
+    trim = vehicle.trim_angle_of_attack
+    return Measurement(state, lift, drag, trim, constraints or {})

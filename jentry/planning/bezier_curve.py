@@ -171,6 +171,7 @@ def k2_polynomials(
     - `until`: s to go at the last one; nearer k2 changes nothing any more.
     """
     law = bezier_law(scenario)
+    glide = law.glide(scenario.constraints)
     history = fly(scenario, history=interval).history
     assert history is not None
     # Before the first and after the last place the nearest one is as good: what was not
@@ -187,13 +188,13 @@ def k2_polynomials(
 
         def at(k2):
             moved = eqx.tree_at(lambda s: s.shape, situation, Shape(shape.first, k2))
-            return FlownModel().predict(law.glide, moved)
+            return FlownModel().predict(glide, moved)
 
         k2 = shape.second + _ROOM
         x = 1e-2 * (jax.vmap(at)(k2) - at(shape.second))
         # Through the nominal k2, which the nominal flight then keeps.
         rest = jnp.linalg.lstsq(jnp.stack([x, x * x], axis=1), jnp.asarray(_ROOM))[0]
-        nominal = predictor.predict(law.glide, situation)
+        nominal = predictor.predict(glide, situation)
         return nominal, jnp.concatenate([jnp.reshape(shape.second, 1), rest])
 
     nominal, polynomials = jax.vmap(fit)(situations)

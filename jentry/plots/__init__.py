@@ -5,7 +5,9 @@ They are built without pyplot and its global state, so they need no display.
 
 from .bands import at_velocity as at_velocity, velocity_grid as velocity_grid
 from .campaign import (
+    GLIDE as GLIDE,
+    USUAL as USUAL,
     campaign_figures as campaign_figures,
-    overview as overview,
     save_figures as save_figures,
 )
+from .figure_data import FigureData as FigureData

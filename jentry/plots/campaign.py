@@ -1,120 +1,142 @@
-"""All figures of a campaign."""
+"""The figures of a campaign, by name, and the files that they go to."""
 
+import functools
 import io
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
+from typing import TYPE_CHECKING, Optional
 
 from .._files import write_whole
-from ..flight.termination import has_end
-from .errors import draw_downrange, draw_footprint, footprint
-from .glide import CONTROLS, STATES, constraints_of, end_errors, over_time
-from .style import in_style, legend, note, panelled
-from .trajectories import HISTORIES, draw_bank, draw_drag
+from . import errors, glide
+from .entry_corridor import corridor
+from .figure_data import FigureData
+from .style import in_style, legend, panelled
+from .trajectories import ALTITUDE, BANK, DRAG, Trajectory
 
 
 if TYPE_CHECKING:
     import matplotlib.figure
-    import xarray
 
 
-_OVER_TIME = {"states": STATES, "controls": CONTROLS}
+DrawFigure = Callable[[FigureData], Optional["matplotlib.figure.Figure"]]
+"""A figure of flown runs; None where these have nothing to draw"""
+
+
+def _of_trajectories(
+    trajectory: Trajectory, data: FigureData
+) -> "matplotlib.figure.Figure | None":
+    runs = data.trajectories
+    if runs is None or trajectory.name not in runs:
+        return None
+    figure, (axes,) = panelled(6.4, 4.2, 1, data.title)
+    trajectory.draw(axes, runs, data.nominal)
+    legend(axes)
+    return data.noted(figure, histories=True)
+
+
+def downrange(data: FigureData) -> "matplotlib.figure.Figure":
+    """Histogram of the downrange error."""
+    figure, (axes,) = panelled(6.4, 4.2, 1, data.title)
+    errors.draw_downrange(axes, data.results)
+    return data.noted(figure)
+
+
+def footprint(data: FigureData) -> "matplotlib.figure.Figure":
+    """Altitude error, and crossrange error if there is any, over downrange error."""
+    return data.noted(errors.footprint(data.results, data.nominal, data.title))
+
+
+def end_errors(data: FigureData) -> "matplotlib.figure.Figure":
+    """Histograms of the miss distance and of the errors in direction and velocity."""
+    return data.noted(glide.end_errors(data.results, data.title))
+
+
+def states(data: FigureData) -> "matplotlib.figure.Figure | None":
+    """Every run over time: the state."""
+    return _all_over_time(data, glide.STATES)
+
+
+def controls(data: FigureData) -> "matplotlib.figure.Figure | None":
+    """Every run over time: angle of attack and bank angle."""
+    return _all_over_time(data, glide.CONTROLS)
+
+
+def constraints(data: FigureData) -> "matplotlib.figure.Figure | None":
+    """Every run over time: the path constraints, with their limits."""
+    runs = data.trajectories
+    return None if runs is None else _all_over_time(data, glide.constraints_of(runs))
+
+
+def _all_over_time(data: FigureData, names: tuple[str, ...]):
+    if data.trajectories is None or not names:
+        return None
+    figure = glide.over_time(data.trajectories, names, title=data.title)
+    return data.noted(figure, histories=True)
+
+
+def overview(data: FigureData) -> "matplotlib.figure.Figure":
+    """One wide figure: drag, bank and downrange error.
+
+    Without trajectories, or without their drag: downrange error and footprint.
+    """
+    runs = data.trajectories
+    if runs is None or DRAG.name not in runs:
+        figure, (histogram, ends) = panelled(11.0, 3.6, 2, "")
+        errors.draw_footprint(ends, data.results, data.nominal)
+    else:
+        figure, (drag, bank, histogram) = panelled(11.0, 3.6, 3, "")
+        DRAG.draw(drag, runs, data.nominal)
+        BANK.draw(bank, runs, data.nominal)
+        legend(drag)
+    errors.draw_downrange(histogram, data.results)
+    return data.noted(figure)
+
+
+HISTORIES: Mapping[str, DrawFigure] = {
+    "drag": functools.partial(_of_trajectories, DRAG),
+    "altitude": functools.partial(_of_trajectories, ALTITUDE),
+    "bank": functools.partial(_of_trajectories, BANK),
+    "corridor": corridor,
+}
+"""Percentile bands of the runs, at equal velocity or, for the bank, at equal time"""
+
+USUAL: Mapping[str, DrawFigure] = {
+    **HISTORIES,
+    "downrange": downrange,
+    "footprint": footprint,
+    "overview": overview,
+}
+"""Of a mission that says nothing else: bands, and errors along and across the track"""
+
+GLIDE: Mapping[str, DrawFigure] = {
+    **HISTORIES,
+    "end_errors": end_errors,
+    "states": states,
+    "controls": controls,
+    "constraints": constraints,
+    "overview": end_errors,
+}
+"""Of a glide to a target with a direction: bands, errors, and every run over time"""
 
 
 def campaign_figures(
-    results: "xarray.Dataset",
-    trajectories: "xarray.Dataset | None" = None,
-    nominal: "xarray.Dataset | None" = None,
-    title: str = "",
+    data: FigureData, figures: Mapping[str, DrawFigure] = USUAL
 ) -> dict[str, "matplotlib.figure.Figure"]:
     """Every figure of a campaign, by name.
 
-    - `drag`, `altitude`: percentile bands of the runs at equal velocity, with the
-      nominal flight as the reference line.
-    - `bank`: the same at equal time.
-    - `downrange`: histogram of the downrange error, actual minus desired.
-    - `footprint`: altitude error, and crossrange error if there is any, over downrange
-      error.
-
-    - where the target has a direction, in place of these two: `end_errors`, miss
-      distance and errors, and every run over time in `states`, `controls` and
-      `constraints`.
-
-    All over velocity or time need `trajectories`. Runs that did not stay finite are left
-    out, and each figure says how many.
+    Those that lack what they are drawn of, such as trajectories or a limit, are left out.
 
     **Arguments:**
 
-    - `results`: all runs, as of `jentry.campaign.results.dataset`.
-    - `trajectories`: some runs with histories, on (run, time), NaN after the end.
-    - `nominal`: the same of one flight.
-    - `title`: above each figure.
+    - `data`: the runs, `FigureData.of(results, trajectories, nominal, scenario, title)`.
+    - `figures`: what is drawn: `USUAL`, `GLIDE`, or functions of your own.
 
-        figures = campaign_figures(results, trajectories, nominal, mission.title)
+        figures = campaign_figures(data, mission.figures)
         save_figures(figures, "figures")
     """
-    flown, left_out = _finite_runs(results)
-    figures = {}
     with in_style():
-        if trajectories is not None:
-            kept, lost = _finite_runs(trajectories)
-            for name, draw in HISTORIES.items():
-                figures[name], (axes,) = panelled(6.4, 4.2, 1, title)
-                draw(axes, kept, nominal)
-                legend(axes)
-                note(figures[name], lost, trajectories)
-        if "heading_error" not in results:
-            figures["downrange"], (axes,) = panelled(6.4, 4.2, 1, title)
-            draw_downrange(axes, flown)
-            note(figures["downrange"], left_out, results)
-            figures["footprint"] = footprint(flown, nominal, title)
-            note(figures["footprint"], left_out, results)
-            return figures
-        figures["end_errors"] = end_errors(flown, title)
-        note(figures["end_errors"], left_out, results)
-        if trajectories is not None:
-            shown = _OVER_TIME | {"constraints": constraints_of(kept)}
-            for name, quantities in shown.items():
-                if not quantities:
-                    continue
-                figures[name] = over_time(kept, quantities, title=title)
-                note(figures[name], lost, trajectories)
-    return figures
-
-
-def overview(
-    results: "xarray.Dataset",
-    trajectories: "xarray.Dataset | None" = None,
-    nominal: "xarray.Dataset | None" = None,
-    title: str = "",
-) -> "matplotlib.figure.Figure":
-    """One wide figure of a campaign: drag, bank and downrange error.
-
-    Where the target has a direction, miss distance and errors in its place.
-
-    Arguments as of `campaign_figures`. Without `trajectories` there are the downrange
-    error and the footprint.
-    """
-    flown, left_out = _finite_runs(results)
-    if "heading_error" in results:
-        figure = end_errors(flown, title)
-        note(figure, left_out, results)
-        return figure
-    with in_style():
-        if trajectories is None:
-            figure, (histogram, ends) = panelled(11.0, 3.6, 2, title)
-            draw_footprint(ends, flown, nominal)
-        else:
-            figure, (drag, bank, histogram) = panelled(11.0, 3.6, 3, title)
-            kept, _ = _finite_runs(trajectories)
-            draw_drag(drag, kept, nominal)
-            draw_bank(bank, kept, nominal)
-            legend(drag)
-        draw_downrange(histogram, flown)
-        note(figure, left_out, results)
-    return figure
+        drawn = {name: draw(data) for name, draw in figures.items()}
+    return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
 def save_figures(
@@ -131,14 +153,3 @@ def save_figures(
         paths.append(folder / f"{name}.png")
         write_whole(paths[-1], drawn.getvalue())
     return paths
-
-
-def _finite_runs(runs: "xarray.Dataset") -> tuple["xarray.Dataset", int]:
-    """The runs that stayed finite and have an end, and the number of others."""
-    good = np.ones(runs.sizes["run"], dtype=bool)
-    if "outcome" in runs:
-        good &= has_end(runs["outcome"].values)
-    for name in ("downrange_error", "crossrange_error", "altitude_error"):
-        if name in runs:
-            good &= np.isfinite(runs[name].values)
-    return runs.isel(run=good), int((~good).sum())

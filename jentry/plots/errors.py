@@ -5,8 +5,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..units import km
-from .style import ENDS, MEAN, MUTED, NOMINAL, RUNS_LIGHT, count, legend, panelled
+from .._printed import in_words
+from ..campaign.outputs import error_of
+from .style import (
+    ENDS,
+    MEAN,
+    MUTED,
+    NOMINAL,
+    RUNS_LIGHT,
+    count,
+    legend,
+    panelled,
+    scaled,
+)
 
 
 if TYPE_CHECKING:
@@ -17,7 +28,9 @@ if TYPE_CHECKING:
 
 _MOST_BINS = 40
 _FLAT = 1e-3
-"""km. Errors closer together than this count as equal"""
+"""In the unit of the axis. Errors closer together than this count as equal"""
+
+_ALONG, _ACROSS, _UP = map(error_of, ("downrange", "crossrange", "altitude"))
 _CROSSRANGE_SPREAD = 1.0
 """m, above which the crossrange has a panel of its own"""
 
@@ -26,8 +39,9 @@ def draw_downrange(axes: "matplotlib.axes.Axes", runs: "xarray.Dataset") -> None
     """Histogram of the downrange error, with its mean and standard deviation."""
     from matplotlib.ticker import MaxNLocator
 
-    errors = runs["downrange_error"].values / km
-    axes.set_xlabel("Downrange error, actual − desired (km)")
+    drawn = scaled(runs[_ALONG])
+    errors = drawn.values
+    axes.set_xlabel(drawn.label)
     axes.set_ylabel("Runs")
     axes.grid(visible=False, axis="x")
     heading = [count(runs)]
@@ -37,27 +51,29 @@ def draw_downrange(axes: "matplotlib.axes.Axes", runs: "xarray.Dataset") -> None
         )
         steps = [1.0, 2.0, 2.5, 5.0, 10.0]
         axes.yaxis.set_major_locator(MaxNLocator("auto", steps=steps, integer=True))
-        heading += _mark_moments(axes, errors)
+        heading += _mark_moments(axes, errors, drawn.unit)
     axes.set_title(", ".join(heading), loc="left")
 
 
-def _mark_moments(axes: "matplotlib.axes.Axes", errors: np.ndarray) -> list[str]:
-    """Lines at the mean and a standard deviation about it, and both in words (km)."""
+def _mark_moments(
+    axes: "matplotlib.axes.Axes", errors: np.ndarray, unit: str
+) -> list[str]:
+    """Lines at the mean and a standard deviation about it, and both in words."""
     mean = float(errors.mean())
     axes.axvline(mean, color=MEAN, lw=1.8)
     if errors.size == 1:
-        return [f"mean {_number(mean, abs(mean), '+')} km"]
+        return [f"mean {_number(mean, abs(mean), '+')} {unit}"]
     deviation = float(np.std(errors, ddof=1))
     for side in (mean - deviation, mean + deviation):
         axes.axvline(side, color=MEAN, lw=1.1, ls=(0, (3, 2)))
     return [
-        f"mean {_number(mean, deviation, '+')} km",
-        f"std {_number(deviation, deviation)} km",
+        f"mean {_number(mean, deviation, '+')} {unit}",
+        f"std {_number(deviation, deviation)} {unit}",
     ]
 
 
 def _bin_edges(errors: np.ndarray) -> np.ndarray:
-    """Of 40 bins at most; of 1 km about errors that are all equal."""
+    """Of 40 bins at most; of one unit about errors that are all equal."""
     if np.ptp(errors) < _FLAT:
         return np.mean(errors) + np.arange(-2.5, 3.0)
     bins = int(np.clip(np.sqrt(errors.size), 5, _MOST_BINS))
@@ -81,14 +97,14 @@ def footprint(
         return figure
     figure, (left, right) = panelled(10.0, 4.2, 2, title)
     draw_footprint(left, runs, nominal)
-    _draw_ends(right, runs, nominal, "crossrange")
+    _draw_ends(right, runs, nominal, _ACROSS)
     return figure
 
 
 def _spreads_across(runs: "xarray.Dataset") -> bool:
-    if "crossrange_error" not in runs or runs.sizes["run"] == 0:
+    if _ACROSS not in runs or runs.sizes["run"] == 0:
         return False
-    return bool(np.std(runs["crossrange_error"].values) > _CROSSRANGE_SPREAD)
+    return bool(np.std(runs[_ACROSS].values) > _CROSSRANGE_SPREAD)
 
 
 def draw_footprint(
@@ -97,7 +113,7 @@ def draw_footprint(
     nominal: "xarray.Dataset | None",
 ) -> None:
     """Altitude error over downrange error, with a legend of the end conditions."""
-    _draw_ends(axes, runs, nominal, "altitude")
+    _draw_ends(axes, runs, nominal, _UP)
     axes.set_title(count(runs), loc="left")
     legend(axes)
 
@@ -111,12 +127,13 @@ def _draw_ends(
     """Where the runs ended about the target, by the condition that ended them."""
     axes.axhline(0.0, color=MUTED, lw=0.8)
     axes.axvline(0.0, color=MUTED, lw=0.8)
+    along, aside = scaled(runs[_ALONG]), scaled(runs[error])
     size = np.clip(4000.0 / max(runs.sizes["run"], 1), 3.0, 18.0)
     ends = _by_end(runs).items()
     for (label, ended), color in zip(ends, itertools.cycle(ENDS), strict=False):
         axes.scatter(
-            runs["downrange_error"].values[ended] / km,
-            runs[f"{error}_error"].values[ended] / km,
+            along.values[ended],
+            aside.values[ended],
             s=size,
             color=color,
             alpha=0.6,
@@ -125,16 +142,16 @@ def _draw_ends(
         )
     if nominal is not None:
         axes.plot(
-            nominal["downrange_error"].values / km,
-            nominal[f"{error}_error"].values / km,
+            nominal[_ALONG].values / along.size,
+            nominal[error].values / aside.size,
             "+",
             color=NOMINAL,
             ms=10,
             mew=1.6,
             label="nominal",
         )
-    axes.set_xlabel("Downrange error (km)")
-    axes.set_ylabel(f"{error.capitalize()} error (km)")
+    axes.set_xlabel(along.label)
+    axes.set_ylabel(aside.label)
 
 
 def _by_end(runs: "xarray.Dataset") -> dict[str, np.ndarray]:
@@ -151,6 +168,5 @@ def _by_end(runs: "xarray.Dataset") -> dict[str, np.ndarray]:
         )
     )
     return {
-        f"ended by {names[code].replace('_', ' ')}": codes == code
-        for code in np.unique(codes)
+        f"ended by {in_words(names[code])}": codes == code for code in np.unique(codes)
     }

@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..units import degree, km
-from .style import ENDS, MUTED, NOMINAL, RUNS, in_style, legend, panelled
+from ..campaign.outputs import MISS_DISTANCE, error_of, peak_of
+from ..units import km
+from .style import ENDS, MUTED, NOMINAL, RUNS, in_style, legend, panelled, scaled
 
 
 if TYPE_CHECKING:
@@ -15,27 +16,19 @@ if TYPE_CHECKING:
     import xarray
 
 
-_QUANTITIES = {
-    "altitude": ("Altitude, km", km),
-    "velocity": ("Velocity, km/s", km),
-    "flight_path_angle": ("Flight-path angle, deg", degree),
-    "heading": ("Azimuth, deg", degree),
-    "angle_of_attack": ("Angle of attack, deg", degree),
-    "bank_angle": ("Bank angle, deg", degree),
-    "heat_rate": ("Heat rate, MW/m²", 1e6),
-    "dynamic_pressure": ("Dynamic pressure, kPa", 1e3),
-    "load_factor": ("Load factor, g", 1.0),
-}
-
 STATES = ("altitude", "velocity", "flight_path_angle", "heading")
 CONTROLS = ("angle_of_attack", "bank_angle")
 CONSTRAINTS = ("heat_rate", "dynamic_pressure", "load_factor")
+END_ERRORS = (
+    MISS_DISTANCE,
+    *(error_of(miss) for miss in ("flight_path_angle", "heading", "velocity")),
+)
+"""The paper's figure 12"""
 
 
 def over_time(
     trajectories: "xarray.Dataset",
     names: tuple[str, ...],
-    limits: Mapping[str, float] | None = None,
     title: str = "",
 ) -> "matplotlib.figure.Figure":
     """Every run over time, a panel for each quantity.
@@ -44,21 +37,21 @@ def over_time(
 
     - `trajectories`: runs with histories, on (run, time), NaN after the end.
     - `names`: such as `STATES`, `CONTROLS` or `CONSTRAINTS`.
-    - `limits`: of some of them in SI units, drawn as lines; if not given, those of the
-      scenario's path constraints.
+
+    Path constraints of the scenario have a line at their limit.
     """
     with in_style():
         figure, panels = panelled(3.1 * len(names), 2.9, len(names), title)
-        time = trajectories["time"].values
+        time = scaled(trajectories["time"])
         for axes, name in zip(panels, names, strict=True):
-            label, size = _labelled(trajectories, name)
-            values = trajectories[name].values / size
-            axes.plot(time, values.T, color=RUNS, lw=0.4, alpha=0.25)
-            limit = (limits or {}).get(name, trajectories[name].attrs.get("limit"))
+            drawn = scaled(trajectories[name])
+            axes.plot(time.values, drawn.values.T, color=RUNS, lw=0.4, alpha=0.25)
+            limit = trajectories[name].attrs.get("limit")
             if limit is not None:
-                axes.axhline(limit / size, color=ENDS[-1], lw=1.4, label="limit")
+                at = limit / drawn.size
+                axes.axhline(at, color=ENDS[-1], lw=1.4, label="limit")
                 legend(axes)
-            axes.set(xlabel="Time, s", ylabel=label)
+            axes.set(xlabel=time.label, ylabel=drawn.label)
     return figure
 
 
@@ -67,18 +60,9 @@ def constraints_of(trajectories: "xarray.Dataset") -> tuple[str, ...]:
 
     That has a figure of its own. The usual ones are first.
     """
-    held = [str(n) for n in trajectories.data_vars if f"peak_{n}" in trajectories]
+    held = [str(n) for n in trajectories.data_vars if peak_of(str(n)) in trajectories]
     usual = [name for name in CONSTRAINTS if name in trajectories]
     return (*usual, *(name for name in held if name not in (*usual, "drag")))
-
-
-def _labelled(trajectories: "xarray.Dataset", name: str) -> tuple[str, float]:
-    """The label of an axis, and the unit in it; of others than ours in SI units."""
-    if name in _QUANTITIES:
-        return _QUANTITIES[name]
-    described = trajectories[name].attrs
-    words = described["long_name"]
-    return f"{words[:1].upper()}{words[1:]}, {described['units']}", 1.0
 
 
 def velocity_errors(
@@ -88,7 +72,8 @@ def velocity_errors(
     with in_style():
         figure, (axes,) = panelled(7.2, 3.6, 1, title)
         for colour, (name, results) in zip(ENDS, campaigns.items(), strict=False):
-            error = results["velocity_error"].values
+            drawn = scaled(results[error_of("velocity")])
+            error = drawn.values
             mean = np.mean(np.abs(error))
             axes.plot(
                 results["run"].values,
@@ -96,28 +81,24 @@ def velocity_errors(
                 ".",
                 ms=3.5,
                 color=colour,
-                label=f"{name}: mean {mean:.3g} m/s",
+                label=f"{name}: mean {mean:.3g} {drawn.unit}",
             )
+            axes.set(xlabel="Run", ylabel=drawn.label)
         axes.axhline(0.0, color=MUTED, lw=0.8)
-        axes.set(xlabel="Run", ylabel="Velocity error, m/s")
         axes.legend(loc="upper left", markerscale=2.0)
     return figure
 
 
 def end_errors(
-    results: "xarray.Dataset", title: str = ""
+    results: "xarray.Dataset", title: str = "", names: tuple[str, ...] = END_ERRORS
 ) -> "matplotlib.figure.Figure":
-    """Miss distance and errors of the angles and the velocity: the paper's figure 12."""
-    shown = (
-        ("miss_distance", "Miss distance, m", 1.0),
-        ("flight_path_angle_error", "Flight-path angle error, deg", degree),
-        ("heading_error", "Azimuth error, deg", degree),
-        ("velocity_error", "Velocity error, m/s", 1.0),
-    )
+    """Histograms of miss distance and errors, a panel for each of these that there is."""
+    names = tuple(name for name in names if name in results)
     with in_style():
-        figure, panels = panelled(12.0, 2.8, len(shown), title)
-        for axes, (name, label, size) in zip(panels, shown, strict=True):
-            draw_errors(axes, results[name].values / size, label)
+        figure, panels = panelled(3.0 * len(names), 2.8, len(names), title)
+        for axes, name in zip(panels, names, strict=True):
+            drawn = scaled(results[name])
+            draw_errors(axes, drawn.values, drawn.label)
             if axes is not panels[0]:
                 axes.set_ylabel("")
     return figure
@@ -125,13 +106,13 @@ def end_errors(
 
 def draw_errors(axes: "matplotlib.axes.Axes", values: np.ndarray, label: str) -> None:
     """A histogram, in powers of ten of the unit where the values are small."""
-    what, unit = label.rsplit(", ", 1)
+    what, _, unit = label.rstrip(")").rpartition(" (")
     largest = np.max(np.abs(values), initial=0.0)
     if 0.0 < largest < 1e-2:
         power = int(np.floor(np.log10(largest)))
         values, unit = values * 10.0**-power, f"1e{power} {unit}"
     axes.hist(values, bins=40, color=RUNS)
-    axes.set(xlabel=f"{what}, {unit}", ylabel="Runs")
+    axes.set(xlabel=f"{what} ({unit})", ylabel="Runs")
 
 
 def draw_velocity_map(
@@ -144,7 +125,7 @@ def draw_velocity_map(
     with in_style():
         figure, (axes,) = panelled(5.4, 3.9, 1, "")
         filled = axes.contourf(k1, k2, velocity.T, levels=24, cmap="cividis")
-        figure.colorbar(filled, label="Velocity at the target, m/s")
+        figure.colorbar(filled, label="Velocity at the target (m/s)")
         if wanted is not None:
             line = axes.contour(k1, k2, velocity.T, levels=[wanted], colors="white")
             axes.clabel(line, fmt=f"{wanted:.0f} m/s")
@@ -167,6 +148,6 @@ def prediction_errors(
             binned = [np.abs(error[place == i]) for i in range(len(middle))]
             mean = [np.mean(b) if b.size else np.nan for b in binned]
             axes.semilogy(middle / km, mean, color=colour, label=name)
-        axes.set(xlabel="Distance to go, km", ylabel="Mean error of prediction, m/s")
+        axes.set(xlabel="Distance to go (km)", ylabel="Mean error of prediction (m/s)")
         axes.legend()
     return figure

@@ -1,9 +1,13 @@
 """What all figures share: colours, fonts, headings and legends."""
 
 import contextlib
-from typing import TYPE_CHECKING, Any
+import re
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+
+from .._printed import in_words
+from ..campaign.outputs import shown, unit_size
 
 
 if TYPE_CHECKING:
@@ -75,12 +79,42 @@ def panelled(
     return figure, axes
 
 
+class Scaled(NamedTuple):
+    """A variable of a result as it is drawn."""
+
+    values: Any
+    label: str
+    """Of an axis: what it is, and the unit"""
+    unit: str
+    size: float
+    """SI value of the unit"""
+
+
+def scaled(variable: "xarray.DataArray") -> Scaled:
+    """A variable in the unit in which people read it, and the label of its axis.
+
+    Its words and its unit are those that the results have from the fields of the flight.
+    """
+    values, unit = shown(variable)
+    words = variable.attrs.get("long_name", in_words(str(variable.name)))
+    label = f"{words[:1].upper()}{words[1:]}"
+    if unit != "1":
+        label += f" ({typeset(unit)})"
+    return Scaled(values, label, unit, unit_size(variable))
+
+
+def typeset(unit: str) -> str:
+    """A unit with raised powers: `m/s2` is m/s²."""
+    return re.sub("(?<=[A-Za-z])[23]", lambda m: "²³"["23".index(m[0])], unit)
+
+
 def note(
     figure: "matplotlib.figure.Figure", left_out: int, runs: "xarray.Dataset"
 ) -> None:
-    """Says below the figure how many runs it is without."""
+    """Says below the figure how many runs are left out beside those that it has."""
     if left_out:
-        text = f"{left_out} of {count(runs)} not finite or without an end: left out"
+        total = left_out + runs.sizes["run"]
+        text = f"{left_out} of {total} runs not finite or without an end: left out"
         figure.supxlabel(text, x=0.99, ha="right", fontsize=8.0, color=MUTED)
 
 

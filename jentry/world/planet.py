@@ -2,6 +2,7 @@
 
 import equinox as eqx
 
+from .._printed import as_text
 from ..fields import Scalar, scalar
 from .atmosphere import AbstractAtmosphere
 from .gravity import AbstractGravity
@@ -22,6 +23,8 @@ class Planet(eqx.Module):
     """Of the heat rate at the stagnation point: Sutton and Graves' for air"""
     heating_exponent: int | float = eqx.field(default=3, static=True, kw_only=True)
     """Power of the velocity in the heat rate; of the unit of the coefficient if not 3"""
+
+    __str__ = as_text
 
     def density(self, altitude: Scalar) -> Scalar:
         """Density of the air that the vehicle meets, kg/m3."""

@@ -2,6 +2,7 @@
 
 import equinox as eqx
 
+from .._printed import as_text
 from ..fields import Scalar, scalar
 from .aerodynamics import AbstractAerodynamics
 
@@ -21,6 +22,8 @@ class Vehicle(eqx.Module):
     the vehicle then flies."""
     nose_radius: Scalar = scalar(1.0, unit="m", positive=True)
     """For the heat rate at the stagnation point."""
+
+    __str__ = as_text
 
     def coefficients(
         self, angle_of_attack: Scalar, mach: Scalar, airspeed: Scalar

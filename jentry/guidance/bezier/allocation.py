@@ -1,5 +1,6 @@
 """From the acceleration that a path asks for to angle of attack and bank, within limits."""
 
+import functools
 import math
 
 import equinox as eqx
@@ -7,6 +8,13 @@ import jax.numpy as jnp
 
 from ..._math import sincos
 from ...fields import Scalar, scalar
+from ...motion.constraints import (
+    Constraints,
+    DynamicPressure,
+    HeatRate,
+    LoadFactor,
+    limit_of,
+)
 from ...motion.state import Controls
 from ...units import standard_gravity
 from ...world.aerodynamics import AbstractInvertibleAerodynamics
@@ -16,16 +24,16 @@ from .inverse_dynamics import Acceleration
 
 
 class FlightLimits(eqx.Module):
-    """What the vehicle may do, and may be exposed to: equations (11), (13)."""
+    """What the law may command: equation (13).
+
+    What the vehicle may be exposed to, equation (11), are the path constraints of the
+    scenario.
+    """
 
     least_angle_of_attack: Scalar = scalar(unit="rad")
     largest_angle_of_attack: Scalar = scalar(unit="rad")
     largest_bank: Scalar = scalar(unit="rad", range=(0.0, math.pi))
     """To either side"""
-    load_factor: Scalar = scalar(positive=True)
-    """In units of 9.80665 m/s2"""
-    dynamic_pressure: Scalar = scalar(unit="Pa", positive=True)
-    heat_rate: Scalar = scalar(unit="W/m2", positive=True)
 
 
 def lift_coefficient(
@@ -40,6 +48,7 @@ def attitude(
     planet: Planet,
     vehicle: Vehicle,
     limits: FlightLimits,
+    constraints: Constraints,
     altitude: Scalar,
     velocity: Scalar,
     wanted: Acceleration,
@@ -58,6 +67,8 @@ def attitude(
 
     **Arguments:**
 
+    - `constraints`: the limits of load factor, dynamic pressure and heat rate among them
+        are kept; the load factor (33) counts the lift alone.
     - `lift_factor`: actual lift in units of the model's.
     """
     aerodynamics = vehicle.aerodynamics
@@ -75,7 +86,6 @@ def attitude(
     # What the wanted acceleration has in the direction that is flown: all of it, unless
     # the bank is at its limit.
     lift = wanted.vertical * cos_bank + wanted.lateral * sin_bank
-    most_lift = limits.load_factor * standard_gravity
 
     def angle_of_lift(lift: Scalar) -> Scalar:
         lift = lift / lift_factor
@@ -87,16 +97,25 @@ def attitude(
     weight = planet.gravity.acceleration(radius) - velocity * velocity / radius
     upright = jnp.where(beyond, 1.0, cos_bank)
     loading = vehicle.mass * weight / (vehicle.reference_area * upright)
-    heating = planet.heating_coefficient * velocity**planet.heating_exponent
-    at_heat_limit = (
-        0.5 * vehicle.nose_radius * (limits.heat_rate * velocity / heating) ** 2
-    )
-    least = jnp.maximum(
+    pressure = limit_of(constraints, DynamicPressure)
+    heat_rate = limit_of(constraints, HeatRate)
+    load_factor = limit_of(constraints, LoadFactor)
+    lowest, least, most = (
+        [],
         limits.least_angle_of_attack,
-        jnp.maximum(
-            angle(loading / limits.dynamic_pressure), angle(loading / at_heat_limit)
-        ),
+        limits.largest_angle_of_attack,
     )
-    most = jnp.minimum(limits.largest_angle_of_attack, angle_of_lift(most_lift))
+    if pressure is not None:
+        lowest.append(angle(loading / pressure))
+    if heat_rate is not None:
+        heating = planet.heating_coefficient * velocity**planet.heating_exponent
+        at_heat_limit = (
+            0.5 * vehicle.nose_radius * (heat_rate * velocity / heating) ** 2
+        )
+        lowest.append(angle(loading / at_heat_limit))
+    if lowest:
+        least = jnp.maximum(least, functools.reduce(jnp.maximum, lowest))
+    if load_factor is not None:
+        most = jnp.minimum(most, angle_of_lift(load_factor * standard_gravity))
     angle_of_attack = jnp.minimum(jnp.maximum(angle_of_lift(lift), least), most)
     return Controls(angle_of_attack, cos_bank, sin_bank)

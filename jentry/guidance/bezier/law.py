@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from ...fields import QUARTER, Scalar, scalar
+from ...motion.constraints import Constraints
 from ...motion.forces import air_data
 from ...motion.state import Controls, EntryState
 from ...onboard.estimation import Estimate, FactorEstimator
@@ -61,6 +62,8 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
 
     - `parameters`: k1 and k2 of the curve at the start.
     - `track`, `arrival`: where to, and how.
+    - `limits`: of what it commands. The limits of load factor, dynamic pressure and heat
+      rate that it keeps are those of `Scenario.constraints`, if they have any.
     - `cycle`: the guidance cycles.
     - `anchoring`: `StoredParameters` (the paper's) or `Subdivision`.
     - `acceleration_loop`: the commanded specific force is achieved, by the estimated
@@ -86,12 +89,11 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
                 f"the onboard model has {type(aerodynamics).__name__}: the law needs "
                 "aerodynamics whose lift tells the angle of attack"
             )
-        self.velocity_control.check(self.glide)
+        self.velocity_control.check(self.glide({}))
 
-    @property
-    def glide(self) -> Glide:
-        """What flies the curve."""
-        return Glide(self.model, self.limits, self.anchoring)
+    def glide(self, constraints: Constraints) -> Glide:
+        """What flies the curve, below the limits of the path constraints."""
+        return Glide(self.model, self.limits, constraints, self.anchoring)
 
     def target(self) -> PathPoint:
         """The end of the curve."""
@@ -142,7 +144,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
         factors = estimate.factors
         shape = self.anchoring.carried(held.shape, held.along, start, target)
         shape, predictions = self.velocity_control.adjusted(
-            self.glide,
+            self.glide(measurement.constraints),
             Situation(start, state.velocity, shape, target, factors),
             held.count,
             seconds_to_go,
@@ -157,6 +159,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
             planet,
             vehicle,
             self.limits,
+            measurement.constraints,
             state.altitude,
             state.velocity,
             wanted,

@@ -10,6 +10,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from ...fields import Scalar, table
+from ...motion.constraints import Constraints
 from ...onboard.estimation import Factors
 from ...onboard.model import OnboardModel
 from ...onboard.network import Network
@@ -35,6 +36,8 @@ class Glide(eqx.Module):
 
     model: OnboardModel
     limits: FlightLimits
+    constraints: Constraints
+    """What may not be exceeded"""
     anchoring: AbstractAnchoring
 
 
@@ -70,6 +73,7 @@ class FlownModel(AbstractVelocityPredictor):
                 planet,
                 vehicle,
                 glide.limits,
+                glide.constraints,
                 altitude,
                 velocity,
                 wanted,

@@ -31,11 +31,19 @@ from ...guidance.bezier.velocity_control import (
     PolynomialAdjustment,
 )
 from ...guidance.cycle import ShorteningCycle
+from ...motion.constraints import (
+    Constraints,
+    DynamicPressure,
+    HeatRate,
+    LoadFactor,
+    usual_constraints,
+)
 from ...motion.state import EntryState
 from ...onboard.model import OnboardModel
 from ...onboard.navigation import Accelerometers
 from ...onboard.track import Track
 from ...planning.bezier_curve import k2_polynomials
+from ...plots import GLIDE
 from ...units import degree, km, standard_gravity
 from ...world.aerodynamics import ExponentialAerodynamics
 from ...world.atmosphere import AbstractAtmosphere, ExponentialAtmosphere
@@ -105,6 +113,15 @@ def glider() -> Vehicle:
     )
 
 
+def constraints() -> Constraints:
+    """Equation (11) with the limits of Table 1, which the law keeps."""
+    return usual_constraints() | {
+        "heat_rate": HeatRate(2e6),
+        "dynamic_pressure": DynamicPressure(200e3),
+        "load_factor": LoadFactor(2.0),
+    }
+
+
 def glide(
     parameters: BezierParameters,
     anchoring: AbstractAnchoring = StoredParameters(),
@@ -134,9 +151,6 @@ def glide(
             least_angle_of_attack=0.0,
             largest_angle_of_attack=20.0 * degree,
             largest_bank=85.0 * degree,
-            load_factor=2.0,
-            dynamic_pressure=200e3,
-            heat_rate=2e6,
         ),
         anchoring=anchoring,
         velocity_control=velocity_control,
@@ -163,6 +177,7 @@ def glide(
             heading=arrival.heading,
         ),
         accelerometers=Accelerometers(),
+        constraints=constraints(),
     )
 
 
@@ -310,6 +325,7 @@ MISSION = Mission(
     },
     gains=("guidance.parameters",),
     train=_train,
+    figures=GLIDE,
     published=(
         *_errors("miss distance", "m", "miss_distance", 1.0, (159.0, 0.22, 4.54)),
         *_errors(

@@ -1,0 +1,56 @@
+"""What the outputs of flights are called in results, and how people read them."""
+
+from typing import TYPE_CHECKING, Any
+
+from ..units import edge_unit
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+MISS_DISTANCE = "miss_distance"
+
+
+def at_end(name: str) -> str:
+    """Of a component of the state, or of the time."""
+    return f"end_{name}"
+
+
+def error_of(miss: str) -> str:
+    """Of a field of `Misses`, or of its `distance`."""
+    return MISS_DISTANCE if miss == "distance" else f"{miss}_error"
+
+
+def peak_of(constraint: str) -> str:
+    """Of a path constraint."""
+    return f"peak_{constraint}"
+
+
+def is_error(name: str) -> bool:
+    """Whether a variable of a result is a difference, actual minus desired."""
+    return "." not in name and name.endswith(error_of(""))
+
+
+def is_output(name: str) -> bool:
+    """Whether a variable of a result tells how the flight ended, or a peak of it."""
+    begins = at_end(""), peak_of(""), MISS_DISTANCE
+    return "." not in name and (name.startswith(begins) or is_error(name))
+
+
+def shown(variable: "xarray.DataArray") -> tuple[Any, str]:
+    """Values of a variable of a result as people read them, and their unit."""
+    unit, size = _edge(variable)
+    return variable.values / size, unit
+
+
+def unit_size(variable: "xarray.DataArray") -> float:
+    """SI value of the unit in which people read a variable of a result."""
+    return _edge(variable)[1]
+
+
+def _edge(variable: "xarray.DataArray") -> tuple[str, float]:
+    attributes = variable.attrs
+    if "shown_units" in attributes:
+        return attributes["shown_units"], 1.0
+    return edge_unit(attributes.get("units", "1"), variable.values)

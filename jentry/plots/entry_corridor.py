@@ -1,0 +1,81 @@
+"""The entry corridor: the limits of the path constraints, with the flights among them."""
+
+import itertools
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from .._printed import in_words
+from ..motion.corridor import bounding, entry_corridor
+from ..units import at_edge
+from .bands import at_velocity, velocity_grid
+from .figure_data import FigureData
+from .style import ENDS, legend, panelled, scaled, typeset
+from .trajectories import ALTITUDE, DRAG
+
+
+if TYPE_CHECKING:
+    import matplotlib.figure
+
+
+_VELOCITIES = 80
+"""At which the limits are drawn"""
+
+_MARGIN = 1.3
+"""Drag up to which the figure reaches, in units of the largest that is flown or allowed"""
+
+
+def corridor(data: FigureData) -> "matplotlib.figure.Figure | None":
+    """Altitude and drag over velocity, with the limit of each path constraint.
+
+    The limits are those of `Scenario.constraints` for level flight at the angle of attack
+    that the nominal flight has at that velocity. None without trajectories, and without a
+    constraint that has a limit and a value at each point.
+    """
+    scenario, runs, flown = data.scenario, data.trajectories, data.nominal
+    if scenario is None or runs is None or flown is None:
+        return None
+    held = bounding(scenario.constraints)
+    velocity = velocity_grid(flown["velocity"].values, _VELOCITIES)
+    if not held or not velocity.size:
+        return None
+    (angle,) = at_velocity(
+        flown["velocity"].values, flown["angle_of_attack"].values, velocity
+    )
+    curves = eqx.filter_jit(entry_corridor)(
+        held,
+        scenario.planet,
+        scenario.vehicle,
+        scenario.initial_state,
+        jnp.asarray(velocity),
+        jnp.asarray(angle),
+        scenario.dynamics,
+    )
+    shown = [each for each in (ALTITUDE, DRAG) if each.name in runs]
+    figure, panels = panelled(5.6 * len(shown), 4.2, len(shown), data.title)
+    for axes, trajectory in zip(panels, shown, strict=True):
+        trajectory.draw(axes, runs, flown)
+        size = scaled(runs[trajectory.name]).size
+        speed = scaled(runs["velocity"]).size
+        colours = itertools.cycle(ENDS[1:])
+        largest = [np.nanmax(runs[trajectory.name].values) / size]
+        for (name, point), colour in zip(curves.items(), colours, strict=False):
+            limit = np.asarray(getattr(point, trajectory.name)) / size
+            label = _limit_in_words(name, held[name])
+            axes.plot(velocity / speed, limit, color=colour, lw=1.6, label=label)
+            if np.isfinite(limit).any():
+                largest.append(np.nanmin(limit))
+        axes.set_ylim(bottom=0.0)
+        if trajectory is DRAG:
+            axes.set_ylim(top=_MARGIN * max(largest))
+        legend(axes)
+    return data.noted(figure, histories=True)
+
+
+def _limit_in_words(name: str, constraint) -> str:
+    unit = constraint.shown_unit or constraint.unit
+    limit, unit = at_edge(constraint.limit, unit)
+    unit = "" if unit == "1" else f" {typeset(unit)}"
+    return f"{in_words(name)}, {float(limit):.4g}{unit}"
