@@ -66,19 +66,22 @@ class AbstractContinuousLaw(AbstractLaw, Generic[Memory]):
         """Command, and the time derivative of the memory."""
 
 
-class AbstractBankLaw(AbstractContinuousLaw[Memory]):
+if TYPE_CHECKING:  # an abstract field would be the first argument of every such law
+
+    class _Turning:
+        lateral: AbstractLateralLogic
+else:
+
+    class _Turning(eqx.Module):
+        lateral: eqx.AbstractVar[AbstractLateralLogic]
+
+
+class AbstractBankLaw(AbstractContinuousLaw[Memory], _Turning):
     """A continuous law that turns the bank, to the side that its lateral logic chooses.
 
     The law says how it banks to the right. A lateral logic that decides does so at the
     guidance cycle, which `Sampled(law, period)` gives it.
     """
-
-    if TYPE_CHECKING:  # a field would be the first argument of every such law
-
-        @property
-        def lateral(self) -> AbstractLateralLogic: ...
-    else:
-        lateral: eqx.AbstractVar[AbstractLateralLogic]
 
     @abstractmethod
     def to_the_right(
