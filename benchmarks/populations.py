@@ -19,18 +19,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 import jentry
-
-
-jentry.setup()
-
-import numpy as np  # noqa: E402
-
-from jentry.campaign import open_campaign, run_campaign  # noqa: E402
-from jentry.campaign.populations import finite_flights, population, sets_of  # noqa: E402
-from jentry.flight import Outcome  # noqa: E402
-from jentry.missions import find_mission  # noqa: E402
-from jentry.units import degree, km  # noqa: E402
+from jentry.campaign import open_campaign, run_campaign
+from jentry.campaign.populations import finite_flights, population, sets_of
+from jentry.flight import Outcome
+from jentry.missions import find_mission
+from jentry.units import degree, km
 
 
 SETS = 16
@@ -155,6 +151,17 @@ def save(mission: str, rows: dict[tuple[str, str, str], np.ndarray]) -> None:
         csv.writer(file, lineterminator="\n").writerows(kept)
 
 
+def statistics_of(mission: str) -> dict[str, Callable[..., float]]:
+    """By heading; each takes the results of a set."""
+    return {c.heading: c.of for c in COLUMNS[mission]} | OTHERS[mission]
+
+
+def saved() -> dict[tuple[str, ...], np.ndarray]:
+    """All that was saved: by mission, variant, dispersions and heading, of each set."""
+    with open(SAVED, newline="") as file:
+        return {tuple(row[:4]): np.array(row[4:], float) for row in csv.reader(file)}
+
+
 def flown(mission: str, variant: str, reading: str, runs: int, seed: int, out: Path):
     """The stored campaign, of which what is missing is flown."""
     chosen = find_mission(mission)
@@ -174,8 +181,9 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/populations"))
     parser.add_argument("--save", action="store_true", help=f"to {SAVED.name}")
     options = parser.parse_args()
+    jentry.setup()
     mission, size = options.mission, RUNS[options.mission]
-    statistics = {c.heading: c.of for c in COLUMNS[mission]} | OTHERS[mission]
+    statistics = statistics_of(mission)
     print(f"{mission}: {options.sets} sets of {size} runs, seed {options.seed}; mean")
     print("over the sets ± standard deviation of a set; of maxima also median, largest")
     headings = ["variant", "dispersions", *statistics, "reached", "left out"]
