@@ -56,7 +56,9 @@ def program(scenario, inputs):
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--fast", action="store_true", help="as jentry.setup(fast=True)")
+    parser.add_argument(
+        "--fast", action="store_true", help="as jentry.setup(fast=True)"
+    )
     options = parser.parse_args()
     jentry.setup(1, fast=options.fast)
     mission = jentry.find_mission("mars-drag-tracking")

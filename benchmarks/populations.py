@@ -91,7 +91,7 @@ def lost(results) -> float:
 OTHERS = {
     "cav-h": {
         "velocity error, std, m/s": lambda results: float(
-            np.sqrt(np.sum(results[VELOCITY].values ** 2) / (results.sizes["run"] - 1))
+            np.std(results[VELOCITY].values, ddof=1)
         ),
         "lost, %": lost,
     },

@@ -10,13 +10,14 @@ import jax
 import numpy as np
 import pytest
 from first_sets import assert_first_set, populations
-from helpers import truths
+from helpers import fly_compiled, truths
 
 from jentry.campaign import monte_carlo
 from jentry.campaign.populations import Population
+from jentry.flight import misses
+from jentry.missions import find_mission
 from jentry.missions.cav_h.training import FOLDER, PURPOSES
 from jentry.onboard.network import load_network
-from jentry.missions import find_mission
 
 
 README = populations.SAVED.parents[1].joinpath("README.md").read_text()
@@ -94,6 +95,24 @@ def test_first_set_of_the_mars_mission():
     campaign = monte_carlo(scenario, table, jax.random.key(0), 1000)
     row = mission.name, "table-3", "lift-to-drag-held"
     assert_first_set(*row, scenario, campaign)
+
+
+@pytest.mark.slow
+def test_nominal_downrange_errors_of_the_mars_mission():
+    mission, paper = find_mission("mars-drag-tracking"), truths("yan_he.csv")
+    errors = {}
+    for variant in ("state-feedback", "observer-feedback", "time-index"):
+        scenario = mission.scenario(variant)
+        errors[variant] = float(misses(scenario, fly_compiled(scenario)).downrange)
+    printed = paper["nominal_errors"]
+    assert_says(
+        "-0.7 m (paper 4.75 m)",
+        errors["state-feedback"],
+        1e3 * printed["state_feedback"],
+    )
+    text = "-4.0 m (paper 72 m)"
+    assert_says(text, errors["observer-feedback"], 1e3 * printed["observer"])
+    assert abs(errors["time-index"]) < 1e-3 and "`time-index` below 1 mm" in README
 
 
 def test_range_tracking():

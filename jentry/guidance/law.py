@@ -42,8 +42,8 @@ class AngleOfAttackCommand(eqx.Module):
     angle_of_attack: Scalar = scalar(unit="rad")
     bank_increment: Scalar | None = optional_scalar(unit="rad")
     """By how much more the bank law should bank than by itself, rad; None for not at all.
-    So a law that modulates the angle of attack about a schedule steers its mean back, with
-    feedback of the deviation and of its rate"""
+    A law that modulates the angle of attack about a schedule steers its mean back by it,
+    with feedback of the deviation and of its rate"""
 
 
 Command = Controls | AngleOfAttackCommand
@@ -144,7 +144,7 @@ class HeldCommand(eqx.Module):
 
     command: Command
     side: Any
-    """By the lateral logic of the law; None where that has nothing to decide"""
+    """What the lateral logic of the law decided; None where it has nothing to decide"""
 
 
 class Sampled(AbstractSampledLaw[Memory, HeldCommand]):
