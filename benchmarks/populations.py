@@ -1,31 +1,32 @@
 """How far does a statistic of one Monte Carlo set go from one set to another?
 
 Flies 16 sets of 500 runs of each law of the CAV-H mission, and 16 of 1000 of the Mars
-range tracking: consecutive runs of one seed, which share no draw. Prints the mean of each
+missions: consecutive runs of one seed, which share no draw. Prints the mean of each
 statistic over the sets and its standard deviation from set to set: the tables of the
 README. Campaigns are stored below --out, and are resumed or read again from there.
 
     python benchmarks/populations.py cav-h
     python benchmarks/populations.py mars-range-tracking
+    python benchmarks/populations.py mars-drag-tracking
+
+`populations.csv` beside this file has each statistic of each set: `--save` writes it anew.
+The tests compare the README with it, and its first sets with what they fly.
 """
 
 import argparse
+import csv
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 import jentry
-
-
-jentry.setup()
-
-import numpy as np  # noqa: E402
-
-from jentry.campaign import open_campaign, run_campaign  # noqa: E402
-from jentry.campaign.populations import finite_flights, population, sets_of  # noqa: E402
-from jentry.flight import Outcome  # noqa: E402
-from jentry.missions import find_mission  # noqa: E402
-from jentry.units import degree, km  # noqa: E402
+from jentry.campaign import open_campaign, run_campaign
+from jentry.campaign.populations import finite_flights, population, sets_of
+from jentry.flight import Outcome
+from jentry.missions import find_mission
+from jentry.units import degree, km
 
 
 SETS = 16
@@ -63,6 +64,7 @@ DOWNRANGE, CROSSRANGE = "downrange_error", "crossrange_error"
 COLUMNS = {
     "cav-h": (
         Column("velocity error, mean, m/s", VELOCITY, 1.0, np.mean),
+        Column("median", VELOCITY, 1.0, np.median),
         Column("maximum", VELOCITY, 1.0, np.max),
         Column("within 20 m/s, %", VELOCITY, 1.0, within_20),
         Column("miss, maximum, m", "miss_distance", 1.0, np.max),
@@ -77,14 +79,30 @@ COLUMNS = {
         Column("maximum", DOWNRANGE, km, np.max),
         Column("crossrange error, 95th percentile", CROSSRANGE, km, percentile(95)),
     ),
+    "mars-drag-tracking": (),
 }
 
-DEVIATIONS = {
-    "cav-h": {},
+
+def lost(results) -> float:
+    """Share of the flights that did not reach the target, %"""
+    return 100.0 * float(np.mean(results["outcome"].values != Outcome.REACHED))
+
+
+OTHERS = {
+    "cav-h": {
+        "velocity error, std, m/s": lambda results: float(
+            np.std(results[VELOCITY].values, ddof=1)
+        ),
+        "lost, %": lost,
+    },
     "mars-range-tracking": {
         "downrange std, km": deviation(DOWNRANGE),
         "crossrange std": deviation(CROSSRANGE),
         "altitude std": deviation("altitude_error"),
+    },
+    "mars-drag-tracking": {
+        value.name: value.statistic
+        for value in find_mission("mars-drag-tracking").published
     },
 }
 
@@ -107,10 +125,41 @@ ROWS = {
         ("three-dimensional", "lift-to-drag-held"),
         ("three-dimensional", "independent"),
     ),
+    "mars-drag-tracking": (
+        ("table-3", "lift-to-drag-held"),
+        ("energy-index", "lift-to-drag-held"),
+    ),
 }
 
-RUNS = {"cav-h": 500, "mars-range-tracking": 1000}
+RUNS = {"cav-h": 500, "mars-range-tracking": 1000, "mars-drag-tracking": 1000}
 """In a set"""
+
+SAVED = Path(__file__).with_suffix(".csv")
+
+
+def save(mission: str, rows: dict[tuple[str, str, str], np.ndarray]) -> None:
+    """Put the statistics of a mission into the file, each with its sets in a row."""
+    kept = []
+    if SAVED.exists():
+        with open(SAVED, newline="") as file:
+            kept = [row for row in csv.reader(file) if row[0] != mission]
+    kept += [
+        [mission, *row, *(f"{value:.9g}" for value in values)]
+        for row, values in rows.items()
+    ]
+    with open(SAVED, "w", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows(kept)
+
+
+def statistics_of(mission: str) -> dict[str, Callable[..., float]]:
+    """By heading; each takes the results of a set."""
+    return {c.heading: c.of for c in COLUMNS[mission]} | OTHERS[mission]
+
+
+def saved() -> dict[tuple[str, ...], np.ndarray]:
+    """All that was saved: by mission, variant, dispersions and heading, of each set."""
+    with open(SAVED, newline="") as file:
+        return {tuple(row[:4]): np.array(row[4:], float) for row in csv.reader(file)}
 
 
 def flown(mission: str, variant: str, reading: str, runs: int, seed: int, out: Path):
@@ -130,14 +179,17 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=SETS)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("results/populations"))
+    parser.add_argument("--save", action="store_true", help=f"to {SAVED.name}")
     options = parser.parse_args()
+    jentry.setup()
     mission, size = options.mission, RUNS[options.mission]
-    statistics = {c.heading: c.of for c in COLUMNS[mission]} | DEVIATIONS[mission]
+    statistics = statistics_of(mission)
     print(f"{mission}: {options.sets} sets of {size} runs, seed {options.seed}; mean")
     print("over the sets ± standard deviation of a set; of maxima also median, largest")
     headings = ["variant", "dispersions", *statistics, "reached", "left out"]
     print("| " + " | ".join(headings) + " |")
     print("|" + "---|" * len(headings))
+    rows = {}
     for variant, reading in ROWS[mission]:
         if options.only and variant not in options.only:
             continue
@@ -147,6 +199,7 @@ def main() -> None:
         sets = sets_of(results, size)
         for heading, statistic in statistics.items():
             ours = population(statistic, sets)
+            rows[variant, reading, heading] = ours.values
             cell = f"{ours.mean:.3g} ± {ours.spread:.2g}"
             if "maximum" in heading:
                 middle, largest = np.median(ours.values), np.max(ours.values)
@@ -157,6 +210,8 @@ def main() -> None:
         print(
             "| " + " | ".join([*cells, f"{reached}", f"{left_out}"]) + " |", flush=True
         )
+    if options.save:
+        save(mission, rows)
 
 
 if __name__ == "__main__":

@@ -38,7 +38,7 @@ from jentry.motion.constraints import (
     LoadFactor,
     limit_of,
 )
-from jentry.onboard import Estimate, Factors, Measurement, Network
+from jentry.onboard import FactorEstimate, Factors, Measurement, Network
 from jentry.units import degree, km
 from jentry.world import USStandardAtmosphere1976
 
@@ -127,7 +127,7 @@ def test_a_memory_forgets_by_the_duration_of_the_cycle():
     state = at()
     lift, drag = (float(x) for x in expected_forces(state, number(0.23)))
     before, _ = cycle(law, state, duration=0.1)
-    known = Estimate(Factors(1.2, 0.9), number(40.0), number(7.0))
+    known = FactorEstimate(Factors(1.2, 0.9), number(40.0), number(7.0))
     held = eqx.tree_at(lambda d: d.estimate, before, known)
     after = decided(
         law, Measurement(state, number(lift), number(drag), number(0.0)), held

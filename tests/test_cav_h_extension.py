@@ -7,6 +7,7 @@ Bounds hold for any seed: see `test_cav_h`. Newton's method fails in about one f
 import jax
 import numpy as np
 import pytest
+from first_sets import assert_first_set
 from helpers import SPREADS, most_by_chance
 
 from jentry import ResultWarning
@@ -42,6 +43,8 @@ def errors(variant, reading, runs=RUNS):
     inputs |= {address: np.asarray(values) for address, values in drawn.items()}
     campaign = monte_carlo(scenario, inputs=inputs)
     assert np.all(np.asarray(campaign.flights.outcome) == Outcome.REACHED)
+    if runs == RUNS:
+        assert_first_set(MISSION.name, variant, reading, scenario, campaign)
     return np.abs(campaign.misses.velocity), campaign
 
 
@@ -90,12 +93,10 @@ def test_through_the_standard_atmosphere():
 @pytest.mark.slow
 def test_what_a_density_wave_leaves():
     """The place and the angles are met; the velocity is not: the air below is unknown."""
-    campaign = monte_carlo(
-        MISSION.scenario("newton"),
-        MISSION.dispersion_table("waves-sensed"),
-        jax.random.key(0),
-        RUNS,
-    )
+    scenario = MISSION.scenario("newton")
+    table = MISSION.dispersion_table("waves-sensed")
+    campaign = monte_carlo(scenario, table, jax.random.key(0), RUNS)
+    assert_first_set(MISSION.name, "newton", "waves-sensed", scenario, campaign)
     error = np.abs(campaign.misses.velocity)
     assert few(campaign.misses.distance > 1.0, 0)
     # The largest of a set.

@@ -22,7 +22,7 @@ from jentry.motion.forces import air_data
 from jentry.motion.quantities import energy, ground_track
 from jentry.onboard import (
     NO_END,
-    Estimate,
+    FactorEstimate,
     FactorEstimator,
     Factors,
     OnboardModel,
@@ -364,7 +364,7 @@ def test_bad_input_is_refused():
 
 class Held(eqx.Module):
     cos_bank: Scalar
-    estimate: Estimate
+    estimate: FactorEstimate
 
 
 class Correcting(AbstractSampledLaw[tuple[()], Held]):

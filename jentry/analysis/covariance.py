@@ -41,15 +41,16 @@ _SAMPLED = 100_000
 
 @dataclasses.dataclass(frozen=True)
 class Spread:
-    """Of one output."""
+    """Mean and standard deviation of one output, predicted and flown."""
 
     nominal: float
-    """At the mean of all draws"""
+    """Value of the nominal flight, at the mean of all draws"""
     mean: float
-    """Predicted, like the next"""
+    """Predicted mean; `standard_deviation` is predicted as well"""
     standard_deviation: float
     flown_mean: float
-    """Of the Monte Carlo; NaN if none was flown, like the next two"""
+    """Mean of the Monte Carlo; it, `flown_standard_deviation` and `ratio` are NaN if none
+    was flown"""
     flown_standard_deviation: float
     ratio: float
     """Predicted standard deviation over the flown one, for the same draws: what is left
@@ -58,14 +59,15 @@ class Spread:
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
-    """Of one dispersion on one output, for one standard deviation of the dispersion."""
+    """What one standard deviation of one dispersion does to one output."""
 
     linear: float
     """Half of the difference from one below to one above, as predicted"""
     error: float
-    """Standard error of that, the largest of all end conditions; zero if exact"""
+    """Standard error of `linear`, the largest of all end conditions; zero for exact
+    derivatives"""
     flown: float
-    """The same, flown"""
+    """Half of the difference from one below to one above, as flown"""
     bend: float
     """How far the mean of the two is from the nominal, flown: what is not linear"""
 
@@ -75,15 +77,15 @@ class LinearCovariance:
     """Predicted spread of the outputs, and how linear the flight is."""
 
     models: dict[str, LinearModel]
-    """By the end condition: those that end flights of these dispersions"""
+    """Linear models by end condition, of those that end flights of these dispersions"""
     spreads: dict[str, Spread]
-    """By output"""
+    """Spreads by output"""
     effects: dict[str, dict[str, Effect]]
-    """By output and dispersion"""
+    """Effects by output and dispersion"""
     runs: int
-    """Of the Monte Carlo beside it, finite ones"""
+    """Finite flights of the Monte Carlo beside it"""
     failed: int
-    """And those that are not finite"""
+    """Flights of that Monte Carlo that are not finite"""
     without_model: dict[str, float]
     """Share of the flights by end conditions that the nominal flight does not meet, and
     of which nothing is predicted"""

@@ -33,7 +33,7 @@ from .sensitivities import named
 
 
 Draws = Mapping[str, Any]
-"""By the name of the dispersion"""
+"""Draws by the name of the dispersion"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,10 +43,10 @@ class LinearModel:
     time: float
     """s"""
     time_slope: dict[str, float]
-    """Per standard deviation of a dispersion"""
+    """Change of the time for one standard deviation, by dispersion, s"""
     values: dict[str, float]
     slopes: dict[str, dict[str, float]]
-    """By output and dispersion, per standard deviation"""
+    """Change of an output for one standard deviation, by output and dispersion"""
     errors: dict[str, dict[str, float]]
     """Standard errors of the slopes; zero for exact derivatives"""
 
@@ -87,7 +87,7 @@ def columns_of(values: Any) -> dict[str, Array]:
 
 
 def ending_by(scenario: Scenario, name: str) -> Scenario:
-    """The same with one end condition alone."""
+    """The scenario with one of its end conditions alone."""
     termination = scenario.termination
     conditions = {n: c for n, c in termination.conditions.items() if n == name}
     return dataclasses.replace(
@@ -98,8 +98,10 @@ def ending_by(scenario: Scenario, name: str) -> Scenario:
 def mean_model(
     alone: Scenario, pairs: Pairs, outputs: Outputs, solver, key, devices: int
 ) -> LinearModel | None:
-    """By differences over two standard deviations, in the mean of other draws; none if
-    fewer than two pairs of flights are ended by the condition."""
+    """Linear model by differences over two standard deviations, in the mean of other draws.
+
+    None if fewer than two pairs of flights are ended by the condition.
+    """
     drawn = draw_many(pairs, key, jnp.arange(LANES))
     points, moving = [], []
     for name, dispersion in pairs:
@@ -146,7 +148,7 @@ def mean_model(
 def linear_model(
     alone: Scenario, pairs: Pairs, outputs: Outputs, solver, name: str
 ) -> LinearModel | None:
-    """Of the flight that only this condition ends; none if it never meets it."""
+    """Linear model of the flight that one condition ends; none if it never meets it."""
     slopes, values, outcome, ended_by = _linearize(alone, pairs, outputs, solver)
     met = alone.termination.names[int(ended_by)] == name
     if not met or not has_end(int(outcome)):

@@ -25,9 +25,10 @@ class Sensitivity:
     """Outputs of one flight, and their Jacobian."""
 
     values: dict[str, np.ndarray]
-    """By the name of the output"""
+    """Outputs of the flight by their names"""
     jacobian: dict[str, dict[str, np.ndarray]]
-    """By output and address; of the shape of the output and then that of the leaf"""
+    """Derivatives by output and address, each of the shape of the output and then that of
+    the leaf"""
     ended_by: str
     """Name of the end condition, which the derivatives take to stay the one that ends
     the flight"""
@@ -110,7 +111,7 @@ def sensitivity(
 
 
 def named(address: str) -> str:
-    """Of an output that is one number and has no name of its own: "output"."""
+    """Outputs by name; one number without a name of its own is called "output"."""
     return address or "output"
 
 

@@ -149,7 +149,10 @@ def fly_in_blocks(
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
 ) -> Iterator[Campaign]:
-    """As `monte_carlo`, part by part in the order of the runs, in constant memory."""
+    """Fly a campaign as `monte_carlo` does, part by part in the order of the runs.
+
+    In constant memory.
+    """
     scenario = checked(scenario)
     Plan.of(scenario, solver, history)  # refuses a step or an interval
     given = None
@@ -212,7 +215,10 @@ def drawn_inputs(
     key: Key[Array, ""],
     runs: np.ndarray,
 ) -> dict[str, Array]:
-    """As `dispersed_inputs`. Raises `ValueError` for a draw that cannot be flown."""
+    """Inputs of some runs by address, as `dispersed_inputs` draws them.
+
+    Raises `ValueError` for a draw that cannot be flown.
+    """
     inputs = dispersed_inputs(scenario, dispersions, key, jnp.asarray(runs))
     for address, values in inputs.items():
         movers = [

@@ -40,7 +40,7 @@ class AbstractDistribution(eqx.Module):
 
     @abstractmethod
     def scaled(self, factor: Scalar | float) -> "AbstractDistribution":
-        """The same about the same mean, so many times as wide."""
+        """This distribution about the same mean, so many times as wide."""
 
 
 class Normal(AbstractDistribution):

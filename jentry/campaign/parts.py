@@ -30,7 +30,7 @@ _NAMED = 5
 
 
 def digest_of(description: Mapping[str, Any]) -> str:
-    """Of a campaign: the same for the same description, in whatever order."""
+    """Digest of a campaign: the same for the same description, in whatever order."""
     return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
 
 

@@ -63,7 +63,7 @@ class Population(eqx.Module):
 
     @property
     def mean(self) -> float:
-        """Over the sets."""
+        """Mean over the sets."""
         return float(np.mean(self.values))
 
     @property

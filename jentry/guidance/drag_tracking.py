@@ -70,8 +70,7 @@ def drag_dynamics(
 def _is_of_the_paper(model: OnboardModel) -> bool:
     """Whether equations (8), (9) and (11) hold.
 
-    They are kept since with `jentry.setup(fast=True)` a flight by `twice_along` takes 17 %
-    longer (200 Mars entries, 68.7 and 80.1 ms on a core); without, 3 % less.
+    `benchmarks/costs.py` prints what a flight takes with them, and without.
     """
     planet, vehicle = model.planet, model.vehicle
     return (
@@ -122,7 +121,7 @@ class Tracking(eqx.Module):
     x2: Scalar
     """Drag error rate that was fed back, m/s3"""
     excess: Scalar
-    """Of the drag above the gate of the reference, m/s2"""
+    """Drag above the gate of the reference, m/s2"""
 
 
 def track(
@@ -135,7 +134,9 @@ def track(
     switching: AbstractSwitching,
     scale: Scalar | float = 1.0,
 ) -> Tracking:
-    """Equation (14); with an observer (24). The reference drag is multiplied by `scale`.
+    """Bank that tracks the reference: equation (14), with an observer equation (24).
+
+    The reference drag is multiplied by `scale`.
 
     Below the gate of the reference, u is the bank of the reference: before the drag has
     built up, and again at the end should it fall so low.

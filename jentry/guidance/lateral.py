@@ -26,7 +26,7 @@ class Destination(eqx.Module):
 
     planet: Planet
     origin: EntryState
-    """From here downrange and crossrange are counted, as in `ground_track`"""
+    """Where downrange and crossrange are counted from, as in `ground_track`"""
     downrange: Scalar
     """m"""
     crossrange: Scalar
@@ -118,7 +118,7 @@ class CrossrangeCorridor(AbstractCorridor):
     floor: Scalar = scalar(unit="m", positive=True)
     widening: Scalar = scalar(0.0, unit="s2/m")
     first_sign: Scalar = scalar(1.0)
-    """Of the bank at the start: 1 to the right, -1 to the left"""
+    """Side of the bank at the start: 1 to the right, -1 to the left"""
     switching: AbstractSwitching = Sharp()
 
     def half_width(self, velocity: Scalar) -> Scalar:
@@ -162,13 +162,13 @@ class HeadingCorridor(AbstractCorridor):
     latitude: Scalar = scalar(unit="rad", range=QUARTER)
     """Of the target"""
     radius: Scalar = scalar(unit="m", positive=True)
-    """Of the planet. Only a surrogate needs it, which shares a reversal out over the
+    """Radius of the planet. Only a surrogate needs it, which shares a reversal out over the
     distance by which the target would be passed"""
     velocities: Vector = table(unit="m/s", positive=True, increasing=True)
     half_widths: Vector = table(unit="rad", positive=True)
-    """At the velocities"""
+    """Half widths of the corridor at the velocities"""
     first_sign: Scalar = scalar(1.0)
-    """Of the bank at the start: 1 to the right, -1 to the left"""
+    """Side of the bank at the start: 1 to the right, -1 to the left"""
     switching: AbstractSwitching = Sharp()
 
     def __check_init__(self):
@@ -225,9 +225,9 @@ class Reversals(eqx.Module):
     """What is remembered of reversals at given velocities."""
 
     sign: Scalar
-    """Of the bank: 1 to the right, -1 to the left"""
+    """Side of the bank: 1 to the right, -1 to the left"""
     stages: Vector
-    """Of each reversal: `_WAITING`, `_AHEAD` or `_DONE`"""
+    """State of each reversal: `_WAITING`, `_AHEAD` or `_DONE`"""
 
 
 _WAITING, _AHEAD, _DONE = 0.0, 1.0, 2.0
@@ -246,7 +246,7 @@ class VelocityReversals(AbstractLateralLogic[Reversals]):
 
     velocities: Vector = table(unit="m/s", positive=True)
     first_sign: Scalar = scalar(1.0)
-    """Of the bank at the start: 1 to the right, -1 to the left"""
+    """Side of the bank at the start: 1 to the right, -1 to the left"""
 
     def __check_init__(self):
         _check_sign(self.first_sign)

@@ -42,8 +42,8 @@ class AngleOfAttackCommand(eqx.Module):
     angle_of_attack: Scalar = scalar(unit="rad")
     bank_increment: Scalar | None = optional_scalar(unit="rad")
     """By how much more the bank law should bank than by itself, rad; None for not at all.
-    So a law that modulates the angle of attack about a schedule steers its mean back, with
-    feedback of the deviation and of its rate"""
+    A law that modulates the angle of attack about a schedule steers its mean back by it,
+    with feedback of the deviation and of its rate"""
 
 
 Command = Controls | AngleOfAttackCommand
@@ -66,19 +66,22 @@ class AbstractContinuousLaw(AbstractLaw, Generic[Memory]):
         """Command, and the time derivative of the memory."""
 
 
-class AbstractBankLaw(AbstractContinuousLaw[Memory]):
+if TYPE_CHECKING:  # an abstract field would be the first argument of every such law
+
+    class _Turning:
+        lateral: AbstractLateralLogic
+else:
+
+    class _Turning(eqx.Module):
+        lateral: eqx.AbstractVar[AbstractLateralLogic]
+
+
+class AbstractBankLaw(AbstractContinuousLaw[Memory], _Turning):
     """A continuous law that turns the bank, to the side that its lateral logic chooses.
 
     The law says how it banks to the right. A lateral logic that decides does so at the
     guidance cycle, which `Sampled(law, period)` gives it.
     """
-
-    if TYPE_CHECKING:  # a field would be the first argument of every such law
-
-        @property
-        def lateral(self) -> AbstractLateralLogic: ...
-    else:
-        lateral: eqx.AbstractVar[AbstractLateralLogic]
 
     @abstractmethod
     def to_the_right(
@@ -141,7 +144,7 @@ class HeldCommand(eqx.Module):
 
     command: Command
     side: Any
-    """By the lateral logic of the law; None where that has nothing to decide"""
+    """What the lateral logic of the law decided; None where it has nothing to decide"""
 
 
 class Sampled(AbstractSampledLaw[Memory, HeldCommand]):

@@ -17,9 +17,9 @@ class BankProfile(AbstractBankLaw[None]):
     """
 
     cos_bank: AbstractProfile
-    """Over velocity, m/s"""
+    """Cosine of the bank over velocity (m/s)"""
     angle_of_attack: Scalar | None = optional_scalar(unit="rad")
-    """None for that at which the vehicle trims"""
+    """Angle of attack; None for that at which the vehicle trims"""
     lateral: AbstractLateralLogic = FixedSide()
 
     def init(self, measurement: Measurement) -> None:

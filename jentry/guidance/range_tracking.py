@@ -64,7 +64,7 @@ class ScaleLimits(eqx.Module):
     from the range it gives back by an end that is lower."""
 
 
-class Decision(eqx.Module):
+class HeldScale(eqx.Module):
     """What is held through a guidance cycle."""
 
     scale: Scalar
@@ -72,7 +72,7 @@ class Decision(eqx.Module):
     lift_factor: Scalar
     """Sensed over modelled lift-to-drag ratio"""
     side: Any
-    """By the lateral logic"""
+    """What the lateral logic decided"""
 
 
 def scale_to_reach(
@@ -149,7 +149,7 @@ def scale_to_reach(
     return jnp.where(found.known, scale, jnp.nan)
 
 
-class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
+class RangeTracking(AbstractSampledLaw[ObserverState, HeldScale]):
     """Drag tracking with an observer, of a reference scaled to fly the range to go.
 
     Between cycles these are equations (24) and (25) with K D* in place of D*. A cycle
@@ -170,9 +170,9 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
     gains: ErrorGains
     observer: ObserverGains
     reference: DragReference
-    """Over energy"""
+    """Drag over energy"""
     range_flown: AbstractProfile
-    """By the reference, over energy, m"""
+    """Range that the reference has flown (m) over energy"""
     model: OnboardModel
     aim: Aim
     limits: ScaleLimits
@@ -187,9 +187,9 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
                 "is scaled by the drag over energy, so it must be an EnergyIndex"
             )
 
-    def init(self, measurement: Measurement) -> tuple[ObserverState, Decision]:
+    def init(self, measurement: Measurement) -> tuple[ObserverState, HeldScale]:
         zero = 0.0 * measurement.drag
-        held = Decision(1.0 + zero, 1.0 + zero, self.lateral.init(measurement))
+        held = HeldScale(1.0 + zero, 1.0 + zero, self.lateral.init(measurement))
         tracking = self._track(zero, measurement, None, held)
         return ObserverState(tracking.x1, zero), held
 
@@ -198,8 +198,8 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
         time: Scalar,
         measurement: Measurement,
         memory: ObserverState,
-        held: Decision,
-    ) -> tuple[ObserverState, Decision]:
+        held: HeldScale,
+    ) -> tuple[ObserverState, HeldScale]:
         aim, planet, state = self.aim, self.model.planet, measurement.state
         downrange, _ = ground_track(planet, aim.origin, state)
         range_to_go = aim.downrange - downrange
@@ -225,7 +225,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
             believed.lift / believed.drag
         )
         destination = Destination(planet, aim.origin, aim.downrange, aim.crossrange)
-        decided = Decision(
+        decided = HeldScale(
             scale=jnp.where(scales, scale, held.scale),
             lift_factor=jnp.where(sensed, lift_factor, held.lift_factor),
             side=self.lateral.update(time, measurement, held.side, destination),
@@ -254,7 +254,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
         time: Scalar,
         measurement: Measurement,
         observed: ObserverState | None,
-        held: Decision,
+        held: HeldScale,
     ) -> Tracking:
         model = eqx.tree_at(
             lambda m: m.vehicle.lift_scale,
@@ -277,7 +277,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, Decision]):
         time: Scalar,
         measurement: Measurement,
         memory: ObserverState,
-        held: Decision,
+        held: HeldScale,
     ) -> tuple[Controls, ObserverState]:
         tracking = self._track(time, measurement, memory, held)
         angle_of_attack = measurement.trim_angle_of_attack

@@ -57,7 +57,7 @@ class Sharp(AbstractSwitching):
 
 
 class Smooth(AbstractSwitching):
-    """The same with rounded corners, for gradients; never what is reported.
+    """Switching with rounded corners, for gradients; never what is reported.
 
     The command bends over `command` before and behind its limits, and the gate opens
     over `gate` on both of its sides. As these go to zero the law becomes the sharp one.
@@ -70,10 +70,10 @@ class Smooth(AbstractSwitching):
     shares_reversals: ClassVar[bool] = True
 
     command: Scalar = scalar(0.05, positive=True)
-    """Of the cosine of the bank"""
+    """Width of the rounded corner of the cosine of the bank"""
     gate: Scalar = scalar(0.2, unit="m/s2", positive=True)
     reversal: Scalar = scalar(2000.0, unit="m", positive=True)
-    """Of the predicted crossrange"""
+    """Width over the predicted crossrange"""
 
     def limited(self, command: Scalar) -> Scalar:
         # The integral of the difference of two logistic steps at the limits. Far behind
@@ -119,7 +119,7 @@ class SmoothReversals(AbstractSwitching):
     shares_reversals: ClassVar[bool] = True
 
     reversal: Scalar = scalar(2000.0, unit="m", positive=True)
-    """Of the predicted crossrange: more than it moves against its limit in a cycle"""
+    """Width in predicted crossrange: more than it moves against its limit in a cycle"""
 
     def limited(self, command: Scalar) -> Scalar:
         return Sharp().limited(command)

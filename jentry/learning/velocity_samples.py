@@ -22,7 +22,7 @@ from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
 from ..guidance.bezier.anchoring import Shape, parameters_of
-from ..guidance.bezier.law import Decision
+from ..guidance.bezier.law import HeldCurve
 from ..guidance.bezier.prediction import FlownModel, Situation
 from ..motion.state import EntryState
 from ..planning.bezier_curve import K1, K2, bezier_law
@@ -124,7 +124,7 @@ def _flown(scenario: Scenario, campaign: Campaign, on_curve: bool) -> _Flown:
     history = campaign.flights.history
     assert history is not None
 
-    def expected(state: EntryState, decision: Decision) -> Scalar:
+    def expected(state: EntryState, decision: HeldCurve) -> Scalar:
         glide = law.glide(scenario.constraints)
         return FlownModel().predict(glide, law.situation(state, decision))
 
@@ -161,7 +161,7 @@ def _samples(
         lambda x: jnp.asarray(x[flight, place]), (history.states, history.decisions)
     )
 
-    def situation(state: EntryState, decision: Decision) -> Situation:
+    def situation(state: EntryState, decision: HeldCurve) -> Situation:
         return law.situation(state, decision)
 
     situations = eqx.filter_jit(jax.vmap(situation))(states, decisions)

@@ -26,7 +26,7 @@ class AbstractAttitude(eqx.Module, Generic[AttitudeState]):
 
     @abstractmethod
     def init(self, command: Controls) -> AttitudeState:
-        """At rest at the start, by the first command where nothing else is given."""
+        """Attitude at the start: at rest, and at the first command where none is given."""
 
     @abstractmethod
     def angle_of_attack(self, state: AttitudeState) -> Scalar | None:
@@ -127,9 +127,9 @@ class SecondOrderAttitude(AbstractAttitude[Swings]):
     angle_of_attack_response: Response
     bank_response: Response
     first_angle_of_attack: Scalar | None = optional_scalar(unit="rad")
-    """At the start; None for the commanded one"""
+    """Angle of attack at the start; None for the commanded one"""
     first_bank_angle: Scalar | None = optional_scalar(unit="rad")
-    """At the start, positive to the right; None for the commanded one"""
+    """Bank angle at the start, positive to the right; None for the commanded one"""
 
     def init(self, command: Controls) -> Swings:
         def at_rest(response: Response, given: Scalar | None, wish: Scalar) -> Swing:

@@ -174,7 +174,7 @@ def equatorial_dynamics(
 def with_respect_to(
     flow: Callable[[Y], Y], quantity: Callable[[Y], Scalar]
 ) -> Callable[[Y], Y]:
-    """The same motion with another independent variable than time: energy, velocity, ...
+    """Rates of the motion over another variable than time: energy, velocity, ...
 
     `flow(state)` is the time derivative; the result divides it by the rate of
     `quantity(state)`, and is singular where that rate is zero.

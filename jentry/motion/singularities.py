@@ -28,7 +28,7 @@ class Polar(NamedTuple):
     """A step in the polar coordinates of which a singular point is the origin."""
 
     distance: Scalar
-    """From the point after the step; negative beyond it"""
+    """Distance from the point after the step; negative beyond it"""
     approach: Scalar
     """Change of the distance"""
     turn: Scalar

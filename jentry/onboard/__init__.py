@@ -1,7 +1,7 @@
 """Floor 3: profiles, references, what the vehicle measures and believes."""
 
 from .estimation import (
-    Estimate as Estimate,
+    FactorEstimate as FactorEstimate,
     FactorEstimator as FactorEstimator,
     Factors as Factors,
 )

@@ -18,7 +18,7 @@ class Factors(eqx.Module):
     drag: Scalar = scalar(1.0, positive=True)
 
 
-class Estimate(eqx.Module):
+class FactorEstimate(eqx.Module):
     """Factors, and the weight of the samples behind each, (m/s2)^2."""
 
     factors: Factors
@@ -37,18 +37,18 @@ class FactorEstimator(eqx.Module):
 
     time_constant: Scalar = scalar(0.0, unit="s", range=NOT_NEGATIVE)
 
-    def start(self, like: Scalar) -> Estimate:
-        """Before the first sample: the model is believed."""
+    def start(self, like: Scalar) -> FactorEstimate:
+        """FactorEstimate before the first sample, when the model is believed."""
         nothing = 0.0 * like
-        return Estimate(Factors(nothing + 1.0, nothing + 1.0), nothing, nothing)
+        return FactorEstimate(Factors(nothing + 1.0, nothing + 1.0), nothing, nothing)
 
     def update(
         self,
-        estimate: Estimate,
+        estimate: FactorEstimate,
         sensed: tuple[Scalar, Scalar],
         expected: tuple[Scalar, Scalar],
         elapsed: Scalar,
-    ) -> Estimate:
+    ) -> FactorEstimate:
         """After one more sample.
 
         **Arguments:**
@@ -63,7 +63,7 @@ class FactorEstimator(eqx.Module):
         drag, drag_weight = _refined(
             estimate.factors.drag, estimate.drag_weight, sensed[1], expected[1], kept
         )
-        return Estimate(Factors(lift, drag), lift_weight, drag_weight)
+        return FactorEstimate(Factors(lift, drag), lift_weight, drag_weight)
 
 
 def _refined(factor, weight, sensed, expected, kept):

@@ -23,7 +23,7 @@ class Measurement(eqx.Module):
     drag: Scalar
     """Sensed specific force along the relative wind, m/s2"""
     trim_angle_of_attack: Scalar
-    """At which the vehicle flies where its law leaves the angle of attack alone, rad"""
+    """Angle of attack at which the vehicle flies where its law leaves it alone, rad"""
     constraints: Constraints = eqx.field(default_factory=dict)
     """Those of the scenario: what the law has to keep below their limits"""
 
@@ -59,7 +59,8 @@ class Accelerometers(AbstractAccelerometers):
     noise: Scalar = scalar(0.0, unit="m/s2", range=NOT_NEGATIVE)
     """Standard deviation of a sample; the samples are independent"""
     noise_seed: Scalar = scalar(0.0)
-    """Between 0 and 1, which noise this flight has; disperse it with `Uniform(0, 1)`"""
+    """A number between 0 and 1 that chooses the noise of this flight; disperse it with
+    `Uniform(0, 1)`"""
 
     def read(self, air: AirData, sampled_at: Scalar | None) -> tuple[Scalar, Scalar]:
         lift = air.lift * (1.0 + self.lift_scale_error) + self.lift_bias

@@ -38,9 +38,9 @@ class Network(eqx.Module):
     """
 
     weights: tuple[Float[Array, "..."], ...]
-    """Of each layer, (outputs, inputs)"""
+    """Weights of each layer, (outputs, inputs)"""
     biases: tuple[Float[Array, "..."], ...]
-    """Of each layer, (outputs,)"""
+    """Biases of each layer, (outputs,)"""
     names: tuple[str, ...] = eqx.field(static=True)
     """(n,) of the inputs, with their units"""
     input_mean: Float[Array, "..."] = table()
@@ -85,7 +85,7 @@ class Network(eqx.Module):
         hidden: tuple[int, ...],
         key: Key[Array, ""],
     ) -> "Network":
-        """With random weights; ranges and normalisation are of samples: (m, n) and (m,)."""
+        """Network with random weights, normalised by samples: (m, n) and (m,)."""
         sizes = (inputs.shape[1], *hidden, 1)
         keys = jax.random.split(key, len(sizes) - 1)
         weights = tuple(

@@ -56,8 +56,8 @@ class QuinticTable(eqx.Module):
     """
 
     coefficients: dict[str, Float[Array, "intervals 6"]]
-    """Of each quantity and interval, over the interval's own coordinate in [0, 1], highest
-    power first"""
+    """Coefficients by quantity and interval, over the interval's coordinate in [0, 1],
+    highest power first"""
     start: Scalar = scalar()
     spacing: Scalar = scalar()
     """Mean distance of the nodes; negative where the index falls along the flight"""
@@ -93,7 +93,7 @@ class QuinticProfile(AbstractProfile):
     """One quantity of a `QuinticTable`."""
 
     coefficients: Float[Array, "intervals 6"] = table()
-    """Of each interval, over its own coordinate in [0, 1], highest power first"""
+    """Coefficients by interval, over its coordinate in [0, 1], highest power first"""
     start: Scalar = scalar()
     spacing: Scalar = scalar()
     """Mean distance of the nodes; negative where the index falls along the flight"""

@@ -50,7 +50,7 @@ class Prediction(eqx.Module):
     """s since the start of the prediction"""
     state: EntryState
     integrals: Any
-    """Of the integrand; None without one"""
+    """Integrals of the integrand; None without one"""
     ended_by: Count
     """Place among the ends of the one that was met, or `NO_END`"""
 

@@ -22,8 +22,7 @@ def index_motion(
     """An index along the flight, with the sensed drag and the lift-to-drag ratio on board.
 
     By forward differentiation for any index; `drag_rate` (m/s3) where it is known
-    already. Measured for 200 Mars entries, against the same rates expanded by hand: 1 to
-    2 % more time for a flight with `jentry.setup(fast=True)`, 3 % less without.
+    already.
 
     **Raises:** `ValueError` for an index of the flight-path angle or the heading, whose
     rate contains the bank.

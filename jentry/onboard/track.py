@@ -30,7 +30,7 @@ class TrackPosition(eqx.Module):
     cross: Scalar
     """Angle off the track, positive to the right: longitude on the turned globe, rad"""
     cos_heading: Scalar
-    """Of the heading from the direction of the track, clockwise"""
+    """Cosine of the heading from the direction of the track, clockwise"""
     sin_heading: Scalar
 
 
@@ -68,7 +68,7 @@ class Track(eqx.Module):
         return jnp.arctan2(_dot(target, north), _dot(target, out))
 
     def position(self, state: EntryState) -> TrackPosition:
-        """Of a state."""
+        """Position of a state along and across the track."""
         north, out, east = self._axes()
         place = _upwards(state.longitude, state.latitude)
         sin_along, x, y = (_dot(place, axis) for axis in (north, out, east))

@@ -155,7 +155,7 @@ class ReferenceFlight(eqx.Module):
     interval: float = eqx.field(static=True)
     times: Float[Array, " n"]
     states: EntryState
-    """At `times`, each of shape (n,); NaN past the end"""
+    """States at `times`, each of shape (n,); NaN past the end"""
 
     @classmethod
     def of(cls, scenario: Scenario, interval: float = 0.1) -> "ReferenceFlight":

@@ -31,7 +31,7 @@ class AbstractInvertibleAerodynamics(AbstractAerodynamics):
 
     @abstractmethod
     def angle_of_attack(self, lift: Scalar, mach: Scalar, airspeed: Scalar) -> Scalar:
-        """At which the lift coefficient has a value, rad."""
+        """Angle of attack (rad) at which the lift coefficient has a value."""
 
 
 class ConstantAerodynamics(AbstractAerodynamics):
@@ -152,7 +152,7 @@ class TabulatedAerodynamics(AbstractAerodynamics):
 
     @classmethod
     def from_csv(cls, path: str | os.PathLike) -> "TabulatedAerodynamics":
-        """From a file with one row for each pair of angle of attack and Mach number.
+        """Read a table with one row for each pair of angle of attack and Mach number.
 
         Its columns are `angle_of_attack_deg,mach,lift_coefficient,drag_coefficient`;
         the rows may come in any order, and every pair must be there once.

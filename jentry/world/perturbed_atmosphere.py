@@ -15,7 +15,7 @@ class DensityWave(eqx.Module):
     amplitude: Scalar = scalar()
     wavelength: Scalar = scalar(unit="m", positive=True)
     phase: Scalar = scalar(0.0, unit="rad")
-    """At altitude zero"""
+    """Phase at altitude zero"""
 
     def departure(self, altitude: Scalar) -> Scalar:
         """Share of the density."""

@@ -20,7 +20,7 @@ class Planet(eqx.Module):
     density_scale: Scalar = scalar(1.0, positive=True)
     """Factor on the density of the atmosphere: the usual dispersion."""
     heating_coefficient: Scalar = scalar(1.7415e-4, unit="kg^0.5/m", positive=True)
-    """Of the heat rate at the stagnation point: Sutton and Graves' for air"""
+    """Coefficient of the heat rate at the stagnation point: Sutton and Graves' for air"""
     heating_exponent: int | float = eqx.field(default=3, static=True, kw_only=True)
     """Power of the velocity in the heat rate; of the unit of the coefficient if not 3"""
 

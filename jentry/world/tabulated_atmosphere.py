@@ -65,7 +65,7 @@ class TabulatedAtmosphere(AbstractAtmosphere):
 
     @classmethod
     def from_csv(cls, path: str | os.PathLike, **numbers: Any) -> "TabulatedAtmosphere":
-        """From a file with the columns `altitude_m,density_kg_m3[,temperature_K]`.
+        """Read a file with the columns `altitude_m,density_kg_m3[,temperature_K]`.
 
         Other fields, such as `gas_constant`, are given by name.
 

@@ -64,7 +64,7 @@ class TabulatedWind(AbstractWind):
 
     @classmethod
     def from_csv(cls, path: str | os.PathLike) -> "TabulatedWind":
-        """From a file with the columns `altitude_m,east_m_s,north_m_s`.
+        """Read a file with the columns `altitude_m,east_m_s,north_m_s`.
 
         Raises `ValueError` that names the file, the line and what was expected there.
         """

@@ -33,13 +33,13 @@ class FlightLimits(eqx.Module):
     least_angle_of_attack: Scalar = scalar(unit="rad")
     largest_angle_of_attack: Scalar = scalar(unit="rad")
     largest_bank: Scalar = scalar(unit="rad", range=(0.0, math.pi))
-    """To either side"""
+    """Largest bank to either side"""
 
 
 def lift_coefficient(
     planet: Planet, vehicle: Vehicle, altitude: Scalar, velocity: Scalar, lift: Scalar
 ) -> Scalar:
-    """That gives a specific lift (m/s2)."""
+    """Lift coefficient that gives a specific lift (m/s2)."""
     dynamic_pressure = 0.5 * planet.density(altitude) * velocity * velocity
     return lift * vehicle.mass / (dynamic_pressure * vehicle.reference_area)
 

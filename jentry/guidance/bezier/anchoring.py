@@ -18,8 +18,8 @@ from .curve import (
 
 
 VelocityRate = Callable[[PathPoint, tuple[Scalar, Scalar], Scalar], Scalar]
-"""Of a point of a path, the second slopes there and the velocity: dv over the angle along
-the track, m/s/rad"""
+"""Slope of the velocity over the angle along the track (m/s/rad), as a function of a point
+of a path, the second slopes there and the velocity"""
 
 
 class Shape(eqx.Module):
@@ -36,7 +36,7 @@ class AbstractAnchoring(eqx.Module):
     def shape(
         self, parameters: BezierParameters, start: PathPoint, target: PathPoint
     ) -> Shape:
-        """Of the curve with these parameters."""
+        """Shape of the curve with these parameters."""
 
     @abstractmethod
     def inner(self, shape: Shape, start: PathPoint, target: PathPoint) -> InnerPoints:
@@ -46,7 +46,7 @@ class AbstractAnchoring(eqx.Module):
     def carried(
         self, shape: Shape, before: Scalar, start: PathPoint, target: PathPoint
     ) -> Shape:
-        """At a new start; `before` is the along-track angle of the last one, rad."""
+        """Shape at a new start; `before` is the along-track angle of the last one, rad."""
 
     @abstractmethod
     def integrated(
@@ -68,7 +68,7 @@ class AbstractAnchoring(eqx.Module):
 
     @abstractmethod
     def bounds(self, start: PathPoint, target: PathPoint) -> tuple[Scalar, Scalar]:
-        """Between which the adjusted number makes sense."""
+        """Two numbers between which the adjusted one makes sense."""
 
 
 class StoredParameters(AbstractAnchoring):

@@ -42,12 +42,12 @@ class BezierParameters(eqx.Module):
 
 
 class InnerPoints(eqx.Module):
-    """The same as distances along the track, rad."""
+    """Inner control points as distances along the track, rad."""
 
     first: Scalar
-    """From the start to the second control point"""
+    """Distance from the start to the second control point"""
     last: Scalar
-    """From the third control point to the target"""
+    """Distance from the third control point to the target"""
 
 
 def tangents_meet(start: PathPoint, target: PathPoint) -> Scalar:
@@ -63,7 +63,7 @@ def tangents_meet(start: PathPoint, target: PathPoint) -> Scalar:
 def inner_points(
     parameters: BezierParameters, start: PathPoint, target: PathPoint
 ) -> InnerPoints:
-    """Equation (30): the inner points of a curve with these parameters."""
+    """Inner points of a curve with these parameters, equation (30)."""
     meet = tangents_meet(start, target)
     to_go = target.along - start.along
     return InnerPoints(
@@ -74,7 +74,7 @@ def inner_points(
 def bezier_parameters(
     inner: InnerPoints, start: PathPoint, target: PathPoint
 ) -> BezierParameters:
-    """Equation (29): the parameters of a curve with these inner points."""
+    """Parameters of a curve with these inner points, equation (29)."""
     meet = tangents_meet(start, target)
     to_go = target.along - start.along
     return BezierParameters(k1=inner.first / meet, k2=1.0 - inner.last / (to_go - meet))
@@ -123,7 +123,7 @@ class BezierPath(eqx.Module):
         return _first(self.along, tau)
 
     def second_slopes(self, tau: Scalar) -> tuple[Scalar, Scalar]:
-        """Of altitude (m/rad2) and cross-track angle (1/rad): equation (32)."""
+        """Second slopes of altitude (m/rad2) and cross-track (1/rad), equation (32)."""
         run, rise, drift = self._rates(tau)
         bend, up, aside = (
             _second(points, tau) for points in (self.along, self.altitude, self.cross)

@@ -16,13 +16,13 @@ from .curve import PathPoint
 
 
 class Directions(eqx.Module):
-    """Of the velocity at a point of a path."""
+    """Direction of the velocity at a point of a path."""
 
     cos_path: Scalar
-    """Of the flight-path angle"""
+    """Cosine of the flight-path angle; `sin_path` is its sine"""
     tan_path: Scalar
     cos_heading: Scalar
-    """Of the heading from the track"""
+    """Cosine of the heading from the track; `sin_heading` is its sine"""
     tan_heading: Scalar
 
 
@@ -36,7 +36,7 @@ class Acceleration(eqx.Module):
 
 
 def path_point(planet: Planet, place: TrackPosition, state: EntryState) -> PathPoint:
-    """Of the path that a vehicle in this state flies: equations (14), (15)."""
+    """Point of the path that a vehicle in this state flies, equations (14) and (15)."""
     sin_path, cos_path = sincos(state.flight_path_angle)
     _, cos_along = sincos(place.along)
     per_cos_heading = 1.0 / place.cos_heading
@@ -52,7 +52,7 @@ def path_point(planet: Planet, place: TrackPosition, state: EntryState) -> PathP
 
 
 def directions(planet: Planet, point: PathPoint) -> Directions:
-    """Of the velocity along the tangent of a path: equations (14), (15) solved."""
+    """Direction of the velocity along a path, from equations (14) and (15)."""
     _, cos_along = sincos(point.along)
     tan_heading = point.cross_slope * cos_along
     cos_heading = 1.0 / jnp.sqrt(1.0 + tan_heading * tan_heading)

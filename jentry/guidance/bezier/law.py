@@ -13,7 +13,7 @@ from ...fields import QUARTER, Scalar, scalar
 from ...motion.constraints import Constraints
 from ...motion.forces import air_data
 from ...motion.state import Controls, EntryState
-from ...onboard.estimation import Estimate, FactorEstimator
+from ...onboard.estimation import FactorEstimate, FactorEstimator
 from ...onboard.model import OnboardModel
 from ...onboard.navigation import Measurement
 from ...onboard.track import Track
@@ -36,23 +36,23 @@ class Arrival(eqx.Module):
     heading: Scalar = scalar(unit="rad")
 
 
-class Decision(AbstractTimedDecision):
+class HeldCurve(AbstractTimedDecision):
     """What the law holds through a guidance cycle."""
 
     controls: Controls
     shape: Shape
     along: Scalar
     """Where the curve is anchored, rad along the track"""
-    estimate: Estimate
+    estimate: FactorEstimate
     duration: Scalar
-    """Of this cycle, s"""
+    """Length of this cycle, s"""
     count: Scalar
-    """Of the cycles decided so far"""
+    """Number of cycles decided so far"""
     predictions: Predictions
-    """Of the velocity at the target, so far"""
+    """Predictions of the velocity at the target so far"""
 
 
-class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
+class BezierGuidance(AbstractSampledLaw[tuple[()], HeldCurve]):
     """Flies a cubic Bézier curve to a target, anchored anew at every guidance cycle.
 
     Position, flight-path angle and heading at the target are met by the curve; the
@@ -109,12 +109,12 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
         place = track.position(like)
         return path_point(self.model.planet, place, like)
 
-    def init(self, measurement: Measurement) -> tuple[tuple[()], Decision]:
+    def init(self, measurement: Measurement) -> tuple[tuple[()], HeldCurve]:
         start = self._point(measurement.state)
         shape = self.anchoring.shape(self.parameters, start, self.target())
         nothing = 0.0 * start.along
         trim = self.model.vehicle.trim_angle_of_attack + nothing
-        before = Decision(
+        before = HeldCurve(
             controls=Controls(trim, nothing + 1.0, nothing),
             shape=shape,
             along=start.along,
@@ -126,8 +126,8 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
         return (), before
 
     def update(
-        self, time: Scalar, measurement: Measurement, memory: tuple[()], held: Decision
-    ) -> tuple[tuple[()], Decision]:
+        self, time: Scalar, measurement: Measurement, memory: tuple[()], held: HeldCurve
+    ) -> tuple[tuple[()], HeldCurve]:
         planet, vehicle = self.model.planet, self.model.vehicle
         state = measurement.state
         flown_at = held.controls.angle_of_attack
@@ -167,7 +167,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
         )
         frozen = seconds_to_go < self.cycle.freeze
         controls = _select(frozen, held.controls, controls)
-        return memory, Decision(
+        return memory, HeldCurve(
             controls=controls,
             shape=shape,
             along=start.along,
@@ -178,17 +178,17 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], Decision]):
         )
 
     def __call__(
-        self, time: Scalar, measurement: Measurement, memory: tuple[()], held: Decision
+        self, time: Scalar, measurement: Measurement, memory: tuple[()], held: HeldCurve
     ) -> tuple[Controls, tuple[()]]:
         return held.controls, ()
 
-    def caveats(self, held: Decision) -> dict[str, Scalar]:
+    def caveats(self, held: HeldCurve) -> dict[str, Scalar]:
         """Share of the predictions of the velocity at the target without an answer."""
         made = held.predictions
         share = made.unanswered / jnp.maximum(made.asked, 1.0)
         return {"unanswered_predictions": share}
 
-    def situation(self, state: EntryState, decision: Decision) -> Situation:
+    def situation(self, state: EntryState, decision: HeldCurve) -> Situation:
         """What a prediction of the velocity at the target starts from."""
         return Situation(
             point=self._point(state),

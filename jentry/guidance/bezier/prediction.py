@@ -58,7 +58,7 @@ class FlownModel(AbstractVelocityPredictor):
     """
 
     steps: int = eqx.field(default=32, static=True)
-    """Of the classical Runge-Kutta method. 16 are enough for a subdivided curve. Stored
+    """Number of Runge-Kutta steps. 16 are enough for a subdivided curve. Stored
     parameters with k2 / k1^2 below 0.5 converge to the path so fast that 32 are too few"""
 
     def predict(self, glide: Glide, situation: Situation) -> Scalar:
@@ -123,7 +123,7 @@ class Inputs(enum.Enum):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the features, with their units."""
+        """Names of the features, with their units."""
         if self is Inputs.STATE:
             return STATE_FEATURES + CURVE_FEATURES
         return STATE_FEATURES + CURVE_FEATURES + FACTOR_FEATURES

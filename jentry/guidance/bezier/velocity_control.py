@@ -23,7 +23,7 @@ class Predictions(eqx.Module):
 
     @classmethod
     def none(cls, like: Scalar) -> "Predictions":
-        """Of a control that has not asked yet."""
+        """The counts of a control that has not asked yet."""
         nothing = 0.0 * jnp.asarray(like)
         return cls(nothing, nothing)
 

@@ -1,0 +1,238 @@
+"""What the README prints of results is what was flown, at its printed digits.
+
+The populations of its tables are in `benchmarks/populations.csv`, set by set. Tests that
+fly the first set of one compare it with that, `helpers.assert_first_set`.
+"""
+
+import re
+
+import jax
+import numpy as np
+import pytest
+from first_sets import assert_first_set, populations
+from helpers import fly_compiled, truths
+
+from jentry.campaign import monte_carlo
+from jentry.campaign.populations import Population
+from jentry.flight import misses
+from jentry.missions import find_mission
+from jentry.missions.cav_h.training import FOLDER, PURPOSES
+from jentry.onboard.network import load_network
+
+
+README = populations.SAVED.parents[1].joinpath("README.md").read_text()
+SAVED = populations.saved()
+
+
+def of(*row):
+    """Mission, variant, dispersions, heading"""
+    return Population(SAVED[row])
+
+
+def rows(heading):
+    """Cells of the table whose first line has a text."""
+    lines = README.splitlines()
+    begin = next(i for i, line in enumerate(lines) if heading in line)
+    found = []
+    for line in lines[begin + 2 :]:
+        if not line.startswith("|"):
+            return found
+        found.append([cell.strip() for cell in line.strip("|").split("|")])
+    return found
+
+
+def assert_prints(cell, *values):
+    """The numbers of a cell are these values, each to its last digit."""
+    numbers = re.findall(r"-?\d[\d ]*(?:\.\d+)?", cell)
+    assert len(numbers) == len(values), cell
+    for number, value in zip(numbers, values, strict=True):
+        half = 0.5 * 10.0 ** -len(number.partition(".")[2])
+        assert float(number) == pytest.approx(value, abs=half * (1 + 1e-6)), cell
+
+
+def assert_says(text, *values):
+    """A passage of the README, line breaks aside, and its numbers."""
+    assert text in " ".join(README.split()), text
+    assert_prints(text, *values)
+
+
+# The Mars missions.
+
+
+def test_table_3_of_the_mars_mission():
+    published = {v.name: v.value for v in find_mission("mars-drag-tracking").published}
+    table = rows("| published | mean of 16 sets")
+    assert len(table) == len(published)
+    for name, *cells in table:
+        name = name.replace("minimum of the magnitude", "minimum |.|")
+        ours = of("mars-drag-tracking", "table-3", "lift-to-drag-held", name)
+        theirs = published[name]
+        assert_prints(cells[0], theirs)
+        assert_prints(cells[1], ours.mean)
+        assert_prints(cells[2], ours.spread)
+        if cells[3]:
+            assert_prints(cells[3], ours.deviations(theirs))
+        else:
+            assert ours.spread < 1e-4  # no figure of the paper is printed so far
+        assert_prints(cells[4], ours.below(theirs), 16)
+
+
+def test_first_sets_of_the_two_indices():
+    energy, velocity = (
+        of("mars-drag-tracking", variant, "lift-to-drag-held", name).values[0]
+        for name in ("downrange error, standard deviation",)
+        for variant in ("energy-index", "table-3")
+    )
+    assert_says(
+        "it is 7.3 km in the first of these sets, against 6.7", energy, velocity
+    )
+
+
+@pytest.mark.slow
+def test_first_set_of_the_mars_mission():
+    mission = find_mission("mars-drag-tracking")
+    scenario, table = mission.scenario(), mission.dispersion_table()
+    campaign = monte_carlo(scenario, table, jax.random.key(0), 1000)
+    row = mission.name, "table-3", "lift-to-drag-held"
+    assert_first_set(*row, scenario, campaign)
+
+
+@pytest.mark.slow
+def test_nominal_downrange_errors_of_the_mars_mission():
+    mission, paper = find_mission("mars-drag-tracking"), truths("yan_he.csv")
+    errors = {}
+    for variant in ("state-feedback", "observer-feedback", "time-index"):
+        scenario = mission.scenario(variant)
+        errors[variant] = float(misses(scenario, fly_compiled(scenario)).downrange)
+    printed = paper["nominal_errors"]
+    assert_says(
+        "-0.7 m (paper 4.75 m)",
+        errors["state-feedback"],
+        1e3 * printed["state_feedback"],
+    )
+    text = "-4.0 m (paper 72 m)"
+    assert_says(text, errors["observer-feedback"], 1e3 * printed["observer"])
+    assert abs(errors["time-index"]) < 1e-3 and "`time-index` below 1 mm" in README
+
+
+def test_range_tracking():
+    table = rows("16 sets of 1000 runs, and the deviation of a set")
+    headings = {
+        "downrange error, standard deviation": "downrange std, km",
+        "downrange error, median of the magnitude": "downrange error, median, km",
+        "downrange error, 95th percentile of the magnitude": "95th percentile",
+        "downrange error, maximum of a set; of all 16 000": "maximum",
+        "crossrange error, standard deviation": "crossrange std",
+        "altitude error, standard deviation": "altitude std",
+    }
+    assert [name for name, *_ in table] == list(headings)
+    for name, *cells in table:
+        for cell, reading in zip(
+            cells, ("lift-to-drag-held", "independent"), strict=True
+        ):
+            row = "mars-range-tracking", "three-dimensional", reading, headings[name]
+            ours = of(*row)
+            more = [ours.values.max()] if "of all" in name else []
+            assert_prints(cell, ours.mean, ours.spread, *more)
+
+
+# CAV-H.
+
+VARIANTS = {
+    "the same, factors": ("newton", "uniform"),
+    "the same, with accelerometer": ("newton", "normal-sensed"),
+    "the same, through": ("us-1976", "normal-sensed"),
+    "`newton-network`": ("newton-network", "normal-sensed"),
+    "`newton`, density": ("newton", "waves-sensed"),
+}
+
+
+def cav_h(heading, variant="adjusted-once", reading="normal"):
+    return of("cav-h", variant, reading, heading)
+
+
+def test_cav_h():
+    table = rows("| variant | velocity error, mean")
+    assert len(table) == 11
+    for name, *cells in table:
+        row = [at for beginning, at in VARIANTS.items() if name.startswith(beginning)]
+        (at,) = row or [(name.split("`")[1], "normal")]
+        mean, largest = (
+            cav_h(heading, *at) for heading in ("velocity error, mean, m/s", "maximum")
+        )
+        assert_prints(cells[0], mean.mean, mean.spread)
+        assert_prints(cells[1], largest.mean, largest.spread)
+        assert_prints(cells[2], cav_h("within 20 m/s, %", *at).mean)
+        assert_prints(cells[3], largest.values.max())
+        assert_prints(cells[4], cav_h("miss, maximum, m", *at).values.max())
+        assert_prints(cells[5], cav_h("path angle, maximum, deg", *at).values.max())
+
+
+def test_cav_h_beside_the_paper():
+    paper = truths("zhou.csv")["table_3"]
+    of_paper = "mean", "maximum", "standard deviation"
+    theirs = [paper[f"velocity error, {what}"] for what in of_paper]
+    assert_says(
+        "a velocity error of 5.01 m/s on average, 19.8 at most and a standard deviation "
+        "of 7.23",
+        *theirs,
+    )
+    ours = [
+        cav_h(h)
+        for h in ("velocity error, mean, m/s", "maximum", "velocity error, std, m/s")
+    ]
+    assert_says(
+        "has 6.2, 215 and 18, which is 2.4, 2.9 and 3.4 deviations of a set more",
+        *(one.mean for one in ours),
+        *(-one.deviations(value) for one, value in zip(ours, theirs, strict=True)),
+    )
+    assert [one.below(value) for one, value in zip(ours, theirs, strict=True)] == 3 * [
+        0
+    ]
+
+
+def test_what_is_said_of_the_variants_of_cav_h():
+    medians = [
+        np.median(cav_h("maximum", *at).values)
+        for at in (
+            ("newton", "normal"),
+            ("newton", "normal-sensed"),
+            ("newton-network", "normal-sensed"),
+        )
+    ]
+    assert medians[0] < 0.004
+    text = "is below 0.004 m/s, with accelerometer errors 0.22, with the network 5.1"
+    assert_says(text, 0.004, *medians[1:])
+    beyond = 100.0 - cav_h("within 20 m/s, %", "newton-network", "normal-sensed").values
+    assert np.sum(beyond) * 500 / 100 == pytest.approx(4.0, abs=1e-9)
+    assert "the four of 8000 that" in README
+    lost = cav_h("lost, %", "model-inversion").mean
+    assert_says("loses 37 % of the flights", lost)
+    mean = cav_h("dynamic pressure, mean peak, kPa", "stored").mean
+    largest = cav_h("maximum peak", "stored").values.max()
+    assert_says(
+        "peaks at 157 kPa on average (`stored`; 198 of all 8000)", mean, largest, 8000
+    )
+    assumed, target = truths("zhou.csv")["assumed"], truths("zhou.csv")["target"]
+    height = target["altitude_m"] / assumed["scale_height_m"]
+    density = assumed["surface_density_kg_m3"] * np.exp(-height)
+    alone = 0.5 * density * target["velocity_m_s"] ** 2 / 1e3
+    assert_says("alone it is 132 kPa", alone)
+
+
+def test_held_out_errors_of_the_networks():
+    stored, curve, state = (
+        load_network(FOLDER / f"{name}.npz", PURPOSES[name].sentence)[1]
+        for name in ("stored", "subdivision", "state-only")
+    )
+    at_entry, median = (
+        [card[name] for card in (stored, curve, state)]
+        for name in (
+            "held out mean error at the entry, m/s",
+            "mean deviation at the entry from the median, m/s",
+        )
+    )
+    assert_says("2.5 and 1.6 m/s with factors, 124 m/s from the state", *at_entry)
+    assert_says("373, 340 and 217", *median)
+    every = [card["held out mean error, m/s"] for card in (stored, curve, state)]
+    assert_says("0.69, 0.42 and 65 m/s", *every)
