@@ -8,8 +8,10 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import tomli_w
 
 
 _UNFINISHED = ".unfinished"
@@ -73,6 +75,16 @@ def _flush_folder(folder: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def write_toml(path: Path | str, comment: str, contents: Mapping[str, Any]) -> None:
+    """Write plain values as TOML under lines of comment, whole or not at all.
+
+    Numbers are written to the last digit. What is None is left out.
+    """
+    lines = [f"# {line}".rstrip() + "\n" for line in comment.splitlines()]
+    given = {name: value for name, value in contents.items() if value is not None}
+    write_whole(path, ("".join(lines) + tomli_w.dumps(given)).encode())
 
 
 def write_arrays(path: Path | str, arrays: Mapping[str, np.ndarray]) -> None:

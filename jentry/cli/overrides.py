@@ -19,7 +19,6 @@ readings are changed, and `replace = true` leaves out all of them. `dispersions 
 """
 
 import dataclasses
-import json
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -27,7 +26,6 @@ from typing import Any
 
 import numpy as np
 
-from .._files import write_whole
 from ..addresses import (
     leaves_by_address,
     nearest,
@@ -134,6 +132,8 @@ def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overri
 
 def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
     contents = _read_toml(path) if path is not None else {}
+    # What `Tuned.save` says of the numbers that it sets is for the reader.
+    contents.pop("tuned", None)
     _require_keys(contents, ("variant", "dispersions", "set"), "")
     values = {
         address: _quantities(value, f"set.{address}")
@@ -231,43 +231,6 @@ def apply_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
                 f"{address} has shape {wanted} and was given a list of shape {given}"
             )
     return replace_leaves(scenario, values)
-
-
-def write_overrides(
-    path: Path,
-    comment: str,
-    variant: str,
-    values: Mapping[str, Any],
-    dispersions: str | Mapping[str, Any],
-) -> None:
-    """A configuration file that `read_overrides` reads back, to the last digit.
-
-    **Arguments:**
-
-    - `comment`: what the file is, in lines.
-    - `dispersions`: a reading of the mission, or the `[dispersions]` table of another
-      configuration file.
-    """
-    lines = [f"# {line}" for line in comment.splitlines()]
-    lines += [f"variant = {json.dumps(variant)}"]
-    if isinstance(dispersions, str):
-        lines += [f"dispersions = {json.dumps(dispersions)}"]
-    lines += ["", "[set]"]
-    for address, value in values.items():
-        # Finite floats, and lists of them of any depth, are alike in JSON and in TOML.
-        numbers = np.asarray(value, float).tolist()
-        lines += [f"{json.dumps(address)} = {json.dumps(numbers, allow_nan=False)}"]
-    if not isinstance(dispersions, str):
-        lines += ["", "[dispersions]"]
-        for name, entry in dispersions.items():
-            if not isinstance(entry, Mapping):
-                lines += [f"{name} = {json.dumps(entry)}"]
-        for name, entry in dispersions.items():
-            if not isinstance(entry, Mapping):
-                continue
-            lines += ["", f"[dispersions.{json.dumps(name)}]"]
-            lines += [f"{key} = {json.dumps(value)}" for key, value in entry.items()]
-    write_whole(path, ("\n".join(lines) + "\n").encode())
 
 
 def read_inputs(path: Path) -> dict[str, np.ndarray]:
