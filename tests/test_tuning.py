@@ -600,7 +600,9 @@ def test_the_gradient_goes_through_a_planner():
 
 
 def planned_anew(parameters):
-    profile = plan_bank_profile(mars_scenario(), 503.0, curvature=parameters["curvature"])
+    profile = plan_bank_profile(
+        mars_scenario(), 503.0, curvature=parameters["curvature"]
+    )
     return eqx.tree_at(
         lambda s: s.guidance.cos_bank, mars_scenario(), profile, is_leaf=lambda x: False
     )

@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 
+from .._tables import read_columns
 from ..addresses import (
     leaves_by_address,
     nearest,
@@ -235,25 +236,8 @@ def apply_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
 
 def read_inputs(path: Path) -> dict[str, np.ndarray]:
     """Inputs of a Monte Carlo from a csv file: addresses in the first line, SI values."""
-    try:
-        # Spreadsheets begin a file with a mark of its encoding, which "-sig" leaves out.
-        first, *lines = path.read_text(encoding="utf-8-sig").splitlines() or [""]
-        rows = [line for line in lines if line.strip()]
-        if not rows:
-            raise ValueError("there are no rows: give each run a line")
-        table = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-    header = [name.strip() for name in first.split(",")]
-    twice = sorted({name for name in header if header.count(name) > 1})
-    if twice:
-        raise ValueError(f"{path} has {', '.join(twice)} twice in its first line")
-    if table.shape[1] != len(header):
-        raise ValueError(
-            f"{path} has {len(header)} addresses in its first line and "
-            f"{table.shape[1]} columns"
-        )
-    return dict(zip(header, table.T, strict=True))
+    columns, _ = read_columns(path, (), None, rows=1)
+    return columns
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

@@ -13,13 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from .._files import digest_of_arrays, read_arrays, write_arrays
+from .._files import read_sealed, write_sealed
 from ..campaign.description import first_difference
 from .parameters import Free
 
 
-_DIGEST = "digest"
-"""In the file, of all other arrays"""
+_KIND = "jentry tuning 2"
 
 
 _ROUNDINGS = 10.0
@@ -136,9 +135,7 @@ class CourseFile:
         arrays["converged"] = np.array(converged)
         for number, leaf in enumerate(_leaves(state)):
             arrays[f"state/{number}"] = leaf
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        arrays[_DIGEST] = np.array(digest_of_arrays(arrays))
-        write_arrays(self.path, arrays)
+        write_sealed(self.path, arrays, _KIND)
 
     def read(self) -> tuple[list[Entry], Free, list[np.ndarray], bool]:
         """Points, next point, leaves of the stepper's state, and whether it converged.
@@ -147,13 +144,12 @@ class CourseFile:
         and says where they differ.
         """
         try:
-            arrays = read_arrays(self.path)
-            if str(arrays.pop(_DIGEST)) != digest_of_arrays(arrays):
-                raise ValueError("it is damaged; remove it, and tuning begins again")
+            arrays = read_sealed(self.path, _KIND)
             known = json.loads(str(arrays["description"]))
         except (ValueError, KeyError) as error:
             raise ValueError(
-                f"{self.path} is no record of a tuning run: {error}"
+                f"{self.path} is no record of a tuning run: {error}; remove it, and "
+                "tuning begins again"
             ) from None
         wanted = json.loads(json.dumps(self.description))
         difference = first_difference(known, wanted)
