@@ -190,11 +190,12 @@ def _descended(
         yield begin + len(some), layers, value
 
 
-def _value_and_gradient(loss, layers: Layers, state: Any) -> tuple[Array, Layers]:
+def _value_and_gradient(loss, layers: Layers, state: Any) -> tuple[Array, Any]:
     """As the line search has left them in the state, if the optimizer has one."""
     if optax.tree.get(state, "value") is None:
         return jax.value_and_grad(loss)(layers)
-    return optax.value_and_grad_from_state(loss)(layers, state=state)
+    value, gradient = optax.value_and_grad_from_state(loss)(layers, state=state)
+    return jnp.asarray(value), gradient
 
 
 _REPORT_EVERY = 500

@@ -107,6 +107,7 @@ class Course:
         if step == 0 and np.isfinite(norm) and norm > 0.0 and not by_differences:
             along = {a: g / norm for a, g in evaluation.gradient.items()}
             slope = evaluate.slope_along(here, along, step, COARSE_STEP)
+            slope = slope if slope.flights else None
         return Entry(
             loss=evaluation.loss,
             gradient_norm=norm,
