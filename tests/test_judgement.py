@@ -48,7 +48,8 @@ def scenario(density):
 def flown(density):
     """Outputs of each run, and which of them are finite; as numpy arrays."""
     inputs = drawn_inputs(scenario(density), cheap.mass_only(), KEY, np.arange(RUNS))
-    return batch_outputs(SIMULATION, scenario(density), inputs)
+    found = batch_outputs(SIMULATION, scenario(density), inputs)
+    return jax.tree.map(np.asarray, found)
 
 
 @functools.cache

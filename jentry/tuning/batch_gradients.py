@@ -101,8 +101,9 @@ def all_finite(tree: PyTree) -> Bool[Array, ""]:
 def batch_outputs(
     simulation: Simulation, scenario: Scenario, inputs: dict[str, Any]
 ) -> tuple[Any, np.ndarray]:
-    """Outputs of every run, and which of the runs are finite."""
-    return over_runs(_fly, (simulation, scenario), inputs)
+    """Outputs of every run as a loss takes them, and which of the runs are finite."""
+    outputs, finite = over_runs(_fly, (simulation, scenario), inputs)
+    return jax.tree.map(jnp.asarray, outputs), finite
 
 
 def _fly(shared: tuple[Simulation, Scenario], inputs: dict[str, Array]) -> Any:
