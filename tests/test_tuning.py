@@ -599,7 +599,8 @@ def test_the_gradient_goes_through_a_planner():
         ]
         # The third derivative over that step, and rounding.
         assert float(found) == pytest.approx((sides[0] - sides[1]) / 2e-4, rel=1e-5)
-    assert abs(float(found)) > 1e-3
+    # Little is left to the curvature, since the plan meets the target with any.
+    assert abs(float(found)) > 1e-5
 
 
 def planned_anew(parameters):
