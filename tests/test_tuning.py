@@ -422,7 +422,7 @@ def test_forward_and_reverse_take_the_same_steps():
         tuned("adam", steps=4, gradient=AutomaticDifferentiation(forward))
         for forward in (True, False)
     )
-    losses = [[e.loss for e in r.history] for r in (forward, reverse)]
+    losses = [[e.loss for e in r.course] for r in (forward, reverse)]
     np.testing.assert_allclose(*losses, rtol=1e-9)  # rounding, through four steps
 
 
