@@ -1,7 +1,7 @@
 """Does the memory of a gradient grow with the number of flights?
 
 Peak resident memory of a process that evaluates loss and gradient of the Mars mission once,
-in forward and in reverse mode, and by residuals for least squares, for several batches.
+in forward and in reverse mode, for several batches.
 
     python benchmarks/tuning_memory.py --flights 256 16384
 """
@@ -15,23 +15,19 @@ _PROGRAM = """
 import resource, sys
 import jentry
 jentry.setup(cache=False)
-import jax, optax, optimistix
-from jentry.tuning import MeanSquare
+import jax, optax
+from jentry.tuning import AutomaticDifferentiation, Budget, Draws, MeanSquare
 from jentry.units import km
 mission = jentry.find_mission("mars-drag-tracking")
 how, flights = sys.argv[1], int(sys.argv[2])
-solver = optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
 jentry.tune(
     mission.scenario(),
     lambda s: (s.guidance.gains, s.guidance.observer),
     MeanSquare(lambda misses: misses.downrange / km),
-    solver if how == "least-squares" else optax.adam(0.1),
-    mission.dispersion_table(),
-    jax.random.key(0),
-    runs=flights,
-    steps=2,
-    held_out=2,
-    mode=None if how == "least-squares" else how,
+    optax.adam(0.1),
+    Draws(mission.dispersion_table(), jax.random.key(0), flights, held_out=2),
+    gradient=AutomaticDifferentiation(forward=how == "forward"),
+    budget=Budget(2),
 )
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """
@@ -50,7 +46,7 @@ def main() -> None:
     options = parser.parse_args()
     columns = "".join(f"{count:>10}" for count in options.flights)
     print(f"{'peak MiB, flights':20}{columns}{'last / first':>15}")
-    for how in ("forward", "reverse", "least-squares"):
+    for how in ("forward", "reverse"):
         peaks = [peak(how, flights) for flights in options.flights]
         columns = "".join(f"{used:10.0f}" for used in peaks)
         print(f"{how:20}{columns}{peaks[-1] / peaks[0]:15.2f}")

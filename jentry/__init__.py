@@ -6,7 +6,7 @@ jentry.setup()
 scenario = jentry.find_mission("mars-drag-tracking").scenario()
 flight = jentry.fly(scenario)
 campaign = jentry.monte_carlo(scenario, dispersions, key)
-tuned = jentry.tune(scenario, where, loss, optimizer, dispersions, key)
+tuned = jentry.tune(scenario, where, loss, optimizer, jentry.Draws(dispersions, key))
 """
 
 from importlib import import_module

@@ -115,7 +115,14 @@ from .onboard import (
     quintic_profile as quintic_profile,
 )
 from .tuning import (
+    AutomaticDifferentiation as AutomaticDifferentiation,
+    Bounds as Bounds,
+    Budget as Budget,
+    CentralDifferences as CentralDifferences,
+    Draws as Draws,
     MeanSquare as MeanSquare,
+    Record as Record,
+    Scale as Scale,
     Tuned as Tuned,
     conditional_value_at_risk as conditional_value_at_risk,
     control_effort as control_effort,

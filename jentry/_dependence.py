@@ -36,6 +36,10 @@ class Traced:
         """Whether any number that the function gives depends on its inputs."""
         return any(self._reached())
 
+    def depending(self) -> Any:
+        """Which numbers that the function gives depend on its inputs, each in its place."""
+        return jax.tree.unflatten(self._structure, self._reached())
+
     def independent(self, where: Callable[[Any], Any]) -> Scalar | None:
         """The number at a place of the output; None where it depends on the inputs.
 

@@ -8,11 +8,16 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import tomli_w
 
 
 _UNFINISHED = ".unfinished"
+
+_DIGEST = "digest"
+"""In an archive, of all other arrays"""
 
 _UNREADABLE = (
     ValueError,
@@ -75,32 +80,56 @@ def _flush_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
-def write_arrays(path: Path | str, arrays: Mapping[str, np.ndarray]) -> None:
-    """Write arrays by name as an archive of numpy (npz), whole or not at all."""
+def write_toml(path: Path | str, comment: str, contents: Mapping[str, Any]) -> None:
+    """Write plain values as TOML under lines of comment, whole or not at all.
+
+    Numbers are written to the last digit. What is None is left out.
+    """
+    lines = [f"# {line}".rstrip() + "\n" for line in comment.splitlines()]
+    given = {name: value for name, value in contents.items() if value is not None}
+    write_whole(path, ("".join(lines) + tomli_w.dumps(given)).encode())
+
+
+def write_sealed(path: Path | str, arrays: Mapping[str, np.ndarray], kind: str) -> None:
+    """Write arrays by name as an archive of numpy (npz), whole or not at all.
+
+    Its folder is made if it is not there. A digest of all of them, and of the kind of file
+    that it is, goes with them.
+    """
+    sealed = {**arrays, _DIGEST: np.array(digest_of_arrays(arrays, kind))}
     archive = io.BytesIO()
-    np.savez(archive, allow_pickle=False, **arrays)
+    np.savez(archive, allow_pickle=False, **sealed)
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, archive.getvalue())
 
 
-def read_arrays(path: Path | str) -> dict[str, np.ndarray]:
-    """The arrays of an archive of numpy, by name. Nothing in a file is executed.
+def read_sealed(path: Path | str, kind: str) -> dict[str, np.ndarray]:
+    """The arrays of such an archive, by name. Nothing in a file is executed.
 
-    Raises `ValueError` for a file that is none. One that is damaged may be read all the
-    same, with arrays that are shorter or not there at all: keep a `digest_of_arrays`.
+    Raises `ValueError` for a file that is none, of another kind, or damaged: numpy alone
+    may read one with arrays that are shorter or not there at all.
     """
     try:
         archive = io.BytesIO(Path(path).read_bytes())
         with np.load(archive, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
+            arrays = {name: stored[name] for name in stored.files}
+        digest = str(arrays.pop(_DIGEST))
     except _UNREADABLE as error:
         raise ValueError(str(error)) from error
+    if digest != digest_of_arrays(arrays, kind):
+        raise ValueError(
+            "it is damaged, or of another kind: its contents are not those of its digest"
+        )
+    return arrays
 
 
-def digest_of_arrays(arrays: Mapping[str, np.ndarray]) -> str:
-    """Of names, types, shapes and contents."""
+def digest_of_arrays(arrays: Mapping[str, np.ndarray], kind: str) -> str:
+    """Of names, types, shapes and contents, and of the kind of file."""
     hashed = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
+    named = {**arrays, "format": np.array(kind)}
+    for name in sorted(named):
+        array = np.ascontiguousarray(named[name])
         hashed.update(f"{name} {array.dtype.str} {array.shape} ".encode())
         hashed.update(array.tobytes())
     return hashed.hexdigest()

@@ -11,8 +11,9 @@ import numpy as np
 def read_columns(
     path: str | os.PathLike,
     required: Sequence[str],
-    optional: Sequence[str] = (),
+    optional: Sequence[str] | None = (),
     *,
+    rows: int = 2,
     increasing: str | None = None,
     positive: Sequence[str] = (),
 ) -> tuple[dict[str, np.ndarray], list[int]]:
@@ -22,7 +23,9 @@ def read_columns(
 
     **Arguments:**
 
-    - `required`, `optional`: names of columns, in any order; others are refused.
+    - `required`, `optional`: names of columns, in any order; others are refused, unless
+      `optional` is None.
+    - `rows`: at least as many.
     - `increasing`: the column in which each number exceeds the one before.
     - `positive`: columns in which every number exceeds zero.
 
@@ -32,22 +35,25 @@ def read_columns(
 
     Raises `ValueError` that names the file, the line and what was expected there.
     """
-    with open(path, newline="", encoding="utf-8-sig") as file:
-        rows = [
-            (number, [cell.strip() for cell in cells])
-            for number, cells in _numbered(file)
-        ]
-    if not rows:
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            found = [
+                (number, [cell.strip() for cell in cells])
+                for number, cells in _numbered(file)
+            ]
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: {error}; expected text in UTF-8") from None
+    if not found:
         raise ValueError(
-            f"{path}: empty; expected a line with the names {','.join(required)} and "
-            "rows of numbers below it"
+            f"{path}: empty; expected a line with the names "
+            f"{','.join(required) or 'of the columns'} and rows of numbers below it"
         )
-    (header_line, names), *body = rows
+    (header_line, names), *body = found
     _check_names(f"{path}, line {header_line}", names, required, optional)
-    if len(body) < 2:
+    if len(body) < rows:
         raise ValueError(
             f"{path}, line {header_line}: {len(body)} rows of numbers below the names; "
-            "expected two or more"
+            f"expected {rows} or more"
         )
     table = np.array(
         [_numbers(f"{path}, line {line}", cells, names) for line, cells in body]
@@ -86,7 +92,7 @@ def _check_names(place, names, required, optional):
                 f"{place}: no column {name!r}; expected {','.join(required)} and found "
                 f"{','.join(names)}"
             )
-    known = (*required, *optional)
+    known = names if optional is None else (*required, *optional)
     for name in names:
         if name not in known:
             raise ValueError(

@@ -213,16 +213,16 @@ DISPERSED = {
 }
 
 INPUTS = {
-    b"": "no rows",
-    b"vehicle.mass\n\n": "no rows",
+    b"": "empty; expected a line with the names of the columns",
+    b"vehicle.mass\n\n": "0 rows of numbers below",
     b"\xff\xfe": "decode",
     b"vehicle.mass\nheavy\n": "heavy",
     b"vehicle.mass\n900 kg\n": "900 kg",
     b"vehicle.mas\n900\n": "nearest: vehicle.mass",
-    b"vehicle.mass,vehicle.mass\n900,900\n": "vehicle.mass twice",
-    b"vehicle.mass,planet.density_scale\n900\n": "1 columns",
+    b"vehicle.mass,vehicle.mass\n900,900\n": "'vehicle.mass' appears more than once",
+    b"vehicle.mass,planet.density_scale\n900\n": "line 2: 1 values; expected 2",
     b"vehicle.mass\n0\n": "vehicle.mass is 0 kg",
-    b"vehicle.mass\nnan\n": "vehicle.mass is nan",
+    b"vehicle.mass\nnan\n": "line 2: vehicle.mass is 'nan'; expected a finite",
     b"initial_state.latitude\n91\n": "initial_state.latitude is 91 rad",
     b"initial_state.flight_path_angle\n-14.2\n": "did you mean -14.2deg?",
     b"initial_state.altitude\n-1\n": "zero or more",

@@ -18,10 +18,11 @@ from jentry.flight import FixedStep, misses
 from jentry.missions import find_mission
 from jentry.tuning.batch_gradients import (
     Problem,
+    Simulation,
     batch_gradient,
-    batch_outputs,
     loss_and_weights,
 )
+from jentry.tuning.gradients import fly_at
 from jentry.tuning.parameters import Parameters
 
 
@@ -44,7 +45,7 @@ def differences(problem, free, address, inputs, scale):
 
     def at(step):
         moved = free | {address: free[address] + step}
-        return np.asarray(squares(batch_outputs(problem, moved, inputs, 1)[0], scale))
+        return np.asarray(squares(fly_at(problem, moved, inputs)[0], scale))
 
     rates = np.stack([(at(h) - at(-h)) / (2.0 * h) for h in LADDER])
     threes = np.stack([rates[:-2], rates[1:-1], rates[2:]])
@@ -66,21 +67,20 @@ def test_gradient_of_a_batch_matches_differences(mission, variant, scale, slower
     since the miss of a good one hardly depends on it."""
     mission = find_mission(mission)
     scenario = mission.scenario(variant)
-    parameters = Parameters.of(scenario, gains, None)
-    free = parameters.start() | {"guidance.observer.epsilon": jnp.asarray(slower)}
-    problem = Problem(scenario, parameters, misses, FixedStep(), None)
+    parameters = Parameters.of(scenario, gains)
+    free = parameters.zeros() | {"guidance.observer.epsilon": jnp.asarray(slower)}
+    problem = Problem(parameters, Simulation(misses, FixedStep()))
     table, key = mission.dispersion_table(), jax.random.key(0)
     inputs = drawn_inputs(scenario, table, key, np.arange(LANES))
 
     def loss(misses):
         return jnp.mean(squares(misses, scale))
 
-    outputs, finite = batch_outputs(problem, free, inputs, 1)
+    outputs, finite = fly_at(problem, free, inputs)
     assert np.all(finite)
     _, weights = loss_and_weights(loss, outputs)
     forward, reverse = (
-        batch_gradient(problem, free, inputs, weights, 1, mode)
-        for mode in (True, False)
+        batch_gradient(problem, free, inputs, weights, mode) for mode in (True, False)
     )
     assert int(forward.failed) == int(reverse.failed) == 0
     for address in parameters.addresses:
@@ -91,4 +91,4 @@ def test_gradient_of_a_batch_matches_differences(mission, variant, scale, slower
         np.testing.assert_allclose(
             reverse.total[address], forward.total[address], rtol=1e-9
         )
-        assert int(forward.reached[address]) == LANES
+        assert int(forward.moved[address]) == LANES

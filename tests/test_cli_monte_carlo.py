@@ -251,7 +251,7 @@ def test_figures_are_drawn(command, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("contents", "message"),
     [
-        (b"", "no rows"),
+        (b"", "empty; expected a line"),
         (b"\xff\xfe", "decode"),
         (b"vehicle.mass\nheavy\n", "heavy"),
         (b"vehicle.mas\n900\n", "nearest: vehicle.mass"),

@@ -45,7 +45,7 @@ def test_train_stores_networks_that_are_read_again(command, monkeypatch, tmp_pat
     small = ("--flights", 150, "--again", 100, "--iterations", 20)
     code, printed, said = command("train", "cav-h", *small, "--out", "networks")
     assert code == 0
-    assert "stored: L-BFGS, 20 iterations" in said
+    assert "stored: L-BFGS, 20 steps" in said
     for name, purpose in PURPOSES.items():
         assert name in printed
         assert network_predictor(name, tmp_path / "networks").inputs is purpose.inputs

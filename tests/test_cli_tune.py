@@ -18,7 +18,15 @@ from commands import (
 )
 
 from jentry.addresses import leaves_by_address
-from jentry.tuning.smoothing import smooth_switching
+from jentry.tuning import (
+    AutomaticDifferentiation,
+    Bounds,
+    Budget,
+    CentralDifferences,
+    Scale,
+    smooth_reversals,
+    smooth_switching,
+)
 
 
 TUNE = ("--gains", "guidance.bank_angle", "--runs", 16, "--held-out", 32, "--step", 1)
@@ -35,7 +43,7 @@ def test_tune_writes_what_monte_carlo_flies(command, tmp_path):
     assert "guidance.bank_angle" in printed and "100 %" in printed
     assert "32 held-out draws" in printed and "95 % interval" in printed
     folder = tmp_path / "results" / "cheap-tuned"
-    with open(folder / "history.csv") as file:
+    with open(folder / "course.csv") as file:
         rows = list(csv.DictReader(file))
     assert [row["step"] for row in rows] == ["1", "2", "3"]
     losses = [float(row["loss"]) for row in rows]
@@ -53,11 +61,11 @@ def test_every_option_of_tune_arrives(command, monkeypatch, tmp_path, density):
     words += ("--steps", 3, "--loss", "cvar", "--of", "altitude=500m")
     words += ("--out", "there", "--optimizer", "adam", "--learning-rate", 0.3)
     words += ("--bounds", "guidance.bank_angle=0.1:1.5", "--fresh-draws", "--smooth")
-    words += ("--patience", 4, "--held-out", 32)
+    words += ("--patience", 4, "--held-out", 32, "--scale", "vehicle.nose_radius=50cm")
     with pytest.raises(Arrived):
         command("tune", "cheap", *words, *OVERRIDES, *density)
-    scenario, where, loss, optimizer, table, key = seen["given"]
-    assert_overridden(scenario, table, key, seen["solver"])
+    scenario, where, loss, optimizer, draws = seen["given"]
+    assert_overridden(scenario, draws.dispersions, draws.key, seen["solver"])
     leaves = leaves_by_address(scenario)
     two = [leaves["guidance.bank_angle"], leaves["vehicle.nose_radius"]]
     assert jax.tree.leaves(where(scenario)) == two
@@ -68,11 +76,22 @@ def test_every_option_of_tune_arrives(command, monkeypatch, tmp_path, density):
     # Its first step is the learning rate.
     step, _ = optimizer.update({"x": jnp.ones(())}, optimizer.init({"x": jnp.ones(())}))
     assert step["x"] == pytest.approx(-0.3)
-    assert seen["bounds"] == {"guidance.bank_angle": (0.1, 1.5)}
-    assert seen["fresh_draws"] and seen["surrogate"] is smooth_switching
-    numbers = {name: seen[name] for name in ("runs", "steps", "patience", "held_out")}
-    assert numbers == {"runs": 16, "steps": 3, "patience": 4, "held_out": 32}
-    assert seen["record"].parent == Path("there")
+    assert seen["ranges"] == {
+        "guidance.bank_angle": Bounds(0.1, 1.5),
+        "vehicle.nose_radius": Scale(0.5),
+    }
+    assert seen["gradient"] == AutomaticDifferentiation(surrogate=smooth_switching)
+    assert (draws.runs, draws.held_out, draws.fresh) == (16, 32, True)
+    assert seen["budget"] == Budget(steps=3, patience=4)
+    assert seen["record"].path.parent == Path("there")
+    assert seen["record"].labels["learning_rate"] == 0.3
+
+
+def test_differences_arrive_with_their_surrogate(command, monkeypatch):
+    seen = intercepted(monkeypatch, "jentry.tuning.tuning", "tune")
+    with pytest.raises(Arrived):
+        tune(command, "--differences", 0.03, "--smooth-reversals")
+    assert seen["gradient"] == CentralDifferences(0.03, smooth_reversals)
 
 
 def test_tune_resumes_and_refuses_another_run(command):
@@ -97,9 +116,9 @@ def test_tune_resumes_and_refuses_another_run(command):
         (("--smooth-reversals",), "has no field of the type AbstractSwitching"),
         (("--smooth", "--smooth-reversals"), "not both"),
         (("--scale", "guidance.bank_angle"), "write ADDRESS=VALUE"),
-        (("--scale", "vehicle.mass=3"), "vehicle.mass has a scale and is not tuned"),
+        (("--scale", "vehicle.mass=3"), "vehicle.mass has a Scale and is not tuned"),
         (("--gains", "initial_state.latitude"), "latitude is 0, which does not tell"),
-        (("--differences", 0), "difference_step is 0.0"),
+        (("--differences", 0), "the step of the differences is 0.0"),
         (("--runs", 1), "runs is 1"),
     ],
 )
@@ -113,7 +132,7 @@ def test_tune_by_differences_prints_their_error(command, tmp_path):
     given = ("--gains", latitude, "--scale", f"{latitude}=0.01")
     code, _, said = tune(command, "--steps", 1, "--differences", 0.02, *given)
     assert code == 0 and " +- " in said
-    with open(tmp_path / "results" / "cheap-tuned" / "history.csv") as file:
+    with open(tmp_path / "results" / "cheap-tuned" / "course.csv") as file:
         (row,) = csv.DictReader(file)
     error = float(row["gradient_error"])
     assert 0.0 < error < float(row["gradient_norm"])

@@ -11,9 +11,9 @@ from test_structure import MODULES, PACKAGE, place
 
 from jentry._files import (
     digest_of_arrays,
-    read_arrays,
+    read_sealed,
     remove_unfinished,
-    write_arrays,
+    write_sealed,
     write_whole,
 )
 
@@ -139,8 +139,11 @@ def same(arrays):
 
 
 def test_arrays_come_back(tmp_path):
-    write_arrays(tmp_path / "arrays", ARRAYS)
-    assert same(read_arrays(tmp_path / "arrays"))
+    path = tmp_path / "new" / "arrays"
+    write_sealed(path, ARRAYS, "a test")
+    assert same(read_sealed(path, "a test"))
+    with pytest.raises(ValueError, match="damaged, or of another kind"):
+        read_sealed(path, "another test")
 
 
 OTHERS = {
@@ -155,8 +158,10 @@ OTHERS = {
 
 @pytest.mark.parametrize("other", OTHERS.values(), ids=OTHERS)
 def test_the_digest_is_of_all_that_arrays_are(other):
-    assert digest_of_arrays(dict(reversed(ARRAYS.items()))) == digest_of_arrays(ARRAYS)
-    assert digest_of_arrays(other) != digest_of_arrays(ARRAYS)
+    digest = digest_of_arrays(ARRAYS, "a test")
+    assert digest_of_arrays(dict(reversed(ARRAYS.items())), "a test") == digest
+    assert digest_of_arrays(other, "a test") != digest
+    assert digest_of_arrays(ARRAYS, "another test") != digest
 
 
 WRITES = {

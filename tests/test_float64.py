@@ -55,8 +55,8 @@ WHOLE = {
         "lambda: jentry.linear_covariance(one, table, solver=cheap.SOLVER)"
     ),
     "tune": (
-        "lambda: jentry.tune(one, bank, loss, optax.adam(0.1), table, key, runs=2, "
-        "steps=1, held_out=2, solver=cheap.SOLVER)"
+        "lambda: jentry.tune(one, bank, loss, optax.adam(0.1), "
+        "jentry.Draws(table, key, 2, 2), budget=jentry.Budget(1), solver=cheap.SOLVER)"
     ),
 }
 """Each flies"""

@@ -19,13 +19,13 @@ from jentry.flight import FixedStep, misses
 from jentry.missions import find_mission
 from jentry.tuning.batch_gradients import (
     Problem,
+    Simulation,
     batch_gradient,
-    batch_outputs,
     loss_and_weights,
     where_finite,
 )
 from jentry.tuning.differences import gradient_by_differences
-from jentry.tuning.evaluation import Evaluator
+from jentry.tuning.gradients import fly_at
 from jentry.tuning.losses import BY_NAME, ScaledMisses
 from jentry.tuning.parameters import Parameters
 
@@ -51,8 +51,8 @@ def outputs(scenario, flight):
 @functools.cache
 def problem():
     where = lambda s: (s.guidance.bank_angle, s.initial_state.velocity)
-    parameters = Parameters.of(cheap.scenario(), where, None)
-    return Problem(cheap.scenario(), parameters, outputs, cheap.SOLVER, None)
+    parameters = Parameters.of(cheap.scenario(), where)
+    return Problem(parameters, Simulation(outputs, cheap.SOLVER))
 
 
 @functools.cache
@@ -62,20 +62,19 @@ def drawn():
 
 
 def flown(free):
-    found, finite = batch_outputs(problem(), free, drawn(), 1)
-    return found, np.asarray(finite)
+    return fly_at(problem(), free, drawn())
 
 
 def gradient(loss, forward, inputs=None):
-    free = problem().parameters.start()
+    free = problem().parameters.zeros()
     _, weights = loss_and_weights(loss, flown(free)[0])
     inputs = drawn() if inputs is None else inputs
-    return batch_gradient(problem(), free, inputs, weights, 1, forward), weights
+    return batch_gradient(problem(), free, inputs, weights, forward), weights
 
 
 def differences(loss, step=2e-6):
     """Of the loss itself, by address."""
-    free = problem().parameters.start()
+    free = problem().parameters.zeros()
     found = {}
     for address, here in free.items():
         up, down = (
@@ -104,26 +103,6 @@ def test_gradient_of_a_named_loss_is_its_difference(name, forward):
         assert float(found.total[address]) == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.slow
-def test_gradient_by_residuals_is_the_difference_too():
-    evaluate = Evaluator(
-        problem(),
-        problem(),
-        BY_NAME["mean-square"](SCALED),
-        cheap.dispersions(),
-        jax.random.key(1),
-        FLIGHTS,
-        fresh_draws=False,
-        forward=True,
-        least_squares=True,
-    )
-    evaluation = evaluate(problem().parameters.start(), 0)
-    assert evaluation.gradients_failed == 0
-    for address, expected in differences(BY_NAME["mean-square"](SCALED)).items():
-        found = float(evaluation.gradient[address])
-        assert found == pytest.approx(expected, rel=1e-5)
-
-
 @pytest.mark.parametrize("forward", MODES)
 def test_a_flight_that_diverges_is_left_out_and_counted(forward):
     """Whatever its weight: also where that makes its gradient as small as the others'."""
@@ -135,13 +114,13 @@ def test_a_flight_that_diverges_is_left_out_and_counted(forward):
     found, _ = gradient(loss, forward, inputs)
     assert int(found.failed) == 2 and int(found.counted) == FLIGHTS
     alone = jax.tree.map(lambda w: jnp.where(diverges, w, 0.0), weights)
-    free = problem().parameters.start()
-    theirs = batch_gradient(problem(), free, drawn(), alone, 1, forward)
+    free = problem().parameters.zeros()
+    theirs = batch_gradient(problem(), free, drawn(), alone, forward)
     for address, total in found.total.items():
         expected = float(whole.total[address] - theirs.total[address])
         assert float(total) == pytest.approx(expected, rel=1e-10)  # sums of 128
     light = jax.tree.map(lambda w: jnp.where(diverges, 1e-9 * w, w), weights)
-    found = batch_gradient(problem(), free, inputs, light, 1, forward)
+    found = batch_gradient(problem(), free, inputs, light, forward)
     assert int(found.failed) == 2
 
 
@@ -154,19 +133,19 @@ def fly(free):
 
 def test_gradient_by_differences_is_that_of_the_loss():
     loss = BY_NAME["cvar"](SCALED)
-    free = problem().parameters.start()
+    free = problem().parameters.zeros()
     found = gradient_by_differences(fly, FLIGHTS, loss, free, 2e-6)
     for address, expected in differences(loss).items():
         # Rounding of sums of 128 over the step.
         assert float(found.gradient[address]) == pytest.approx(expected, rel=1e-9)
     # Of the seven flights that the worst twentieth of 128 are.
-    assert found.failed == 0 and set(found.reached.values()) == {7 / FLIGHTS}
+    assert found.failed == 0 and set(found.shares.values()) == {7 / FLIGHTS}
 
 
 def test_standard_error_of_differences_is_that_of_a_mean():
     """For a mean square: of the squares before and behind, flight by flight."""
     loss = BY_NAME["mean-square"](SCALED)
-    free = problem().parameters.start()
+    free = problem().parameters.zeros()
     step, squares = 0.01, 0.0
     for address, here in free.items():
         up, down = (
@@ -183,7 +162,7 @@ def test_standard_error_of_differences_is_that_of_a_mean():
 def test_flights_that_fail_on_one_side_are_left_out_of_both():
     """Else a difference would be that of their whole loss over the step."""
     loss = BY_NAME["mean-square"](SCALED)
-    free = problem().parameters.start()
+    free = problem().parameters.zeros()
     count = 0
 
     def fragile(free):
@@ -217,23 +196,23 @@ def test_tails_of_the_mars_mission(forward):
     mission = find_mission("mars-drag-tracking")
     scenario = mission.scenario("table-3")
     where = lambda s: (s.guidance.gains.epsilon0, s.guidance.gains.b)
-    parameters = Parameters.of(scenario, where, None)
-    free = parameters.start()
-    whole = Problem(scenario, parameters, misses, FixedStep(), None)
+    parameters = Parameters.of(scenario, where)
+    free = parameters.zeros()
+    whole = Problem(parameters, Simulation(misses, FixedStep()))
     given = scenario, mission.dispersion_table(), jax.random.key(0), np.arange(FLIGHTS)
     inputs = drawn_inputs(*given)
     scaled = ScaledMisses((("downrange", 1e3),))
     for name in BY_NAME:
         loss = BY_NAME[name](scaled)
-        here, _ = batch_outputs(whole, free, inputs, 1)
+        here, _ = fly_at(whole, free, inputs)
         _, weights = loss_and_weights(loss, here)
-        found = batch_gradient(whole, free, inputs, weights, 1, forward)
+        found = batch_gradient(whole, free, inputs, weights, forward)
         assert int(found.failed) == 0
         for address in free:
             slopes = []
             for step in (1e-4, 1e-5, 1e-6):
                 up, down = (
-                    float(loss(batch_outputs(whole, free | {address: s}, inputs, 1)[0]))
+                    float(loss(fly_at(whole, free | {address: s}, inputs)[0]))
                     for s in (jnp.asarray(step), jnp.asarray(-step))
                 )
                 slopes.append((up - down) / (2.0 * step))

@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from helpers import with_leaf
 
-from jentry.campaign.batch import filled_up
 from jentry.campaign.campaign import drawn_inputs
 from jentry.flight.miss import misses
-from jentry.tuning.batch_gradients import Problem, batch_outputs
-from jentry.tuning.judgement import Comparison, Estimate, held_out, judge
+from jentry.tuning.batch_gradients import Simulation, batch_outputs
+from jentry.tuning.draws import held_out
+from jentry.tuning.judgement import Comparison, Estimate, judge
 from jentry.tuning.losses import MeanSquare
-from jentry.tuning.parameters import Parameters
 from jentry.units import km
 
 
@@ -38,6 +37,9 @@ def outputs(scenario, flight):
     }
 
 
+SIMULATION = Simulation(outputs, cheap.SOLVER)
+
+
 def scenario(density):
     return with_leaf(cheap.scenario(), lambda s: s.planet.density_scale, density)
 
@@ -45,18 +47,15 @@ def scenario(density):
 @functools.cache
 def flown(density):
     """Outputs of each run, and which of them are finite; as numpy arrays."""
-    problem = Problem(scenario(density), Parameters({}), outputs, cheap.SOLVER, None)
-    devices = len(jax.devices())
-    filled = filled_up(np.arange(RUNS), devices)
-    inputs = drawn_inputs(problem.scenario, cheap.mass_only(), KEY, filled)
-    found = batch_outputs(problem, {}, inputs, devices)
-    return jax.tree.map(lambda x: np.asarray(x)[:RUNS], found)
+    inputs = drawn_inputs(scenario(density), cheap.mass_only(), KEY, np.arange(RUNS))
+    found = batch_outputs(SIMULATION, scenario(density), inputs)
+    return jax.tree.map(np.asarray, found)
 
 
 @functools.cache
 def judged(before, after):
     given = scenario(before), scenario(after), cheap.mass_only(), KEY, RUNS
-    return judge(*given, LOSS, outputs, cheap.SOLVER, None)
+    return judge(*given, LOSS, SIMULATION)
 
 
 THICK, THIN = 1.0, 0.9

@@ -29,7 +29,8 @@ from jentry.campaign.campaign import drawn_inputs, fly_in_blocks
 from jentry.campaign.dispersions import Constant
 from jentry.missions import find_mission
 from jentry.motion import EquatorialDynamics
-from jentry.tuning.judgement import held_out
+from jentry.tuning import Budget, Draws
+from jentry.tuning.draws import held_out
 from jentry.tuning.losses import MeanSquare
 
 
@@ -261,7 +262,7 @@ def nothing_flies(monkeypatch):
     def flies(*given):
         raise AssertionError("a flight was flown")
 
-    for name in ("_fly_block", "over_runs", "fly_run"):
+    for name in ("over_runs", "fly_run"):
         monkeypatch.setattr(sys.modules[fly_in_blocks.__module__], name, flies)
 
 
@@ -353,13 +354,9 @@ def test_tuning_looks_at_all_its_draws_first(late, fresh, nothing_flies):
             lambda s: s.guidance.bank_angle,
             MeanSquare(lambda misses: misses.downrange),
             optax.adam(0.1) if fresh else optimistix.LBFGS(rtol=1e-6, atol=1e-6),
-            table,
-            key,
-            runs=runs,
-            steps=steps,
+            Draws(table, key, runs, 16 if fresh else len(FEW), fresh),
+            budget=Budget(steps),
             solver=cheap.SOLVER,
-            fresh_draws=fresh,
-            held_out=16 if fresh else len(FEW),
         )
 
 

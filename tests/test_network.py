@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jentry._files import digest_of_arrays
 from jentry.learning.velocity_network import VELOCITIES
 from jentry.missions.cav_h.training import FOLDER, PURPOSES, network_predictor
 from jentry.onboard import Network, load_network, save_network
-from jentry.onboard.network import _digest
 
 
 CARD = {"purpose": "a test", "seed": 3}
@@ -203,7 +203,7 @@ def test_other_contents_are_refused(stored, change, message):
     with np.load(stored) as arrays:
         changed = {name: arrays[name] for name in arrays.files if name != "digest"}
     changed |= change
-    changed["digest"] = np.array(_digest(changed))
+    changed["digest"] = np.array(digest_of_arrays(changed, "jentry network 2"))
     with stored.open("wb") as file:
         np.savez(file, **changed)
     with pytest.raises(ValueError, match=f"network.npz .*{message}"):

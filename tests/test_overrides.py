@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers import mars_scenario
 
+from jentry._files import write_toml
 from jentry.addresses import leaves_by_address
 from jentry.campaign import (
     Normal,
@@ -24,8 +25,8 @@ from jentry.cli.overrides import (
     in_si,
     read_inputs,
     read_overrides,
-    write_overrides,
 )
+from jentry.tuning.saving import with_unit
 from jentry.units import degree
 
 
@@ -256,12 +257,12 @@ def test_inputs_are_columns_of_numbers(written, mark):
 @pytest.mark.parametrize(
     ("contents", "message"),
     [
-        ("", "no rows"),
-        ("vehicle.mass\n\n", "no rows"),
+        ("", "empty; expected a line"),
+        ("vehicle.mass\n\n", "line 1: 0 rows"),
         ("vehicle.mass\nheavy\n", "heavy"),
-        ("a,b\n1,2\n3\n", "columns"),
-        ("a,b\n1\n2\n", "2 addresses in its first line and 1 columns"),
-        ("a,b,a\n1,2,3\n", "has a twice"),
+        ("a,b\n1,2\n3\n", "line 3: 1 values; expected 2: a,b"),
+        ("a,b\n1\n2\n", "line 2: 1 values"),
+        ("a,b,a\n1,2,3\n", "column 'a' appears more than once"),
         (b"\xff\xfe\x00", "decode"),
     ],
 )
@@ -273,6 +274,16 @@ def test_inputs_that_are_not_understood_are_refused(written, contents, message):
 
 
 # Files that are written.
+
+
+def write_overrides(path, comment, variant, values, dispersions):
+    """As `Tuned.save` does, of numbers without a unit."""
+    set_to = {address: with_unit(value, "1") for address, value in values.items()}
+    contents = {"variant": variant, "set": set_to, "dispersions": dispersions}
+    if isinstance(dispersions, str):
+        contents = {"dispersions": contents.pop("dispersions"), **contents}
+    write_toml(path, comment, contents)
+
 
 VALUES = {
     "a third": 1.0 / 3.0,

@@ -10,21 +10,19 @@ import optax
 import optimistix
 import pytest
 
-from jentry.tuning.evaluation import Evaluation, LinearResiduals
-from jentry.tuning.record import Entry, Record, restored
+from jentry.tuning.gradients import Evaluation
+from jentry.tuning.record import CourseFile, Entry, restored
 from jentry.tuning.steppers import Descent, Solver
 
 
 SOLVERS = {
     "descent": lambda: Descent(optax.adam(0.2), False),
-    "least squares": lambda: Solver(optimistix.LevenbergMarquardt(1e-8, 1e-8)),
     "minimisation": lambda: Solver(optimistix.BFGS(1e-8, 1e-8)),
     "limited memory": lambda: Solver(optimistix.LBFGS(1e-8, 1e-8)),
 }
 
 STEPS = {
     "descent": 600,
-    "least squares": 60,
     "minimisation": 120,
     "limited memory": 120,
 }
@@ -42,18 +40,15 @@ def residuals(free):
 
 @jax.jit
 def known(free):
-    loss, gradient = jax.value_and_grad(lambda f: jnp.sum(residuals(f) ** 2))(free)
-    return loss, gradient, residuals(free), jax.jacfwd(residuals)(free)
+    return jax.value_and_grad(lambda f: jnp.sum(residuals(f) ** 2))(free)
 
 
 def evaluate(free, scale=1.0):
     """As from one flight of three residuals, all of them in another unit."""
-    loss, gradient, of_flight, jacobian = known(free)
-    jacobian = jax.tree.map(lambda x: scale * x, jacobian)
+    loss, gradient = known(free)
     gradient = jax.tree.map(lambda x: scale**2 * x, gradient)
     loss = scale**2 * float(loss)
-    linear = LinearResiduals(scale * of_flight, jacobian)
-    return Evaluation(loss, loss, gradient, 0, 0, {}, linear)
+    return Evaluation(loss, loss, gradient, 0, 0, {})
 
 
 def points(stepper, steps, free=START, state=None, scale=1.0):
@@ -104,7 +99,7 @@ def test_the_state_can_be_stored_and_gone_on_from(name, tmp_path):
     visited, state, _ = points(stepper, 3)
     path = tmp_path / "record.npz"
     entry = Entry(0.0, 0.0, 0, 0, 0, 0.0, {}, {}, {})
-    record = Record(path, {})
+    record = CourseFile(path, {})
     record.write([entry], visited[-1], state, False)
     _, following, leaves, _ = record.read()
     assert same(following, visited[-1])
@@ -124,7 +119,7 @@ def test_the_first_step_of_descent_is_that_of_its_optimizer():
         np.testing.assert_allclose(visited[1][address], value, rtol=1e-15)
 
 
-@pytest.mark.parametrize("name", ["least squares", "minimisation", "limited memory"])
+@pytest.mark.parametrize("name", ["minimisation", "limited memory"])
 @pytest.mark.parametrize("scale", [1e-5, 1e4])
 def test_the_unit_of_the_loss_makes_no_difference(name, scale):
     """A solver begins with a step or a damping of one, whatever the loss is counted in."""
@@ -147,15 +142,13 @@ def test_at_a_minimum_nothing_moves(name):
 
 def failure(at, **changes):
     """Of all flights, unless told otherwise."""
-    evaluation = evaluate(at)
     nothing = jax.tree.map(jnp.zeros_like, START)
-    linear = jax.tree.map(lambda x: jnp.full_like(x, jnp.inf), evaluation.linear)
-    given = {"loss": np.inf, "followed": np.inf, "failed": 1, "linear": linear}
-    given = {"gradient": nothing, "gradients_failed": 0, "reached": {}} | given
+    given = {"loss": np.inf, "followed": np.inf, "failed": 1}
+    given = {"gradient": nothing, "gradients_failed": 0, "gradient_shares": {}} | given
     return Evaluation(**(given | changes))
 
 
-@pytest.mark.parametrize("name", ["least squares", "minimisation", "limited memory"])
+@pytest.mark.parametrize("name", ["minimisation", "limited memory"])
 @pytest.mark.parametrize("changes", [{}, {"loss": 0.0, "followed": 0.0}])
 def test_a_solver_turns_back_from_where_flights_fail(name, changes):
     """However small the loss of those that are left; and finds the minimum all the same."""
@@ -214,17 +207,3 @@ def test_a_line_search_of_optax_is_refused():
     state = stepper.init(START, evaluate(START))
     with pytest.raises(ValueError, match="optimistix.LBFGS"):
         stepper.step(START, state, evaluate(START), START)
-
-
-def test_least_squares_steps_are_those_of_the_solver_from_inside():
-    """Of optimistix itself, over residuals that are divided by the same number."""
-    solver = optimistix.LevenbergMarquardt(1e-8, 1e-8)
-    downhill = known(START)[1]  # twice the residuals times their Jacobian
-    size = jnp.sqrt(0.5 * optax.tree.norm(downhill))
-    solution = optimistix.least_squares(
-        lambda free, _: residuals(free) / size, solver, START, max_steps=200
-    )
-    visited, _, _ = found("least squares")
-    assert abs(int(solution.stats["num_steps"]) - (len(visited) - 1)) <= 1
-    for address, value in solution.value.items():
-        np.testing.assert_allclose(visited[-1][address], value, rtol=1e-6)

@@ -13,7 +13,7 @@ import numpy as np
 import optax
 import pytest
 
-from jentry.tuning.record import Entry, Record, restored, told
+from jentry.tuning.record import CourseFile, Entry, restored, told
 
 
 RNG = np.random.default_rng(20261121)
@@ -40,17 +40,17 @@ def entry(loss, **changes):
         seconds=RNG.uniform() * 1e5,
         values={SCALAR: RNG.normal(size=()), TABLE: RNG.normal(size=3) * 1e17},
         free=free,
-        reached={SCALAR: 1.0, TABLE: 0.1 + 0.2},
+        gradient_shares={SCALAR: 1.0, TABLE: 0.1 + 0.2},
     )
     return Entry(**(given | changes))
 
 
 def write_record(path, description, history, following, state, converged=False):
-    Record(path, description).write(history, following, state, converged)
+    CourseFile(path, description).write(history, following, state, converged)
 
 
 def read_record(path, description):
-    history, following, state, _ = Record(path, description).read()
+    history, following, state, _ = CourseFile(path, description).read()
     return history, following, state
 
 
@@ -104,7 +104,7 @@ def test_round_trip_to_the_last_bit(record):
 def test_whether_it_has_converged_is_kept(tmp_path, converged):
     path = tmp_path / "record.npz"
     write_record(path, DESCRIPTION, [entry(0.5)], following(), state(), converged)
-    assert Record(path, DESCRIPTION).read()[3] is converged
+    assert CourseFile(path, DESCRIPTION).read()[3] is converged
 
 
 def test_random_keys_of_a_state_are_stored(tmp_path):
@@ -159,12 +159,16 @@ def test_a_point_where_no_flight_was_finite_can_be_stored(tmp_path):
     path = tmp_path / "record.npz"
     history = [
         entry(0.5),
-        entry(np.inf, failed=256, reached=dict.fromkeys(entry(0.5).reached, 0.0)),
+        entry(
+            np.inf,
+            failed=256,
+            gradient_shares=dict.fromkeys(entry(0.5).gradient_shares, 0.0),
+        ),
     ]
     write_record(path, DESCRIPTION, history, following(), state())
     read, _, _ = read_record(path, DESCRIPTION)
     assert [e.loss for e in read] == [0.5, np.inf]
-    assert read[0].reached == history[0].reached
+    assert read[0].gradient_shares == history[0].gradient_shares
 
 
 # What is refused.

@@ -11,7 +11,7 @@ import optimistix
 from jaxtyping import Array, Key
 
 from .._setup import needs_float64
-from ..campaign.batch import filled_up, over_runs
+from ..campaign.batch import over_runs
 from ..campaign.campaign import drawn_inputs, fly_run
 from ..campaign.dispersions import Dispersion, check_dispersions
 from ..flight.miss import misses
@@ -64,38 +64,32 @@ def clairvoyant_floor(
     check_dispersions(scenario, dispersions)
     if coefficients < 1:
         raise ValueError(f"coefficients is {coefficients}: it must be at least 1")
-    # On one device: the solver cannot be compiled within what divides the work.
-    devices = 1
-    filled = filled_up(np.arange(runs), devices)
-    inputs = drawn_inputs(scenario, dispersions, key, filled)
+    inputs = drawn_inputs(scenario, dispersions, key, np.arange(runs))
     span = scenario.initial_state.velocity - end_velocity
     profile = PolynomialProfile(jnp.zeros(coefficients), end_velocity, span)
     law = BankProfile(profile)
     open_loop = eqx.tree_at(lambda s: s.guidance, scenario, law)
-    best, found = _search(
-        open_loop, loss, inputs, outputs, solver, most_steps, coefficients, devices
-    )
-    return jax.tree.map(lambda x: np.asarray(x)[:runs], (best, found))
+    shared = open_loop, loss, outputs, solver, most_steps, coefficients
+    # On one device: the solver cannot be compiled within what divides the work.
+    return over_runs(_search, shared, inputs, one_device=True)
 
 
-@eqx.filter_jit
-def _search(scenario, loss, inputs, outputs, solver, most_steps, coefficients, devices):
+def _search(shared, inputs):
+    """Of one draw: what the best profile gives, and its coefficients."""
+    scenario, loss, outputs, solver, most_steps, coefficients = shared
     method = optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
     first = jnp.zeros(coefficients).at[0].set(0.5)
 
-    def one(scenario, inputs):
-        def flown(c):
-            given = eqx.tree_at(lambda s: s.guidance.cos_bank.coefficients, scenario, c)
-            flight, aimed = fly_run(given, inputs, solver)
-            return outputs(aimed, flight)
+    def flown(c):
+        given = eqx.tree_at(lambda s: s.guidance.cos_bank.coefficients, scenario, c)
+        flight, aimed = fly_run(given, inputs, solver)
+        return outputs(aimed, flight)
 
-        def residuals(c, _):
-            alone = jax.tree.map(lambda x: jnp.asarray(x)[None], flown(c))
-            return loss.residuals(alone)
+    def residuals(c, _):
+        alone = jax.tree.map(lambda x: jnp.asarray(x)[None], flown(c))
+        return loss.residuals(alone)
 
-        found = optimistix.least_squares(
-            residuals, method, first, max_steps=most_steps, throw=False
-        ).value
-        return flown(found), found
-
-    return over_runs(one, scenario, inputs, devices)
+    found = optimistix.least_squares(
+        residuals, method, first, max_steps=most_steps, throw=False
+    ).value
+    return flown(found), found

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from .._setup import needs_float64
-from ..campaign.batch import LANES, filled_up
+from ..campaign.batch import LANES
 from ..campaign.campaign import check_draws
 from ..campaign.dispersions import Dispersion, check_dispersions
 from ..flight.miss import misses
@@ -130,7 +130,6 @@ def linear_covariance(
         raise ValueError(f"runs is {runs}: give 2 or more with a key, or 0 for none")
     if mode not in (None, "exact", "difference"):
         raise ValueError(f'mode is {mode!r}: it must be "exact" or "difference"')
-    devices = len(jax.devices())
     key = jax.random.key(0) if key is None else key
     check_draws(scenario, dispersions, key, np.arange(max(runs, LANES)))
     if mode == "difference":
@@ -144,12 +143,7 @@ def linear_covariance(
         name: np.concatenate([[point[name] for point in axes], np.asarray(values)])
         for name, values in drawn.items()
     }
-    count = len(axes) + max(runs, LANES)
-    filled = filled_up(np.arange(count), devices)
-    given = {name: jnp.asarray(values[filled]) for name, values in points.items()}
-    flown = fly_draws(scenario, pairs, given, outputs, solver, devices)
-    values, _, codes, finite = jax.tree.map(lambda x: x[:count], flown)
-    codes, finite = np.asarray(codes), np.asarray(finite)
+    values, _, codes, finite = fly_draws(scenario, pairs, points, outputs, solver)
     columns = {
         name: np.where(finite, np.asarray(x, float), np.nan)
         for name, x in columns_of(values).items()
@@ -166,7 +160,7 @@ def linear_covariance(
         alone = ending_by(scenario, name)
         if mode == "difference":
             others = jax.random.fold_in(key, 2)
-            model = mean_model(alone, pairs, outputs, solver, others, devices)
+            model = mean_model(alone, pairs, outputs, solver, others)
         else:
             model = linear_model(alone, pairs, outputs, solver, name)
         if model is None:

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from ..addresses import leaves_by_address
-from ..campaign.batch import LANES, filled_up, over_runs
+from ..campaign.batch import LANES, over_runs
 from ..campaign.campaign import fly_run
 from ..campaign.dispersions import Dispersion, disperse, draw
 from ..flight.scenario import Scenario
@@ -60,23 +60,22 @@ def draw_many(pairs: Pairs, key: Key[Array, ""], runs: Array) -> Draws:
     return jax.vmap(lambda run: draw(dict(pairs), key, run))(runs)
 
 
-@eqx.filter_jit
-def fly_draws(scenario, pairs: Pairs, draws: Draws, outputs, solver, devices: int):
+def fly_draws(scenario, pairs: Pairs, draws: Draws, outputs, solver):
     """Outputs, time, code of the end condition and whether finite, for each draw."""
-
-    def one(shared, draws):
-        scenario, pairs = shared
-        inputs = disperse(scenario, dict(pairs), draws)
-        flight, aimed = fly_run(scenario, inputs, solver)
-        finite = has_end(flight.outcome)
-        return outputs(aimed, flight), flight.time, flight.ended_by, finite
-
-    return over_runs(one, (scenario, pairs), draws, devices)
+    return over_runs(_fly_draw, (scenario, pairs, outputs, solver), dict(draws))
 
 
-def columns_of(values: Any) -> dict[str, Array]:
+def _fly_draw(shared, draws):
+    scenario, pairs, outputs, solver = shared
+    inputs = disperse(scenario, dict(pairs), draws)
+    flight, aimed = fly_run(scenario, inputs, solver)
+    finite = has_end(flight.outcome)
+    return outputs(aimed, flight), flight.time, flight.ended_by, finite
+
+
+def columns_of(values: Any) -> dict[str, np.ndarray]:
     columns = {
-        named(name): column for name, column in leaves_by_address(values).items()
+        named(n): np.asarray(column) for n, column in leaves_by_address(values).items()
     }
     for name, column in columns.items():
         if column.ndim != 1:
@@ -96,7 +95,7 @@ def ending_by(scenario: Scenario, name: str) -> Scenario:
 
 
 def mean_model(
-    alone: Scenario, pairs: Pairs, outputs: Outputs, solver, key, devices: int
+    alone: Scenario, pairs: Pairs, outputs: Outputs, solver, key
 ) -> LinearModel | None:
     """Linear model by differences over two standard deviations, in the mean of other draws.
 
@@ -114,18 +113,16 @@ def mean_model(
     if not moving:
         raise ValueError("all dispersions are constant: nothing moves the flight")
     draws = jax.tree.map(lambda *x: np.concatenate(x), *points)
-    filled = filled_up(np.arange(len(points) * LANES), devices)
-    given = {name: jnp.asarray(x[filled]) for name, x in draws.items()}
-    flown = fly_draws(alone, pairs, given, outputs, solver, devices)
+    flown = fly_draws(alone, pairs, draws, outputs, solver)
     shape = len(moving), 2, LANES
     values, time, code, finite = jax.tree.map(
-        lambda x: np.asarray(x)[: np.prod(shape)].reshape(*shape, *x.shape[1:]), flown
+        lambda x: x.reshape(*shape, *x.shape[1:]), flown
     )
     both = np.all((code == 0) & finite, axis=1)
     if np.any(np.sum(both, axis=1) < 2):
         return None
-    by_address = leaves_by_address(jax.tree.map(jnp.asarray, values))
-    columns = {named(n): np.asarray(x) for n, x in by_address.items()} | {"": time}
+    columns = {named(n): np.asarray(x) for n, x in leaves_by_address(values).items()}
+    columns[""] = time
     slopes = {n: dict.fromkeys(dict(pairs), 0.0) for n in columns}
     errors = {n: dict.fromkeys(dict(pairs), 0.0) for n in columns}
     for place, name in enumerate(moving):

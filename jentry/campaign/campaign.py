@@ -1,7 +1,6 @@
 """Fly many dispersed runs of one scenario, fast and on all cores."""
 
 import bisect
-import functools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +25,7 @@ from ..flight.miss import Misses, misses
 from ..flight.scenario import Scenario, check_values, checked, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
-from .batch import in_blocks, over_runs
+from .batch import filled_up, in_blocks, over_runs
 from .dispersions import Dispersion, check_dispersions, check_runs, dispersed_inputs
 from .outputs import is_output, shown
 from .populations import finite_flights
@@ -214,12 +213,12 @@ def drawn_inputs(
     dispersions: Mapping[str, Dispersion],
     key: Key[Array, ""],
     runs: np.ndarray,
-) -> dict[str, Array]:
+) -> dict[str, np.ndarray]:
     """Inputs of some runs by address, as `dispersed_inputs` draws them.
 
     Raises `ValueError` for a draw that cannot be flown.
     """
-    inputs = dispersed_inputs(scenario, dispersions, key, jnp.asarray(runs))
+    inputs = _drawn(scenario, dispersions, key, runs)
     for address, values in inputs.items():
         movers = [
             f"dispersions.{name}"
@@ -227,8 +226,15 @@ def drawn_inputs(
             if address in addresses_of(scenario, dispersion.where)
         ]
         source = " and ".join(movers)
-        _check_runs(scenario, address, np.asarray(values), runs, source)
+        _check_runs(scenario, address, values, runs, source)
     return inputs
+
+
+def _drawn(scenario, dispersions, key, runs: np.ndarray) -> dict[str, np.ndarray]:
+    """Drawn in whole batches, for which flying has compiled."""
+    filled = jnp.asarray(filled_up(runs))
+    inputs = dispersed_inputs(scenario, dispersions, key, filled)
+    return {a: np.asarray(values)[: len(runs)] for a, values in inputs.items()}
 
 
 def check_draws(
@@ -242,8 +248,8 @@ def check_draws(
     Block by block as they will be flown: in constant memory, and with nothing compiled
     that flying does not need.
     """
-    for _, filled in in_blocks(runs, len(jax.devices())):
-        drawn_inputs(scenario, dispersions, key, filled)
+    for block in in_blocks(runs):
+        drawn_inputs(scenario, dispersions, key, block)
 
 
 def _check_runs(
@@ -268,36 +274,21 @@ def _check_runs(
 
 
 def _blocks(scenario, dispersions, key, indices, given, solver, history):
-    devices = len(jax.devices())
-    for runs, filled in in_blocks(indices, devices):
+    for runs in in_blocks(indices):
         if given is None:
-            runs_drawn = jnp.asarray(filled)
-            inputs = dispersed_inputs(scenario, dispersions, key, runs_drawn)
+            inputs = _drawn(scenario, dispersions, key, runs)
         else:
-            inputs = {a: jnp.asarray(v[filled]) for a, v in given.items()}
-        flown = _fly_block(scenario, inputs, solver, history, devices)
-        flown_with = {a: np.asarray(v) for a, v in inputs.items()}
-        block = Campaign(filled, flown_with, *flown)
-        yield jax.tree.map(functools.partial(_first, len(runs)), block)
+            inputs = {address: values[runs] for address, values in given.items()}
+        flown = over_runs(_fly_one, (scenario, solver, history), inputs)
+        yield Campaign(runs, inputs, *flown)
 
 
-def _first(count: int, values: Any) -> np.ndarray:
-    return np.asarray(values)[:count]
-
-
-@eqx.filter_jit
-def _fly_block(
-    scenario: Scenario,
-    inputs: dict[str, Array],
-    solver: AbstractSolver,
-    history: float | None,
-    devices: int,
+def _fly_one(
+    shared: tuple[Scenario, AbstractSolver, float | None], inputs: dict[str, Array]
 ) -> tuple[Flight, Misses]:
-    def one(scenario: Scenario, inputs: dict[str, Array]) -> tuple[Flight, Misses]:
-        flight, aimed = fly_run(scenario, inputs, solver, history)
-        return flight, misses(aimed, flight)
-
-    return over_runs(one, scenario, inputs, devices)
+    scenario, solver, history = shared
+    flight, aimed = fly_run(scenario, inputs, solver, history)
+    return flight, misses(aimed, flight)
 
 
 def fly_run(

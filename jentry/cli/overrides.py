@@ -19,7 +19,6 @@ readings are changed, and `replace = true` leaves out all of them. `dispersions 
 """
 
 import dataclasses
-import json
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -27,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from .._files import write_whole
+from .._tables import read_columns
 from ..addresses import (
     leaves_by_address,
     nearest,
@@ -134,6 +133,8 @@ def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overri
 
 def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
     contents = _read_toml(path) if path is not None else {}
+    # What `Tuned.save` says of the numbers that it sets is for the reader.
+    contents.pop("tuned", None)
     _require_keys(contents, ("variant", "dispersions", "set"), "")
     values = {
         address: _quantities(value, f"set.{address}")
@@ -233,64 +234,10 @@ def apply_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     return replace_leaves(scenario, values)
 
 
-def write_overrides(
-    path: Path,
-    comment: str,
-    variant: str,
-    values: Mapping[str, Any],
-    dispersions: str | Mapping[str, Any],
-) -> None:
-    """A configuration file that `read_overrides` reads back, to the last digit.
-
-    **Arguments:**
-
-    - `comment`: what the file is, in lines.
-    - `dispersions`: a reading of the mission, or the `[dispersions]` table of another
-      configuration file.
-    """
-    lines = [f"# {line}" for line in comment.splitlines()]
-    lines += [f"variant = {json.dumps(variant)}"]
-    if isinstance(dispersions, str):
-        lines += [f"dispersions = {json.dumps(dispersions)}"]
-    lines += ["", "[set]"]
-    for address, value in values.items():
-        # Finite floats, and lists of them of any depth, are alike in JSON and in TOML.
-        numbers = np.asarray(value, float).tolist()
-        lines += [f"{json.dumps(address)} = {json.dumps(numbers, allow_nan=False)}"]
-    if not isinstance(dispersions, str):
-        lines += ["", "[dispersions]"]
-        for name, entry in dispersions.items():
-            if not isinstance(entry, Mapping):
-                lines += [f"{name} = {json.dumps(entry)}"]
-        for name, entry in dispersions.items():
-            if not isinstance(entry, Mapping):
-                continue
-            lines += ["", f"[dispersions.{json.dumps(name)}]"]
-            lines += [f"{key} = {json.dumps(value)}" for key, value in entry.items()]
-    write_whole(path, ("\n".join(lines) + "\n").encode())
-
-
 def read_inputs(path: Path) -> dict[str, np.ndarray]:
     """Inputs of a Monte Carlo from a csv file: addresses in the first line, SI values."""
-    try:
-        # Spreadsheets begin a file with a mark of its encoding, which "-sig" leaves out.
-        first, *lines = path.read_text(encoding="utf-8-sig").splitlines() or [""]
-        rows = [line for line in lines if line.strip()]
-        if not rows:
-            raise ValueError("there are no rows: give each run a line")
-        table = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
-    header = [name.strip() for name in first.split(",")]
-    twice = sorted({name for name in header if header.count(name) > 1})
-    if twice:
-        raise ValueError(f"{path} has {', '.join(twice)} twice in its first line")
-    if table.shape[1] != len(header):
-        raise ValueError(
-            f"{path} has {len(header)} addresses in its first line and "
-            f"{table.shape[1]} columns"
-        )
-    return dict(zip(header, table.T, strict=True))
+    columns, _ = read_columns(path, (), None, rows=1)
+    return columns
 
 
 def _read_toml(path: Path) -> dict[str, Any]:

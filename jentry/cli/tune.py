@@ -3,7 +3,7 @@
 import math
 import shlex
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -52,15 +52,14 @@ def command(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for tuned.toml, history.csv and the record that the same "
+            help="Folder for tuned.toml, course.csv and the record that the same "
             "command resumes from; results/MISSION-tuned if not given."
         ),
     ] = None,
     optimizer: Annotated[
         str | None,
         typer.Option(
-            help="lbfgs; levenberg-marquardt, for the mean square; or adam, which is "
-            "taken for fresh draws. lbfgs if not given."
+            help="lbfgs; or adam, which is taken for fresh draws. lbfgs if not given."
         ),
     ] = None,
     learning_rate: Annotated[
@@ -124,13 +123,20 @@ def command(
 
     from ..campaign.dispersions import key_of
     from ..flight.solver import FixedStep
-    from ..tuning import smoothing
+    from ..tuning import (
+        AutomaticDifferentiation,
+        Budget,
+        CentralDifferences,
+        Draws,
+        Record,
+        smoothing,
+    )
     from ..tuning.losses import BY_NAME
     from ..tuning.tuning import tune
     from .dispersions_report import print_what_is_flown
-    from .overrides import AtAddresses, write_overrides
-    from .tuning_options import parse_bounds, parse_leaf_scales, parse_scales
-    from .tuning_report import print_tuned, report_step, write_history
+    from .overrides import AtAddresses
+    from .tuning_options import parse_ranges, parse_scales
+    from .tuning_report import print_tuned, report_step, write_course
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
     variant = first_given(variant, overrides.variant, *chosen.variants)
@@ -146,7 +152,6 @@ def command(
         raise ValueError(f"--learning-rate is {learning_rate}: it must be positive")
     methods = {
         "lbfgs": optimistix.LBFGS(rtol=1e-6, atol=1e-6),
-        "levenberg-marquardt": optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6),
         "adam": optax.adam(learning_rate),
     }
     if wanted not in methods:
@@ -154,11 +159,19 @@ def command(
     default = [] if gains else list(chosen.gains)
     addresses = expanded(scenario, gains or (), default)
     folder = Path("results") / f"{chosen.name}-tuned" if out is None else out
-    record = folder / "tuning.npz"
+    gradient = AutomaticDifferentiation(surrogate=followed)
+    if differences is not None:
+        gradient = CentralDifferences(differences, followed)
+    labels = {
+        "loss": loss,
+        "optimizer": wanted,
+        "learning_rate": learning_rate,
+        **{f"code of {file}": is_ for file, is_ in chosen.code.items()},
+    }
     with rounding_off("the same command resumes") as look:
 
-        def report(history: list, best: int) -> None:
-            report_step(history, best)
+        def report(course: list, best: int) -> None:
+            report_step(course, best)
             look()
 
         tuned = tune(
@@ -166,44 +179,24 @@ def command(
             AtAddresses(tuple(addresses)),
             BY_NAME[loss](parse_scales(of or (), scenario)),
             methods[wanted],
-            table,
-            key_of(seed),
-            runs=runs,
-            steps=steps,
-            bounds=parse_bounds(bounds or (), scenario),
-            scales=parse_leaf_scales(scale or (), scenario),
-            **_by(differences),
+            Draws(table, key_of(seed), runs, held_out, fresh_draws),
+            ranges=parse_ranges(bounds or (), scale or (), scenario),
             solver=FixedStep(step),
-            fresh_draws=fresh_draws,
-            surrogate=followed,
-            patience=patience,
-            held_out=held_out,
-            record=record,
-            labels={
-                "loss": loss,
-                "optimizer": wanted,
-                "learning_rate": learning_rate,
-                **{f"code of {file}": is_ for file, is_ in chosen.code.items()},
-            },
-            report=report,
+            gradient=gradient,
+            budget=Budget(steps, patience),
+            record=Record(folder / "tuning.npz", labels, report),
         )
     print_what_is_flown(chosen, scenario, overrides, reading, table)
     print_tuned(chosen, scenario, tuned)
-    write_history(folder / "history.csv", tuned)
+    write_course(folder / "course.csv", tuned)
     stepped = "" if step is None else f", --step {step:g}"
-    write_overrides(
+    tuned.save(
         folder / "tuned.toml",
-        f"{chosen.name} tuned by jentry: {loss} over {runs} draws of seed {seed},\n"
-        f"{wanted}, {len(tuned.history)} steps{stepped}. Fly it:\n"
+        variant=variant,
+        dispersions=overrides.written_with(reading),
+        values=overrides.values,
+        comment=f"{chosen.name} tuned by jentry: {loss} over {runs} draws of seed {seed},"
+        f"\n{wanted}, {len(tuned.course)} steps{stepped}. Fly it:\n"
         f"jentry monte-carlo {shlex.quote(mission)} --config FILE",
-        variant,
-        {**overrides.values, **tuned.values},
-        overrides.written_with(reading),
     )
     typer.echo(f"tuned scenario: {folder / 'tuned.toml'}")
-
-
-def _by(differences: float | None) -> dict[str, Any]:
-    if differences is None:
-        return {}
-    return {"mode": "difference", "difference_step": differences}

@@ -8,6 +8,7 @@ from ..fields import units_of
 from ..flight.miss import Misses
 from ..flight.scenario import Scenario
 from ..tuning.losses import ScaledMisses
+from ..tuning.maps import Bounds, Scale
 from ..units import km, parse_quantity
 
 
@@ -41,41 +42,28 @@ def parse_scales(options: Iterable[str], scenario: Scenario) -> ScaledMisses:
     return ScaledMisses(tuple(scales.items()))
 
 
-def parse_bounds(
-    options: Iterable[str], scenario: Scenario
-) -> dict[str, tuple[float, float]]:
-    """`ADDRESS=LOW:HIGH` of the command line."""
-    bounds = {}
+def parse_ranges(
+    bounds: Iterable[str], scales: Iterable[str], scenario: Scenario
+) -> dict[str, Bounds | Scale]:
+    """`ADDRESS=LOW:HIGH` and `ADDRESS=VALUE` of the command line, by address."""
+    ranges: dict[str, Bounds | Scale] = {}
     known = leaves_by_address(scenario)
-    for option in options:
-        address, equals, interval = option.partition("=")
-        low, colon, high = interval.partition(":")
-        if not equals or not colon:
-            raise ValueError(f"--bounds {option}: write ADDRESS=LOW:HIGH")
+    given = [("--bounds", "LOW:HIGH", option) for option in bounds]
+    given += [("--scale", "VALUE", option) for option in scales]
+    for name, form, option in given:
+        address, equals, value = option.partition("=")
+        low, colon, high = value.partition(":")
+        if not equals or bool(colon) is not (":" in form):
+            raise ValueError(f"{name} {option}: write ADDRESS={form}")
         require_address(known, address)
-        if address in bounds:
-            raise ValueError(f"--bounds {address} is given twice: once")
+        if address in ranges:
+            raise ValueError(
+                f"{name} {address} is given twice: once, by --bounds or by --scale"
+            )
         unit = unit_of(scenario, address)
         try:
-            bounds[address] = parse_quantity(low, unit), parse_quantity(high, unit)
+            ends = [parse_quantity(x, unit) for x in ([low, high] if colon else [low])]
         except ValueError as error:
-            raise ValueError(f"--bounds {option}: {error}") from None
-    return bounds
-
-
-def parse_leaf_scales(options: Iterable[str], scenario: Scenario) -> dict[str, float]:
-    """`ADDRESS=VALUE` of the command line."""
-    scales = {}
-    known = leaves_by_address(scenario)
-    for option in options:
-        address, equals, value = option.partition("=")
-        if not equals:
-            raise ValueError(f"--scale {option}: write ADDRESS=VALUE")
-        require_address(known, address)
-        if address in scales:
-            raise ValueError(f"--scale {address} is given twice: once")
-        try:
-            scales[address] = parse_quantity(value, unit_of(scenario, address))
-        except ValueError as error:
-            raise ValueError(f"--scale {option}: {error}") from None
-    return scales
+            raise ValueError(f"{name} {option}: {error}") from None
+        ranges[address] = Bounds(*ends) if colon else Scale(*ends)
+    return ranges

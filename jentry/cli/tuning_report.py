@@ -1,4 +1,4 @@
-"""What `jentry tune` prints and writes: steps, values, judgement, history."""
+"""What `jentry tune` prints and writes: steps, values, judgement, course."""
 
 import csv
 import io
@@ -26,12 +26,10 @@ _SAME = 1e-4
 """Of a statistic: a change that is real, and of no interest"""
 
 
-def report_step(history: list[Entry], best: int) -> None:
+def report_step(course: list[Entry], best: int) -> None:
     """A line for each step, on standard error."""
-    entry = history[-1]
-    line = (
-        f"step {len(history):4}  loss {entry.loss:.6g}  best {history[best].loss:.6g}"
-    )
+    entry = course[-1]
+    line = f"step {len(course):4}  loss {entry.loss:.6g}  best {course[best].loss:.6g}"
     line += f"  gradient {entry.gradient_norm:.3g}"
     if np.isfinite(entry.gradient_error):
         line += f" +- {entry.gradient_error:.2g}"
@@ -44,27 +42,27 @@ def report_step(history: list[Entry], best: int) -> None:
 
 
 def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
-    """Values, what reached them, and the judgement on held-out draws."""
+    """Values, which flights their gradient is of, and the judgement on held-out draws."""
     console = new_console()
-    first, best = tuned.history[0], tuned.history[tuned.best]
+    first, best = tuned.course[0], tuned.course[tuned.best]
     console.print(
-        f"stopped: {tuned.stopped}; best of {len(tuned.history)} steps is number "
+        f"stopped: {tuned.stopped}; best of {len(tuned.course)} steps is number "
         f"{tuned.best + 1}, loss {first.loss:.6g} -> {best.loss:.6g}"
     )
     for remark in tuned.remarks:
         console.print(f"NOTE: {remark}")
-    most = max(tuned.history, key=lambda entry: entry.gradients_failed)
+    most = max(tuned.course, key=lambda entry: entry.gradients_failed)
     if most.gradients_failed:
         console.print(
             f"left out of a gradient, which was not finite or beyond all measure: "
             f"{best.gradients_failed} flights at the best step, and "
             f"{most.gradients_failed} in the step with most of them"
         )
-    table = new_table("address", "unit", "before", "tuned", "reached by")
+    table = new_table("address", "unit", "before", "tuned", "felt by")
     for address, value in tuned.values.items():
         unit, share = (
             unit_of(before, address),
-            f"{100.0 * tuned.reached[address]:.0f} %",
+            f"{100.0 * tuned.gradient_shares[address]:.0f} %",
         )
         old = first.values[address]
         if value.shape == ():
@@ -77,12 +75,12 @@ def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
             table.add_row(
                 address, unit, f"table of {size}", f"{change:.3g} at most", share
             )
-    title = f"{mission.name}: share of the flights whose gradient reaches each number"
+    title = f"{mission.name}: share of the flights whose gradient feels each number"
     print_under(console, title, table)
-    unreached = [a for a, share in tuned.reached.items() if share == 0.0]
-    if unreached:
+    unfelt = [a for a, share in tuned.gradient_shares.items() if share == 0.0]
+    if unfelt:
         console.print(
-            f"no gradient reaches {', '.join(unreached)}: it acts through a discrete "
+            f"no gradient feels {', '.join(unfelt)}: it acts through a discrete "
             "choice or behind a limit, and stays as it was"
         )
     print_judgement(tuned)
@@ -146,7 +144,7 @@ def _verdict(comparison: Comparison) -> str:
     return "lower" if comparison.lower else "HIGHER"
 
 
-def write_history(path: Path, tuned: Tuned) -> None:
+def write_course(path: Path, tuned: Tuned) -> None:
     """Loss, gradient norm and parameters of every step, as csv."""
     path.parent.mkdir(parents=True, exist_ok=True)
     names = []
@@ -156,7 +154,7 @@ def write_history(path: Path, tuned: Tuned) -> None:
     lines = io.StringIO()
     writer = csv.writer(lines)
     writer.writerow(["step", *NUMBERS, *names])
-    for number, entry in enumerate(tuned.history, start=1):
+    for number, entry in enumerate(tuned.course, start=1):
         row = [getattr(entry, field) for field in NUMBERS]
         values = [x for a in tuned.values for x in np.ravel(entry.values[a])]
         writer.writerow([number, *row, *map(float, values)])

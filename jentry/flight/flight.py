@@ -84,7 +84,7 @@ def fly(
     At a corner, where two end conditions are met at once or a command meets its limit, the
     derivative is one-sided. The mean of the derivatives of many flights is the derivative
     of their mean if the flights have corners, and not if they have jumps: for these see
-    `tune(mode="difference")` and `linear_covariance(mode="difference")`.
+    `CentralDifferences` in `tune` and `linear_covariance(mode="difference")`.
 
     **Arguments:**
 

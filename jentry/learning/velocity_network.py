@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -90,13 +89,21 @@ def train_predictor(
         report(f"{step}: loss {float(value):.4f}")
 
     train = jnp.asarray(inside)
-    layers = network.weights, network.biases
-    layers, value = _adam(loss, layers, train, batch_key, warm_up)
-    told(f"Adam, {warm_up} steps", value)
     part = jax.random.permutation(fitted_key, train)[:fitted]
-    for done, moved, value in _lbfgs(lambda p: loss(p, part), layers, iterations):
-        told(f"L-BFGS, {done} iterations", value)
-        layers = moved
+    layers = network.weights, network.biases
+    for name, optimizer, batch, steps in (
+        (
+            "Adam",
+            optax.adam(optax.cosine_decay_schedule(1e-2, warm_up)),
+            lambda key: train[jax.random.randint(key, (2048,), 0, len(train))],
+            warm_up,
+        ),
+        ("L-BFGS", optax.lbfgs(memory_size=30), lambda key: part, iterations),
+    ):
+        keys = jax.random.split(batch_key, steps)
+        for done, moved, value in _descended(optimizer, loss, batch, layers, keys):
+            told(f"{name}, {done} steps", value)
+            layers = moved
     network = _with_layers(network, layers)
 
     slowest, fastest = (f(samples.final_velocity[inside]) for f in (np.min, np.max))
@@ -147,56 +154,48 @@ def _with_layers(network: Network, layers: Layers) -> Network:
     return eqx.tree_at(lambda n: (n.weights, n.biases), network, layers)
 
 
-def _adam(
+def _descended(
+    optimizer: optax.GradientTransformation,
     loss: Callable[[Layers, Array], Array],
+    batch: Callable[[Key[Array, ""]], Array],
     layers: Layers,
-    samples: Array,
-    key: Key[Array, ""],
-    steps: int,
-) -> tuple[Layers, Array]:
-    """After so many steps on random batches, and the mean loss over the last hundred."""
-    optimizer = optax.adam(optax.cosine_decay_schedule(1e-2, steps))
+    keys: Key[Array, " steps"],
+) -> Iterator[tuple[int, Layers, Array]]:
+    """Steps done, layers, and mean loss over the last hundred of them, now and then.
+
+    Each step is on the samples that `batch` makes of its key.
+    """
+
+    optimizer = optax.with_extra_args_support(optimizer)
 
     @jax.jit
-    def run(layers, keys):
+    def run(layers, state, keys):
         def step(carry, key):
             layers, state = carry
-            batch = samples[jax.random.randint(key, (2048,), 0, len(samples))]
-            value, gradient = jax.value_and_grad(loss)(layers, batch)
-            update, state = optimizer.update(gradient, state)
-            return (optax.apply_updates(layers, update), state), value
-
-        (layers, _), values = lax.scan(step, (layers, optimizer.init(layers)), keys)
-        return layers, jnp.mean(values[-100:])
-
-    return run(layers, jax.random.split(key, steps))
-
-
-def _lbfgs(
-    loss: Callable[[Layers], Array], layers: Layers, iterations: int
-) -> Iterator[tuple[int, Layers, Array]]:
-    """Iterations done, layers and loss, now and then."""
-    optimizer = optax.lbfgs(memory_size=30)
-    value_and_gradient = optax.value_and_grad_from_state(loss)
-
-    @partial(jax.jit, static_argnums=2)
-    def run(layers, state, count):
-        def step(carry, _):
-            layers, state = carry
-            value, gradient = value_and_gradient(layers, state=state)
+            chosen = batch(key)
+            here = lambda layers: loss(layers, chosen)
+            value, gradient = _value_and_gradient(here, layers, state)
             update, state = optimizer.update(
-                gradient, state, layers, value=value, grad=gradient, value_fn=loss
+                gradient, state, layers, value=value, grad=gradient, value_fn=here
             )
             return (optax.apply_updates(layers, update), state), value
 
-        (layers, state), values = lax.scan(step, (layers, state), None, length=count)
-        return layers, state, jnp.asarray(values)[-1]
+        (layers, state), values = lax.scan(step, (layers, state), keys)
+        return layers, state, jnp.mean(values[-100:])
 
     state: Any = optimizer.init(layers)
-    for begin in range(0, iterations, _REPORT_EVERY):
-        count = min(_REPORT_EVERY, iterations - begin)
-        layers, state, value = run(layers, state, count)
-        yield begin + count, layers, value
+    for begin in range(0, len(keys), _REPORT_EVERY):
+        some = keys[begin : begin + _REPORT_EVERY]
+        layers, state, value = run(layers, state, some)
+        yield begin + len(some), layers, value
+
+
+def _value_and_gradient(loss, layers: Layers, state: Any) -> tuple[Array, Any]:
+    """As the line search has left them in the state, if the optimizer has one."""
+    if optax.tree.get(state, "value") is None:
+        return jax.value_and_grad(loss)(layers)
+    value, gradient = optax.value_and_grad_from_state(loss)(layers, state=state)
+    return jnp.asarray(value), gradient
 
 
 _REPORT_EVERY = 500

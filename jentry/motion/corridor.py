@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from .._newton import by_jvp, newton
 from .._printed import as_text
 from ..fields import Scalar, Vector, output
 from ..units import km
@@ -88,8 +89,7 @@ def corridor_point(
 
     found, _ = lax.stop_gradient(lax.fori_loop(0, _HALVINGS, halved, (low, high)))
     # The search is not differentiated: a step of Newton's method, of next to nothing, is.
-    remainder, slope = jax.jvp(excess, (found,), (jnp.ones_like(found),))
-    altitude = found - remainder / lax.stop_gradient(slope)
+    altitude = newton(by_jvp(excess), found, 1).x
     binds = excess(low) * excess(high) <= 0.0
     return CorridorPoint(
         jnp.where(binds, altitude, jnp.nan),

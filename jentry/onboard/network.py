@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from .._files import digest_of_arrays, read_arrays, write_arrays
+from .._files import read_sealed, write_sealed
 from ..fields import Flag, Scalar, table
 
 
@@ -140,7 +140,6 @@ def save_network(path: Path | str, network: Network, card: dict[str, Any]) -> No
     Names and ranges of the inputs, and the sizes of the hidden layers, are added to the
     card as they are in the network.
     """
-    path = Path(path)
     ranges = np.asarray(network.input_ranges).tolist()
     card = card | {
         "inputs": dict(zip(network.names, ranges, strict=True)),
@@ -153,9 +152,7 @@ def save_network(path: Path | str, network: Network, card: dict[str, Any]) -> No
         arrays[f"weights{number}"] = np.asarray(weights)
         arrays[f"biases{number}"] = np.asarray(biases)
     arrays["card"] = np.array(json.dumps(card))
-    arrays["digest"] = np.array(_digest(arrays))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_arrays(path, arrays)
+    write_sealed(path, arrays, _FORMAT)
 
 
 def load_network(
@@ -177,8 +174,7 @@ def load_network(
             f"no network at {path}: train one with `jentry train MISSION --out FOLDER`"
         )
     try:
-        arrays = read_arrays(path)
-        digest = str(arrays.pop("digest"))
+        arrays = read_sealed(path, _FORMAT)
         card = json.loads(str(arrays["card"]))
         layers = sum(name.startswith("weights") for name in arrays)
         numbers = {n: _numbers(n, array) for n, array in arrays.items() if n != "card"}
@@ -190,12 +186,10 @@ def load_network(
         if numbers:
             raise ValueError(f"a network has no {', '.join(numbers)}")
     except (ValueError, KeyError) as error:
-        raise ValueError(f"{path} is no stored network: {error}") from None
-    if digest != _digest(arrays):
         raise ValueError(
-            f"{path} is damaged: its numbers are not those of its digest; train it again "
-            "with `jentry train`, or restore the file"
-        )
+            f"{path} is no stored network: {error}; train it again with `jentry train`, "
+            "or restore the file"
+        ) from None
     if not isinstance(card, dict) or not isinstance(card.get("inputs"), dict):
         raise ValueError(f"{path} has no ranges of inputs on its card: train it again")
     if purpose is not None and card.get("purpose") != purpose:
@@ -253,7 +247,3 @@ def _check_values(network: Network) -> None:
     if np.any(beyond):
         name = network.names[int(np.argmax(beyond))]
         raise ValueError(f"the mean of {name!r} is outside its range on the card")
-
-
-def _digest(arrays: dict[str, np.ndarray]) -> str:
-    return digest_of_arrays(arrays | {"format": np.array(_FORMAT)})

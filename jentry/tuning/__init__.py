@@ -1,5 +1,11 @@
 """Floor 8: numbers of a scenario tuned by gradient through its Monte Carlo."""
 
+from .course import Budget as Budget
+from .draws import Draws as Draws
+from .gradients import (
+    AutomaticDifferentiation as AutomaticDifferentiation,
+    CentralDifferences as CentralDifferences,
+)
 from .judgement import Judgement as Judgement
 from .losses import (
     MeanSquare as MeanSquare,
@@ -10,6 +16,8 @@ from .losses import (
     probability_outside as probability_outside,
     smooth_maximum as smooth_maximum,
 )
+from .maps import Bounds as Bounds, Scale as Scale
+from .record import Record as Record
 from .smoothing import (
     smooth_reversals as smooth_reversals,
     smooth_switching as smooth_switching,

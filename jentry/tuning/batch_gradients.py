@@ -6,6 +6,7 @@ then flight by flight the gradient of that much of its numbers. No pass keeps mo
 cache-full of flights and the outputs.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable
 from typing import Any
@@ -14,17 +15,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Array, Bool, Float, PyTree
 
-from ..addresses import replace_leaves
-from ..campaign.batch import LANES, on_devices, over_runs
+from ..campaign.batch import over_runs, sum_over_runs
 from ..campaign.campaign import fly_run
 from ..flight.flight import Flight
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
 from ..flight.termination import has_end
-from .parameters import Free, Parameters
+from .parameters import Free, Parameters, Tangent
 
 
 Outputs = Callable[[Scenario, Flight], Any]
@@ -46,32 +45,43 @@ It is judged by the outputs of the flights alone, whatever the loss makes of the
 flights of a tail, on which a loss may look alone, have usual derivatives."""
 
 
-class Problem(eqx.Module):
-    """What is flown with which parameters, and what is looked at."""
+class Simulation(eqx.Module):
+    """How a run is flown, and what is looked at of it."""
 
-    scenario: Scenario
-    parameters: Parameters
     outputs: Outputs = eqx.field(static=True)
     solver: AbstractSolver
-    history: float | None = eqx.field(static=True)
+    history: float | None = eqx.field(default=None, static=True)
+    """Interval (s) at which a flight keeps its history; none is kept if not given"""
+
+    def __call__(
+        self, scenario: Scenario, inputs: dict[str, Array]
+    ) -> tuple[Any, Bool[Array, ""]]:
+        """Outputs of one run, and whether it has an end and all of them are finite."""
+        flight, aimed = fly_run(scenario, inputs, self.solver, self.history)
+        outputs = jax.tree.map(jnp.asarray, self.outputs(aimed, flight))
+        finite = all_finite(outputs) & has_end(flight.outcome)
+        return outputs, finite
+
+
+class Problem(eqx.Module):
+    """What is flown with which parameters."""
+
+    parameters: Parameters | Tangent
+    simulation: Simulation
 
     def __call__(
         self, free: Free, inputs: dict[str, Array]
     ) -> tuple[Any, Bool[Array, ""]]:
-        """Outputs of one run, and whether it has an end and all of them are finite."""
-        # The tuned values are nominal ones: a tuned entry point moves the target along.
-        tuned = replace_leaves(self.scenario, self.parameters.values(free))
-        flight, aimed = fly_run(tuned, inputs, self.solver, self.history)
-        outputs = jax.tree.map(jnp.asarray, self.outputs(aimed, flight))
-        finite = all_finite(outputs) & has_end(flight.outcome)
-        return outputs, finite
+        """As the simulation. The tuned values are nominal ones: a tuned entry point moves
+        the target along."""
+        return self.simulation(self.parameters.scenario(free), inputs)
 
 
 class Gradient(eqx.Module):
     """Of a loss, with respect to the free numbers."""
 
     total: Free
-    reached: dict[str, Array]
+    moved: dict[str, Array]
     """Flights to which the parameter makes a difference, by address"""
     counted: Array
     """Flights that the loss looks at"""
@@ -88,36 +98,17 @@ def all_finite(tree: PyTree) -> Bool[Array, ""]:
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
 
 
-@eqx.filter_jit
 def batch_outputs(
-    problem: Problem, free: Free, inputs: dict[str, Array], devices: int
-) -> tuple[Any, Bool[Array, " runs"]]:
-    """Outputs of every run, and which of the runs are finite."""
-    return over_runs(
-        lambda shared, run: shared[0](shared[1], run), (problem, free), inputs, devices
-    )
+    simulation: Simulation, scenario: Scenario, inputs: dict[str, Any]
+) -> tuple[Any, np.ndarray]:
+    """Outputs of every run as a loss takes them, and which of the runs are finite."""
+    outputs, finite = over_runs(_fly, (simulation, scenario), inputs)
+    return jax.tree.map(jnp.asarray, outputs), finite
 
 
-@eqx.filter_jit
-def batch_jacobian(
-    problem: Problem, free: Free, inputs: dict[str, Array], devices: int
-) -> tuple[Any, Any, Bool[Array, " runs"], Float[Array, " runs"]]:
-    """Outputs of every run, their Jacobian by forward mode, which runs are finite, and
-    the size of the derivatives of each; NaN if one of them is not finite."""
-
-    def one(shared, run):
-        problem, free = shared
-
-        def outputs(free):
-            outputs, finite = problem(free, run)
-            moving = eqx.filter(outputs, eqx.is_inexact_array)
-            return moving, (outputs, finite)
-
-        jacobian, (outputs, finite) = jax.jacfwd(outputs, has_aux=True)(free)
-        size = jnp.where(all_finite(jacobian), _along_ones(jacobian, free), jnp.nan)
-        return outputs, jacobian, finite, size
-
-    return over_runs(one, (problem, free), inputs, devices)
+def _fly(shared: tuple[Simulation, Scenario], inputs: dict[str, Array]) -> Any:
+    simulation, scenario = shared
+    return simulation(scenario, inputs)
 
 
 def _along_ones(jacobian: Any, free: Free) -> Float[Array, ""]:
@@ -165,82 +156,72 @@ def _scalar(loss: Any) -> Array:
     return jnp.asarray(loss, float)
 
 
-@eqx.filter_jit
 def batch_gradient(
-    problem: Problem,
-    free: Free,
-    inputs: dict[str, Array],
-    weights: Any,
-    devices: int,
-    forward: bool,
+    problem: Problem, free: Free, inputs: dict[str, Any], weights: Any, forward: bool
 ) -> Gradient:
     """Gradient of the sum of weights times outputs, over all runs.
 
     A flight whose gradient is not finite, or whose outputs have derivatives beyond all
     measure, adds nothing.
     """
+    assert isinstance(problem.parameters, Parameters)
+    about = dataclasses.replace(problem, parameters=problem.parameters.about(free))
+    return sum_over_runs(_gradient_of, (about, free, forward), (inputs, weights))
 
-    def of_run(shared, run) -> tuple[Free, Array]:
-        """Of one flight, and the size of the derivatives of its outputs."""
-        problem, free = shared
-        inputs, weights = run
 
-        def moving(free):
-            outputs, _ = problem(free, inputs)
-            return eqx.filter(outputs, eqx.is_inexact_array)
+def _gradient_of(
+    shared: tuple[Problem, Free, bool], runs: tuple[dict[str, Array], Any], counts
+) -> Gradient:
+    """Of a cache-full of flights, summed."""
+    gradients, moved = jax.vmap(lambda run: _gradient_of_run(shared, run))(runs)
+    counts = counts & jax.vmap(_any)(runs[1])
+    sizes = {a: jax.vmap(_size)(g) for a, g in gradients.items()}
+    size = functools.reduce(jnp.maximum, sizes.values())
+    measured = jnp.isfinite(size) & within_measure(moved)
+    kept = counts & measured
 
-        if forward:
-            jacobian = jax.jacfwd(moving)(free)
-            return _contracted(weights, jacobian, free), _along_ones(jacobian, free)
+    def total(gradient):
+        keep = kept.reshape(-1, *[1] * (gradient.ndim - 1))
+        return jnp.sum(jnp.where(keep, gradient, 0.0), axis=0)
 
-        def weighted(free):
-            products = jax.tree.map(
-                lambda w, x: jnp.sum(jnp.where(w != 0.0, w * x, 0.0)),
-                weights,
-                moving(free),
-            )
-            return sum(jax.tree.leaves(products), jnp.zeros(()))
-
-        ones = jax.tree.map(jnp.ones_like, free)
-        _, moved = jax.jvp(moving, (free,), (ones,))
-        size = functools.reduce(jnp.maximum, map(_largest, jax.tree.leaves(moved)))
-        return jax.grad(weighted)(free), size
-
-    def of_chunk(shared, chunk) -> Gradient:
-        """Of a cache-full of flights, summed."""
-        gradients, moved = jax.vmap(lambda run: of_run(shared, run))(chunk)
-        counts = jax.vmap(_any)(chunk[1])
-        sizes = {a: jax.vmap(_size)(g) for a, g in gradients.items()}
-        size = functools.reduce(jnp.maximum, sizes.values())
-        measured = jnp.isfinite(size) & within_measure(moved)
-        kept = counts & measured
-
-        def total(gradient):
-            keep = kept.reshape(-1, *[1] * (gradient.ndim - 1))
-            return jnp.sum(jnp.where(keep, gradient, 0.0), axis=0)
-
-        reached = {
+    return Gradient(
+        total={a: total(g) for a, g in gradients.items()},
+        moved={
             a: jnp.sum(kept & (s > 0.0) & (s > ROUNDING * size))
             for a, s in sizes.items()
-        }
-        failed = jnp.sum(counts & ~measured)
-        summed = {a: total(g) for a, g in gradients.items()}
-        return Gradient(summed, reached, jnp.sum(counts), failed)
+        },
+        counted=jnp.sum(counts),
+        failed=jnp.sum(counts & ~measured),
+    )
 
-    def on_one_device(shared, runs):
-        chunks = jax.tree.map(lambda x: x.reshape(-1, LANES, *x.shape[1:]), runs)
 
-        def add(total, chunk):
-            return jax.tree.map(jnp.add, total, of_chunk(shared, chunk)), None
+def _gradient_of_run(
+    shared: tuple[Problem, Free, bool], run: tuple[dict[str, Array], Any]
+) -> tuple[Free, Array]:
+    """Of one flight, and the size of the derivatives of its outputs."""
+    problem, free, forward = shared
+    inputs, weights = run
 
-        first = jax.tree.map(lambda x: x[0], chunks)
-        shapes = jax.eval_shape(lambda: of_chunk(shared, first))
-        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-        total, _ = lax.scan(add, nothing, chunks)
-        return jax.tree.map(lambda x: x[None], total)
+    def moving(free):
+        outputs, _ = problem(free, inputs)
+        return eqx.filter(outputs, eqx.is_inexact_array)
 
-    parts = on_devices(on_one_device, (problem, free), (inputs, weights), devices)
-    return jax.tree.map(lambda x: jnp.sum(x, axis=0), parts)
+    if forward:
+        jacobian = jax.jacfwd(moving)(free)
+        return _contracted(weights, jacobian, free), _along_ones(jacobian, free)
+
+    def weighted(free):
+        products = jax.tree.map(
+            lambda w, x: jnp.sum(jnp.where(w != 0.0, w * x, 0.0)),
+            weights,
+            moving(free),
+        )
+        return sum(jax.tree.leaves(products), jnp.zeros(()))
+
+    ones = jax.tree.map(jnp.ones_like, free)
+    _, moved = jax.jvp(moving, (free,), (ones,))
+    size = functools.reduce(jnp.maximum, map(_largest, jax.tree.leaves(moved)))
+    return jax.grad(weighted)(free), size
 
 
 def _contracted(weights: Any, jacobian: Any, free: Free) -> Free:

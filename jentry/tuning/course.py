@@ -1,5 +1,6 @@
 """The course of a tuning run: its points so far, the best of them, and when it ends."""
 
+import dataclasses
 import time
 from typing import Any
 
@@ -8,9 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .evaluation import Evaluation, Evaluator
+from .evaluation import Evaluator
+from .gradients import Evaluation
 from .parameters import Free, Parameters
-from .record import Entry, Record, restored
+from .record import CourseFile, Entry, restored
 from .steppers import AbstractStepper
 
 
@@ -19,6 +21,25 @@ COARSE_STEP = 0.02
 
 _MEASURED_AGAIN = 1e-3
 """Of the loss at which its rounding was measured before"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Budget:
+    """When a tuning run ends, at the latest."""
+
+    steps: int = 100
+    """Points that are tried"""
+    patience: int = 20
+    tolerance: float = 1e-4
+    """It ends when the best loss has not fallen by this share of it in `patience` steps"""
+    seconds: float | None = None
+    """Of the wall clock"""
+
+    def __post_init__(self):
+        for name in ("steps", "patience"):
+            value = getattr(self, name)
+            if value < 1:
+                raise ValueError(f"{name} is {value}: it must be at least 1")
 
 
 class Course:
@@ -33,9 +54,9 @@ class Course:
         self._converged = False
         self._begin, self._before = time.perf_counter(), 0.0
 
-    def resume(self, record: Record, evaluate: Evaluator) -> None:
-        """Go on from a record, if its first loss is what the loss is now."""
-        self.entries, self._following, self._stored_state, done = record.read()
+    def resume(self, file: CourseFile, evaluate: Evaluator) -> None:
+        """Go on from a file, if its first loss is what the loss is now."""
+        self.entries, self._following, self._stored_state, done = file.read()
         self._converged = done
         self._before = self.entries[-1].seconds
         for place in range(len(self.entries)):
@@ -43,7 +64,7 @@ class Course:
         known, now = self.entries[0].loss, evaluate.loss(self.entries[0].free)
         if not np.isclose(known, now, rtol=1e-9, atol=0.0):
             raise ValueError(
-                f"{record.path} holds another tuning run: its loss at the start is "
+                f"{file.path} holds another tuning run: its loss at the start is "
                 f"{known:g}, and here it is {now:g}; choose another place, or remove it"
             )
 
@@ -86,6 +107,7 @@ class Course:
         if step == 0 and np.isfinite(norm) and norm > 0.0 and not by_differences:
             along = {a: g / norm for a, g in evaluation.gradient.items()}
             slope = evaluate.slope_along(here, along, step, COARSE_STEP)
+            slope = slope if slope.flights else None
         return Entry(
             loss=evaluation.loss,
             gradient_norm=norm,
@@ -95,7 +117,7 @@ class Course:
             seconds=self._before + time.perf_counter() - self._begin,
             values=jax.tree.map(np.asarray, parameters.values(here)),
             free=here,
-            reached=evaluation.reached,
+            gradient_shares=evaluation.gradient_shares,
             rounding=self._rounding(here, evaluation, evaluate),
             difference=np.nan if slope is None else slope.value,
             difference_error=np.nan if slope is None else slope.error,
@@ -113,16 +135,14 @@ class Course:
                 return last
         return evaluate.rounding(here, len(self.entries), evaluation.followed)
 
-    def store(self, record: Record) -> None:
-        record.write(self.entries, self._following, self._state, self._converged)
+    def store(self, file: CourseFile) -> None:
+        file.write(self.entries, self._following, self._state, self._converged)
 
     def _compare(self, place: int) -> None:
         if self.entries[place].better_than(self.entries[self.best]):
             self.best = place
 
-    def why_stop(
-        self, steps: int, seconds: float | None, patience: int, tolerance: float
-    ) -> str:
+    def why_stop(self, budget: Budget) -> str:
         """Empty if there is no reason to."""
         if not self.entries:
             return ""
@@ -138,18 +158,18 @@ class Course:
             )
         if self._converged:
             return "converged"
-        if len(self.entries) >= steps:
-            return f"{steps} steps"
-        if seconds is not None and last.seconds >= seconds:
-            return f"{seconds:g} s"
-        if len(self.entries) <= patience:
+        if len(self.entries) >= budget.steps:
+            return f"{budget.steps} steps"
+        if budget.seconds is not None and last.seconds >= budget.seconds:
+            return f"{budget.seconds:g} s"
+        if len(self.entries) <= budget.patience:
             return ""
         before = self.entries[0]
-        for entry in self.entries[: len(self.entries) - patience]:
+        for entry in self.entries[: len(self.entries) - budget.patience]:
             before = entry if entry.better_than(before) else before
         enough = best.failed < before.failed
-        enough |= best.loss < before.loss - tolerance * abs(before.loss)
-        return "" if enough else f"no progress in {patience} steps"
+        enough |= best.loss < before.loss - budget.tolerance * abs(before.loss)
+        return "" if enough else f"no progress in {budget.patience} steps"
 
 
 def _require_start(evaluation: Evaluation) -> None:

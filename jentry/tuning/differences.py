@@ -37,8 +37,8 @@ class Differences:
     failed: int
     """Flights that a difference is without, since they are not finite on both sides of
     it; of the difference with most of them"""
-    reached: dict[str, float]
-    """Share of the flights that change with the parameter"""
+    shares: dict[str, float]
+    """Share of the flights that change with the parameter, by address"""
 
 
 Fly = Callable[[Free], tuple[Any, np.ndarray]]
@@ -87,7 +87,7 @@ def gradient_by_differences(
     fly: Fly, runs: int, loss: Loss, free: Free, step: float
 ) -> Differences:
     """Number by number, each over the step; of so many runs that count."""
-    gradient, errors, failed, reached = {}, [], 0, {}
+    gradient, errors, failed, found = {}, [], 0, {}
     nothing = jax.tree.map(jnp.zeros_like, free)
     for address, here in free.items():
         slopes, shares = np.zeros(here.shape), [0.0]
@@ -98,8 +98,8 @@ def gradient_by_differences(
             errors.append(slope.error)
             shares.append(slope.changed)
             failed = max(failed, runs - slope.flights)
-        gradient[address], reached[address] = jnp.asarray(slopes), max(shares)
-    return Differences(gradient, float(np.linalg.norm(errors)), failed, reached)
+        gradient[address], found[address] = jnp.asarray(slopes), max(shares)
+    return Differences(gradient, float(np.linalg.norm(errors)), failed, found)
 
 
 def _difference(loss: Loss, ahead: Any, behind: Any) -> tuple[float, np.ndarray]:

@@ -1,7 +1,6 @@
 """Judge a tuned scenario against the one before: the exact law, on the same new draws."""
 
 import dataclasses
-import zlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -14,13 +13,11 @@ from jaxtyping import Array, Key
 
 from ..addresses import leaves_by_address
 from ..analysis.sensitivities import named
-from ..campaign.batch import LANES, filled_up
+from ..campaign.batch import LANES
 from ..campaign.campaign import drawn_inputs
 from ..campaign.dispersions import Dispersion
 from ..flight.scenario import Scenario
-from ..flight.solver import AbstractSolver
-from .batch_gradients import Loss, Outputs, Problem, batch_outputs, where_finite
-from .parameters import Parameters
+from .batch_gradients import Loss, Simulation, batch_outputs, where_finite
 
 
 _RESAMPLES = 1000
@@ -91,11 +88,6 @@ _STATISTICS: Mapping[str, Callable[[Array], Array]] = {
 }
 
 
-def held_out(key: Key[Array, ""]) -> Key[Array, ""]:
-    """The key of draws that tuning with a key never sees."""
-    return jax.random.fold_in(key, zlib.crc32(b"held-out"))
-
-
 def judge(
     before: Scenario,
     after: Scenario,
@@ -103,30 +95,23 @@ def judge(
     key: Key[Array, ""],
     runs: int,
     loss: Loss,
-    outputs: Outputs,
-    solver: AbstractSolver,
-    history: float | None,
+    simulation: Simulation,
 ) -> Judgement:
     """Fly both with the same draws, and compare loss and outputs with intervals.
 
     The intervals are those of a bootstrap over the runs, 95 %. What rounding does is seen
     in the first flights, flown again with draws that differ in their last digits.
     """
-    devices = len(jax.devices())
-    filled = filled_up(np.arange(runs), devices)
-    few = LANES * devices
     flown: list[tuple[Any, np.ndarray]] = []
     rounding: dict[str, float] = {}
     for scenario in (before, after):
-        problem = Problem(scenario, Parameters({}), outputs, solver, history)
-        inputs = drawn_inputs(scenario, dispersions, key, filled)
-        values, finite = batch_outputs(problem, {}, inputs, devices)
-        finite = np.asarray(finite) & (np.arange(len(filled)) < runs)
+        inputs = drawn_inputs(scenario, dispersions, key, np.arange(runs))
+        values, finite = batch_outputs(simulation, scenario, inputs)
         flown.append((values, finite))
-        nudged = {a: _NUDGE * x[:few] for a, x in inputs.items()}
-        again, finite_again = batch_outputs(problem, {}, nudged, devices)
-        both = finite[:few] & np.asarray(finite_again)
-        first = jax.tree.map(lambda x: x[:few], values)
+        nudged = {a: _NUDGE * x[:LANES] for a, x in inputs.items()}
+        again, finite_again = batch_outputs(simulation, scenario, nudged)
+        both = finite[:LANES] & finite_again
+        first = jax.tree.map(lambda x: x[:LANES], values)
         pair = where_finite(first, both), where_finite(again, both)
         for name, size in _rounding(pair, loss, bool(both.any())).items():
             rounding[name] = max(size, rounding.get(name, 0.0))

@@ -134,7 +134,7 @@ def control_effort(history: History) -> Scalar:
 
 
 class MeanSquare(eqx.Module):
-    """Mean square of residuals: a loss that least-squares solvers can use as well.
+    """Mean square of residuals: the loss of a law that is to come near its target.
 
     MeanSquare(lambda misses: misses.downrange / km)
     """

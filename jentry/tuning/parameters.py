@@ -1,141 +1,95 @@
-"""What is tuned: leaves of a scenario, and the smooth maps that keep them in bounds."""
+"""What is tuned: leaves of a pytree, from which the scenario is built that is flown."""
 
-from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, PyTree
 
-from ..addresses import addresses_of, field_metadata, leaves_by_address, nearest
-from ..fields import as_float_array
+from .._dependence import Traced
+from ..addresses import (
+    addresses_of,
+    field_metadata,
+    leaves_by_address,
+    nearest,
+    replace_leaves,
+    with_leaves,
+)
 from ..flight.scenario import Scenario, check_values, require_effect
+from .maps import AbstractMap, Between, Ranges, map_of
 
 
 Free = dict[str, Array]
 """Free numbers by the addresses of their leaves: all of them zero at the start"""
 
-Bounds = Mapping[str, tuple[Any, Any]]
-"""Lower and upper bound by address"""
-
-Scales = Mapping[str, Any]
-"""By address, what a free number of one adds to a leaf"""
+Build = Callable[[Any], Scenario]
+"""From a pytree of parameters to the scenario that is flown"""
 
 _NEXT_TO_A_BOUND = 1e-3
 """Of the interval between the bounds: there a leaf moves by less than a thousandth of it
 for a free number of one"""
 
 
-class AbstractMap(eqx.Module):
-    """From free numbers, of any size, to values that are allowed. Zero is the start."""
-
-    start: eqx.AbstractVar[Array]
-
-    @abstractmethod
-    def __call__(self, free: Float[Array, "*n"]) -> Float[Array, "*n"]:
-        """The value."""
-
-
-_LARGEST = 500.0
-"""Of a logarithm: beyond it a positive number would be zero or infinite in the end"""
-
-
-class Positive(AbstractMap):
-    """value = start exp(free): a step of 0.1 changes it by a tenth."""
-
-    start: Array = eqx.field(converter=as_float_array)
-
-    def __call__(self, free):
-        return self.start * jnp.exp(jnp.clip(free, -_LARGEST, _LARGEST))
-
-
-class Unbounded(AbstractMap):
-    """value = start + scale free, held within the range of its field, if it has one."""
-
-    start: Array = eqx.field(converter=as_float_array)
-    scale: Array = eqx.field(converter=as_float_array)
-    least: float = eqx.field(default=-np.inf, static=True)
-    largest: float = eqx.field(default=np.inf, static=True)
-
-    def __call__(self, free):
-        return jnp.clip(self.start + self.scale * free, self.least, self.largest)
-
-
-class Between(AbstractMap):
-    """A logistic curve between two bounds, of which the middle is steepest."""
-
-    start: Array = eqx.field(converter=as_float_array)
-    lower: Array = eqx.field(converter=as_float_array)
-    upper: Array = eqx.field(converter=as_float_array)
-
-    def __call__(self, free):
-        width = self.upper - self.lower
-        share = (self.start - self.lower) / width
-        share = jax.nn.sigmoid(jax.scipy.special.logit(share) + free)
-        return jnp.clip(self.lower + width * share, self.lower, self.upper)
+def itself(start: Any) -> Any:
+    """The build of a lens: the parameters are leaves of the scenario."""
+    return start
 
 
 class Parameters(eqx.Module):
-    """The tuned leaves by their addresses, each with its map."""
+    """The tuned leaves by their addresses, each with its map, and what is built of them."""
 
+    start: PyTree
+    """Of which the leaves are: a scenario, or whatever a scenario is built from"""
     maps: dict[str, AbstractMap]
+    """By address in it"""
+    build: Build
+    moved: tuple[str, ...] = eqx.field(static=True)
+    """Addresses of the leaves of the scenario that depend on the parameters"""
 
     @classmethod
     def of(
         cls,
-        scenario: Scenario,
-        where: Callable[[Any], Any],
-        bounds: Bounds | None,
-        scales: Scales | None = None,
+        start: PyTree,
+        where: Callable[[Any], Any] | None = None,
+        ranges: Ranges | None = None,
+        build: Build = itself,
     ) -> "Parameters":
-        """Of the leaves that a lens reaches; raises `ValueError` if that cannot be tuned.
+        """Of the leaves that a lens reaches, or of all; see `tune`.
 
-        Leaves with bounds stay between them, leaves that must be positive stay so, and
-        all others are free: they move by a scale, or by their root mean square.
+        Raises `ValueError` if that cannot be tuned.
         """
-        leaves = leaves_by_address(scenario)
-        bounds, scales = dict(bounds or {}), dict(scales or {})
-        maps: dict[str, AbstractMap] = {}
+        start = _with_arrays(start)
+        leaves, ranges = leaves_by_address(start), dict(ranges or {})
+        if "" in leaves:
+            raise ValueError(
+                "what is tuned is one array without a name: give it one, as in "
+                '{"curvature": ...}'
+            )
         try:
             # A leaf that the lens reaches twice is one parameter.
-            reached = list(dict.fromkeys(addresses_of(scenario, where)))
+            reached = list(dict.fromkeys(addresses_of(start, where or itself)))
         except (AttributeError, KeyError, IndexError, TypeError) as error:
             raise ValueError(f"the lens of what to tune: {error}") from error
+        maps: dict[str, AbstractMap] = {}
         for address in reached:
-            require_effect(scenario, address)
-            leaf, metadata = leaves[address], field_metadata(scenario, address)
+            if isinstance(start, Scenario):
+                require_effect(start, address)
+            leaf, metadata = leaves[address], field_metadata(start, address)
             if not jnp.issubdtype(leaf.dtype, jnp.inexact):
                 raise ValueError(
                     f"{address} is of type {leaf.dtype}: it has no gradient"
                 )
             check_values(address, np.asarray(leaf), metadata)
-            positive = metadata.get("positive", False)
-            if address in scales and (address in bounds or positive):
-                has = "has bounds" if address in bounds else "must be positive"
-                raise ValueError(
-                    f"{address} {has}, from which its scale follows: leave the scale out"
-                )
-            if address in bounds:
-                between = _between(address, leaf, bounds.pop(address), positive)
-                for bound in (between.lower, between.upper):
-                    check_values(f"a bound of {address}", np.asarray(bound), metadata)
-                maps[address] = between
-            elif positive:
-                maps[address] = Positive(leaf)
-            else:
-                scale = scales.pop(address, None)
-                least, largest = metadata.get("range") or (-np.inf, np.inf)
-                scale = _scale(address, leaf, scale)
-                maps[address] = Unbounded(leaf, scale, least, largest)
-        for what, others in (("bounds", bounds), ("a scale", scales)):
-            for address in others:
-                raise ValueError(
-                    f"{address} has {what} and is not tuned; {nearest(address, maps)}"
-                )
-        return cls(maps)
+            maps[address] = map_of(address, leaf, metadata, ranges.pop(address, None))
+        for address, given in ranges.items():
+            raise ValueError(
+                f"{address} has a {type(given).__name__} and is not tuned; "
+                f"{nearest(address, maps)}"
+            )
+        return _of_maps(start, maps, build)
 
     @property
     def addresses(self) -> list[str]:
@@ -144,10 +98,15 @@ class Parameters(eqx.Module):
     @property
     def count(self) -> int:
         """Of single numbers"""
-        return sum(free.size for free in self.start().values())
+        return sum(m.start.size for m in self.maps.values())
 
-    def start(self) -> Free:
-        """The free numbers of the scenario as it was given."""
+    @property
+    def first(self) -> dict[str, Array]:
+        """The values of the leaves at the start."""
+        return {address: m.start for address, m in self.maps.items()}
+
+    def zeros(self) -> Free:
+        """The free numbers of the start."""
         return {address: jnp.zeros_like(m.start) for address, m in self.maps.items()}
 
     def near_bounds(self) -> list[str]:
@@ -169,50 +128,130 @@ class Parameters(eqx.Module):
         """The values of the leaves."""
         return {address: value(free[address]) for address, value in self.maps.items()}
 
+    def scenario(self, free: Free) -> Scenario:
+        """What is flown with these numbers."""
+        return self.scenario_of(self.values(free))
 
-def _scale(address: str, start: Array, given: Any) -> Array:
-    if given is None:
-        scale = jnp.sqrt(jnp.mean(start**2))
-        if not scale > 0.0:
+    def scenario_of(self, values: dict[str, Any]) -> Scenario:
+        """What is flown with these values of the leaves."""
+        built = self.build(replace_leaves(self.start, values))
+        if not isinstance(built, Scenario):
             raise ValueError(
-                f"{address} is 0, which does not tell how much of it is a lot: give "
-                f'scales={{"{address}": ...}}, in its unit, or bounds'
+                f"what is flown is a {type(built).__name__}: it must be a Scenario, or "
+                "built from the parameters by build(parameters) -> Scenario"
             )
-        return jnp.broadcast_to(scale, start.shape)
-    try:
-        scale = np.broadcast_to(np.asarray(given, float), start.shape)
-    except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"the scale of {address} is {given}: give a number, or an array of the shape "
-            f"{start.shape}"
-        ) from error
-    if not np.all((scale > 0.0) & np.isfinite(scale)):
-        raise ValueError(
-            f"the scale of {address} is {given}: it must be finite and above zero"
-        )
-    return jnp.asarray(scale)
+        return with_leaves(built)
+
+    def followed_by(self, change: Callable[[Scenario], Scenario]) -> "Parameters":
+        """The same, of a scenario that is changed after it is built."""
+        return _of_maps(self.start, self.maps, Changed(self.build, change))
+
+    def about(self, free: Free) -> "Parameters | Tangent":
+        """What has the same scenario at a point, and the same first derivative there.
+
+        A build may cost as much as many flights, so it is differentiated once and not
+        beside each of them.
+        """
+        if self.build is itself:
+            return self
+        return _tangent(self, free)
 
 
-def _between(
-    address: str, start: Array, bounds: tuple[Any, Any], positive: bool
-) -> Between:
+def _of_maps(start: PyTree, maps: dict[str, AbstractMap], build: Build) -> Parameters:
+    moved = _moved(Parameters(start, maps, build, ()))
+    if not moved:
+        raise ValueError(
+            "no number of the scenario depends on the parameters: build must use them"
+        )
+    return Parameters(start, maps, build, moved)
+
+
+class Changed(eqx.Module):
+    """A build, and what is changed of the scenario after it."""
+
+    build: Build
+    change: Callable[[Scenario], Scenario]
+
+    def __call__(self, parameters: PyTree) -> Scenario:
+        return self.change(self.build(parameters))
+
+
+class Tangent(eqx.Module):
+    """Parameters about a point: their scenario is linear in the free numbers."""
+
+    at: Scenario
+    """At the point"""
+    free: Free
+    slopes: dict[str, Free]
+    """Of each leaf of the scenario that moves, with respect to each parameter: of the
+    shape of the leaf and then that of the parameter"""
+
+    def scenario(self, free: Free) -> Scenario:
+        """What is flown with these numbers, to first order."""
+        leaves = leaves_by_address(self.at)
+        moves = {a: x - self.free[a] for a, x in free.items()}
+
+        def moved(address: str) -> Array:
+            value = leaves[address]
+            for parameter, slope in self.slopes[address].items():
+                move = moves[parameter]
+                value = value + jnp.tensordot(slope, move, move.ndim)
+            return value
+
+        return replace_leaves(self.at, {a: moved(a) for a in self.slopes})
+
+
+@eqx.filter_jit
+def _tangent(parameters: Parameters, free: Free) -> Tangent:
+    def moved(free: Free) -> dict[str, Array]:
+        leaves = leaves_by_address(parameters.scenario(free))
+        return {
+            a: leaves[a]
+            for a in parameters.moved
+            if jnp.issubdtype(leaves[a].dtype, jnp.inexact)
+        }
+
+    return Tangent(parameters.scenario(free), free, jax.jacfwd(moved)(free))
+
+
+def scenario_at(parameters: Parameters, values: dict[str, Any]) -> Scenario:
+    """What is flown with these values of the leaves; a build is compiled."""
+    if parameters.build is itself:
+        return parameters.scenario_of(values)
+    return _built(parameters, {a: jnp.asarray(x) for a, x in values.items()})
+
+
+@eqx.filter_jit
+def _built(parameters: Parameters, values: dict[str, Array]) -> Scenario:
+    return parameters.scenario_of(values)
+
+
+def _moved(parameters: Parameters) -> tuple[str, ...]:
+    """Addresses of the leaves that depend on the parameters."""
+
+    def leaves(free: Free) -> dict[str, Array]:
+        return leaves_by_address(parameters.scenario(free))
+
     try:
-        lower, upper = bounds
-        low, high = (np.broadcast_to(np.asarray(x, float), start.shape) for x in bounds)
-    except (TypeError, ValueError) as error:
+        depends = Traced(leaves, parameters.zeros()).depending()
+    except (
+        jax.errors.ConcretizationTypeError,
+        jax.errors.TracerArrayConversionError,
+    ) as e:
         raise ValueError(
-            f"the bounds of {address} are {bounds}: give a lower and an upper one, each "
-            f"a number or of the shape {start.shape}"
-        ) from error
-    within = np.all((low < np.asarray(start)) & (np.asarray(start) < high))
-    if not within or not np.all(np.isfinite([low, high])):
-        raise ValueError(
-            f"the bounds of {address} are {lower} and {upper}: they must be finite and "
-            f"on both sides of its value, which is {np.asarray(start)}"
-        )
-    if positive and not np.all(low > 0.0):
-        raise ValueError(
-            f"the lower bound of {address} is {lower}: it must be above zero, since the "
-            "number must be positive"
-        )
-    return Between(start, low, high)
+            "build needs the values of the parameters, which have none while JAX traces "
+            f"it: compute with jax.numpy, without float() or if. JAX says: {e}"
+        ) from e
+    return tuple(address for address, does in depends.items() if does)
+
+
+def _with_arrays(start: PyTree) -> PyTree:
+    """With every number a leaf: of a scenario by its fields, of anything else if it is a
+    float."""
+    if isinstance(start, Scenario):
+        return with_leaves(start)
+
+    def leaf(x: Any) -> Any:
+        return jnp.asarray(x, float) if isinstance(x, float | np.floating) else x
+
+    return jax.tree.map(leaf, start)

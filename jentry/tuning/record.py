@@ -1,9 +1,9 @@
-"""What a tuning run has done so far: its history, and the file it resumes from."""
+"""The course of a tuning run: its points, and the file from which it resumes."""
 
 import dataclasses
 import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from .._files import digest_of_arrays, read_arrays, write_arrays
+from .._files import read_sealed, write_sealed
 from ..campaign.description import first_difference
 from .parameters import Free
 
 
-_DIGEST = "digest"
-"""In the file, of all other arrays"""
+_KIND = "jentry tuning 2"
 
 
 _ROUNDINGS = 10.0
@@ -56,7 +55,7 @@ class Entry:
     values: dict[str, np.ndarray]
     """Of the tuned leaves, by address"""
     free: Free
-    reached: dict[str, float]
+    gradient_shares: dict[str, float]
     """Share of the flights that the loss looks at to which the parameter matters"""
     rounding: float = np.nan
     """Of the loss that is followed, as it was measured last"""
@@ -97,11 +96,24 @@ class Entry:
 NUMBERS = tuple(f.name for f in dataclasses.fields(Entry) if f.type in (int, float))
 """Fields of an entry that are one number"""
 
-_BY_ADDRESS = "values", "free", "reached"
+_BY_ADDRESS = "values", "free", "gradient_shares"
 
 
 @dataclasses.dataclass(frozen=True)
 class Record:
+    """How the course of a tuning run is kept, and who is told of it."""
+
+    path: Path | str | None = None
+    """A file that is kept up to date, and from which the same call resumes; it may ask
+    for more steps. None is kept if not given"""
+    labels: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Kept in the file and compared: what tells your losses and optimizers apart"""
+    report: Callable[[list["Entry"], int], None] | None = None
+    """Called after each step with all points and the place of the best"""
+
+
+@dataclasses.dataclass(frozen=True)
+class CourseFile:
     """The file of a tuning run, and what the run is."""
 
     path: Path
@@ -109,38 +121,35 @@ class Record:
     """In plain values"""
 
     def write(
-        self, history: list[Entry], following: Free, state: PyTree, converged: bool
+        self, entries: list[Entry], following: Free, state: PyTree, converged: bool
     ) -> None:
         """Store all that resumption needs, at once or not at all."""
         arrays = {"description": np.array(json.dumps(self.description))}
         for name in NUMBERS:
-            arrays[name] = np.array([getattr(entry, name) for entry in history])
+            arrays[name] = np.array([getattr(entry, name) for entry in entries])
         for name in _BY_ADDRESS:
-            for address in getattr(history[0], name):
-                column = [getattr(entry, name)[address] for entry in history]
+            for address in getattr(entries[0], name):
+                column = [getattr(entry, name)[address] for entry in entries]
                 arrays[f"{name}/{address}"] = np.array(column)
         arrays |= {f"following/{a}": np.asarray(x) for a, x in following.items()}
         arrays["converged"] = np.array(converged)
         for number, leaf in enumerate(_leaves(state)):
             arrays[f"state/{number}"] = leaf
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        arrays[_DIGEST] = np.array(digest_of_arrays(arrays))
-        write_arrays(self.path, arrays)
+        write_sealed(self.path, arrays, _KIND)
 
     def read(self) -> tuple[list[Entry], Free, list[np.ndarray], bool]:
-        """History, next point, leaves of the stepper's state, and whether it converged.
+        """Points, next point, leaves of the stepper's state, and whether it converged.
 
         **Raises:** `ValueError` for a file that is no record or of another tuning run,
         and says where they differ.
         """
         try:
-            arrays = read_arrays(self.path)
-            if str(arrays.pop(_DIGEST)) != digest_of_arrays(arrays):
-                raise ValueError("it is damaged; remove it, and tuning begins again")
+            arrays = read_sealed(self.path, _KIND)
             known = json.loads(str(arrays["description"]))
         except (ValueError, KeyError) as error:
             raise ValueError(
-                f"{self.path} is no record of a tuning run: {error}"
+                f"{self.path} is no record of a tuning run: {error}; remove it, and "
+                "tuning begins again"
             ) from None
         wanted = json.loads(json.dumps(self.description))
         difference = first_difference(known, wanted)
@@ -156,7 +165,7 @@ class Record:
             return {n.removeprefix(prefix): arrays[n] for n in names}
 
         columns = {name: part(name) for name in _BY_ADDRESS}
-        history = []
+        entries = []
         for i in range(len(arrays["loss"])):
             numbers = {name: arrays[name][i].item() for name in NUMBERS}
             at = {n: {a: x[i] for a, x in columns[n].items()} for n in _BY_ADDRESS}
@@ -164,13 +173,13 @@ class Record:
                 **numbers,
                 values={a: np.asarray(x) for a, x in at["values"].items()},
                 free={a: jnp.asarray(x) for a, x in at["free"].items()},
-                reached={a: float(x) for a, x in at["reached"].items()},
+                gradient_shares={a: float(x) for a, x in at["gradient_shares"].items()},
             )
-            history.append(entry)
+            entries.append(entry)
         following = {a: jnp.asarray(x) for a, x in part("following").items()}
         leaves = part("state")
         state = [leaves[str(i)] for i in range(len(leaves))]
-        return history, following, state, bool(arrays["converged"])
+        return entries, following, state, bool(arrays["converged"])
 
 
 def _leaves(state: PyTree) -> list[np.ndarray]:

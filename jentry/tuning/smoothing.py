@@ -11,8 +11,9 @@ def smooth_switching(
 ) -> Scenario:
     """The scenario with the smooth switches of `Smooth` in its law.
 
-    For `tune(..., surrogate=smooth_switching)`, which follows its gradients and judges by
-    the exact law. Raises `ValueError` for a law that has no switching to replace.
+    For `AutomaticDifferentiation(surrogate=smooth_switching)` of `tune`, which follows its
+    gradients and judges by the exact law. Raises `ValueError` for a law that has no
+    switching to replace.
     """
     wanted = Smooth() if switching is None else switching
     found = []
@@ -38,6 +39,6 @@ def smooth_switching(
 def smooth_reversals(scenario: Scenario) -> Scenario:
     """The scenario with reversals of its bank that are shared out between cycles.
 
-    For `tune(..., surrogate=smooth_reversals)`, see `SmoothReversals`.
+    For `AutomaticDifferentiation(surrogate=smooth_reversals)`, see `SmoothReversals`.
     """
     return smooth_switching(scenario, SmoothReversals())

@@ -1,4 +1,4 @@
-"""How tuning goes on from what it knows: optimizers of optax and solvers of optimistix.
+"""How tuning goes on from what it knows: optimizers of optax and minimisers of optimistix.
 
 A stepper says where to look next; flying is left to others. Optimistix asks for nothing
 but value and slope at the point where it looks, so it is given a linear function that has
@@ -16,7 +16,7 @@ import optax
 import optimistix
 from jaxtyping import Array, PyTree
 
-from .evaluation import Evaluation
+from .gradients import Evaluation
 from .parameters import Free
 
 
@@ -79,7 +79,7 @@ class Descent(AbstractStepper):
 
 
 class SolverState(eqx.Module):
-    """Of a solver of optimistix."""
+    """Of a minimiser of optimistix."""
 
     size: Array
     """By which all that it is shown is divided: it does not know the unit of a loss"""
@@ -90,12 +90,12 @@ class SolverState(eqx.Module):
 
 
 class Solver(AbstractStepper):
-    """A least-squares solver or a minimiser of optimistix."""
+    """A minimiser of optimistix."""
 
-    solver: optimistix.AbstractLeastSquaresSolver | optimistix.AbstractMinimiser
+    solver: optimistix.AbstractMinimiser
 
     def init(self, free: Free, evaluation: Evaluation) -> PyTree:
-        value, slope = self._shown(evaluation)
+        value, slope = jnp.asarray(evaluation.followed), evaluation.gradient
         known = value, slope, free
         structure = jax.eval_shape(lambda: value)
         inner = self.solver.init(
@@ -104,42 +104,24 @@ class Solver(AbstractStepper):
         if not hasattr(inner, "y_eval"):
             raise ValueError(
                 f"{type(self.solver).__name__} does not look at one point at a time: "
-                "take another solver, such as optimistix.LBFGS or LevenbergMarquardt"
+                "take another solver, such as optimistix.LBFGS"
             )
-        # The first step is the gradient, or with least squares nearly that, since the
-        # damping begins at one.
-        if self._least_squares:
-            downhill = [jnp.tensordot(value, s, 1) for s in slope.values()]
-            size = np.sqrt(float(optax.tree.norm(downhill)) / _FIRST)
-        else:
-            size = float(optax.tree.norm(slope)) / _FIRST
+        # The first step is the gradient.
+        size = float(optax.tree.norm(slope)) / _FIRST
         size = size if np.isfinite(size) and size > 0.0 else 1.0
         return SolverState(
             jnp.asarray(size), jnp.asarray(evaluation.failed), free, inner
         )
 
     def step(self, free, state, evaluation, best):
-        value, slope = self._shown(evaluation)
-        if evaluation.failed > int(state.failed):
-            value = jnp.full_like(value, jnp.inf)
-        if not bool(jnp.all(jnp.isfinite(value))):
-            # To be rejected; infinite residuals would make differences that are not.
-            value = jnp.full_like(value, 1e100)
+        value, slope = jnp.asarray(evaluation.followed), evaluation.gradient
+        if evaluation.failed > int(state.failed) or not jnp.isfinite(value):
+            # To be rejected; an infinite loss would make differences that are none.
+            value = jnp.asarray(1e100)
             slope = jax.tree.map(jnp.zeros_like, slope)
         value, slope = jax.tree.map(lambda x: x / state.size, (value, slope))
         following, state, done = _step(self.solver, (value, slope, free), state)
         return following, state, bool(done)
-
-    @property
-    def _least_squares(self) -> bool:
-        return isinstance(self.solver, optimistix.AbstractLeastSquaresSolver)
-
-    def _shown(self, evaluation: Evaluation) -> tuple[Array, Any]:
-        """Residuals and their Jacobian, or loss and gradient."""
-        if self._least_squares:
-            assert evaluation.linear is not None
-            return evaluation.linear.residuals, evaluation.linear.jacobian
-        return jnp.asarray(evaluation.followed), evaluation.gradient
 
 
 _OPTIONS = {"jac": "bwd"}

@@ -10,33 +10,29 @@ import jax
 import numpy as np
 import optax
 import optimistix
-from jaxtyping import Array, Key
 
 from .._setup import needs_float64
 from .._warnings import ResultWarning
 from ..addresses import addresses_of, replace_leaves
-from ..campaign.batch import filled_up
-from ..campaign.campaign import check_draws, drawn_inputs
 from ..campaign.description import describe
-from ..campaign.dispersions import Dispersion, check_dispersions
+from ..campaign.dispersions import Dispersion
 from ..flight.miss import misses
-from ..flight.scenario import Scenario, checked
+from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
-from .batch_gradients import FORWARD_UP_TO, Loss, Outputs, Problem
-from .course import COARSE_STEP, Course
+from .batch_gradients import Loss, Outputs, Problem, Simulation
+from .course import COARSE_STEP, Budget, Course
+from .draws import Draws, held_out
 from .evaluation import Evaluator
-from .judgement import Judgement, held_out as held_out_key, judge
-from .losses import MeanSquare
-from .parameters import Bounds, Parameters, Scales
-from .record import Entry, Record, told
+from .gradients import AutomaticDifferentiation, GradientMethod
+from .judgement import Judgement, judge
+from .maps import Ranges
+from .parameters import Build, Parameters, itself, scenario_at
+from .record import CourseFile, Entry, Record, told
+from .saving import write_tuned
 from .steppers import AbstractStepper, Descent, Solver
 
 
-Optimizer = (
-    optax.GradientTransformation
-    | optimistix.AbstractLeastSquaresSolver
-    | optimistix.AbstractMinimiser
-)
+Optimizer = optax.GradientTransformation | optimistix.AbstractMinimiser
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,12 +40,19 @@ class Tuned:
     """What tuning has found, and how it does on draws that it has not seen."""
 
     scenario: Scenario
-    """With the best point of the history, and the exact law"""
+    """Of the best point of the course, with the exact law"""
+    parameters: Any
+    """What was given to be tuned, with the best values: the scenario itself, or what it
+    is built from"""
     values: dict[str, np.ndarray]
     """Of the tuned leaves, by address"""
-    history: list[Entry]
+    moved: tuple[str, ...]
+    """Addresses of the leaves of the scenario that they move: their own, or those that
+    are built from them"""
+    course: list[Entry]
+    """Every point that was tried"""
     best: int
-    """Its place in the history"""
+    """The place of the best one in the course"""
     stopped: str
     """Why"""
     judgement: Judgement
@@ -58,41 +61,58 @@ class Tuned:
     """What was warned of"""
 
     @property
-    def reached(self) -> dict[str, float]:
-        """Share of the flights that each parameter reaches with a gradient, at the best
-        point, of the law that was followed. Near zero it was tuned by few flights, and at
+    def gradient_shares(self) -> dict[str, float]:
+        """Share of the flights in which the gradient feels each parameter, at the best
+        point, by the law that was followed. Near zero it was tuned by few flights, and at
         zero not at all: it acts through a discrete choice, or behind a limit; for those
         of drag tracking see `smooth_switching`."""
-        return self.history[self.best].reached
+        return self.course[self.best].gradient_shares
+
+    def save(
+        self,
+        path: Path | str,
+        *,
+        variant: str | None = None,
+        dispersions: str | Mapping[str, Any] | None = None,
+        values: Mapping[str, Any] | None = None,
+        comment: str = "",
+    ) -> None:
+        """Write a configuration file that `jentry COMMAND MISSION --config FILE` reads.
+
+        It sets every leaf of the scenario that was tuned or built, by its address and with
+        its unit, to the last digit. The table `[tuned]`, which commands pass over, has
+        what was tuned, from where, and the judgement.
+
+        **Arguments:**
+
+        - `variant`: of the mission, whose first one is flown if not given.
+        - `dispersions`: a reading of the mission, or the `[dispersions]` table of another
+          configuration file.
+        - `values`: further numbers to set, by address, in SI.
+        - `comment`: lines at the top of the file.
+
+            tuned.save("tuned.toml")
+        """
+        head = {"variant": variant, "dispersions": dispersions}
+        write_tuned(path, self, head, values or {}, comment)
 
 
 @needs_float64
 def tune(
-    scenario: Scenario,
-    where: Callable[[Any], Any],
+    start: Any,
+    where: Callable[[Any], Any] | None,
     loss: Loss,
     optimizer: Optimizer,
-    dispersions: Mapping[str, Dispersion],
-    key: Key[Array, ""],
+    draws: Draws,
     *,
-    runs: int = 256,
-    steps: int = 100,
-    bounds: Bounds | None = None,
-    scales: Scales | None = None,
+    build: Build = itself,
+    ranges: Ranges | None = None,
     outputs: Outputs = misses,
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
-    fresh_draws: bool = False,
-    mode: str | None = None,
-    difference_step: float = 0.02,
-    surrogate: Callable[[Scenario], Scenario] | None = None,
-    patience: int = 20,
-    tolerance: float = 1e-4,
-    seconds: float | None = None,
-    held_out: int = 5000,
-    record: Path | str | None = None,
-    labels: Mapping[str, Any] | None = None,
-    report: Callable[[list[Entry], int], None] | None = None,
+    gradient: GradientMethod = AutomaticDifferentiation(),
+    budget: Budget = Budget(),
+    record: Record = Record(),
 ) -> Tuned:
     """Make a loss of many dispersed flights small, by its gradient.
 
@@ -105,46 +125,37 @@ def tune(
     cycle more to the end. The derivative of a flight is that between its jumps, so that
     with jumps the mean of the derivatives is not the derivative of the mean. Before the
     first step the gradient is compared with a central difference of the loss along it, of
-    2 % of the numbers; where they contradict each other, `tune` warns. Then take a
-    `surrogate` without the jumps, such as `smooth_reversals` of the bank, or
-    `mode="difference"`, which sees whatever happens within its step.
+    2 % of the numbers; where they contradict each other, `tune` warns. Then follow a
+    surrogate without the jumps, such as `smooth_reversals` of the bank, or take
+    `CentralDifferences`, which see whatever happens within their step.
 
     **Arguments:**
 
-    - `scenario`: where tuning starts.
-    - `where`: lens to the leaves to tune, of any shape: `lambda s: s.guidance.gains`.
+    - `start`: the scenario where tuning starts; or, with `build`, any pytree of numbers.
+    - `where`: lens to the leaves of it to tune, of any shape:
+      `lambda s: s.guidance.gains`. None for all.
     - `loss`: a number of the outputs of the runs, each of shape (runs, ...); see
       `tuning.losses`.
-    - `optimizer`: a minimiser of optimistix, such as `LBFGS(rtol=1e-6, atol=1e-6)`, for
-      any loss, and the best choice for few parameters; a least-squares solver, such as
-      `LevenbergMarquardt(rtol=1e-6, atol=1e-6)`, for a loss that is a `MeanSquare`; or an
-      optimizer of optax, for many parameters or fresh draws. A learning
-      rate of 0.1 moves a positive number by about a tenth.
-    - `dispersions`, `key`, `runs`: the draws. They are the same in each step, unless
-      `fresh_draws`: then each gradient has new ones, while the best point is still
-      judged by the same.
-    - `steps`: at most; `seconds` (wall clock) likewise. It ends before when the best
-      loss has not fallen by a share of `tolerance` in `patience` steps.
-    - `bounds`: lower and upper by address. Numbers that must be positive stay so anyway.
-        Next to a bound a number hardly moves: a start within 0.1 % of one is warned of.
-    - `scales`: by address, how much of a number counts as much as a factor e of a positive
-        one. Its own size if not given, so that a number that is zero needs one.
+    - `optimizer`: a minimiser of optimistix, such as `LBFGS(rtol=1e-6, atol=1e-6)`, the
+      best choice for few parameters; or an optimizer of optax, for many parameters or
+      fresh draws. A learning rate of 0.1 moves a positive number by about a tenth.
+    - `draws`: what is dispersed, the key, and how many draws are tuned on and judged by.
+    - `build`: takes the start, with the values of a point, to the scenario that is flown:
+      a planner, of which the reference that is planned has the parameters' derivative.
+      It is computed by JAX, once for each point. Define it once: another one is compiled
+      anew. The addresses of `ranges` and of the results are those in the start.
+    - `ranges`: by address `Bounds(lower, upper)`, or the `Scale(size)` of a number that
+      may be any, of which otherwise its own size is taken. Numbers that must be positive
+      stay so. Next to a bound a number hardly moves: a start within 0.1 % of one is
+      warned of.
     - `outputs`: what is looked at of a flight, a function of scenario and flight, for
-      example `lambda s, f: (misses(s, f), f.peaks)`. `history` (s) gives the flights
-      one, see `fly`; define the function once, since another one is compiled anew.
-    - `mode`: "forward" or "reverse", of the exact derivatives; by the number of parameters
-      if not given. Least squares goes forward. Or "difference": central differences of
-      the loss with the same draws, number by number, over `difference_step` to both sides
-      (in free numbers: 0.02 is 2 % of a positive number). They are exact for the loss
-      averaged over that interval, jumps included, and come with a standard error,
-      `Entry.gradient_error`. A step in which hardly a flight jumps tells little.
-    - `surrogate`: takes the scenario to a smoother one whose gradient is followed, such
-      as `smooth_switching`. The loss and the best point are those of the exact law.
-    - `held_out`: runs to judge by.
-    - `record`: a file that is kept up to date, and from which the same call resumes; it
-      may ask for more steps. `labels` are kept in it and compared: what tells your
-      losses and optimizers apart.
-    - `report`: is called after each step with the history and the place of the best.
+      example `lambda s, f: (misses(s, f), f.peaks)`. Define it once, too.
+    - `solver`, `history`: as for `fly`.
+    - `gradient`: `AutomaticDifferentiation(forward, surrogate)`, or
+      `CentralDifferences(step, surrogate)`. With a surrogate the gradient is that of a
+      smoother scenario; the loss and the best point are those of the exact law.
+    - `budget`: of steps and time.
+    - `record`: the file from which the same call resumes, and who is told of each step.
 
     It stops where the gradient is below the rounding of the loss: every further step
     would be taken by chance.
@@ -158,93 +169,56 @@ def tune(
             lambda s: s.guidance.gains,
             MeanSquare(lambda misses: misses.downrange / km),
             optimistix.LBFGS(rtol=1e-6, atol=1e-6),
-            dispersions,
-            jax.random.key(0),
+            Draws(dispersions, jax.random.key(0)),
         )
         tuned.scenario, tuned.judgement["downrange", "std"]
     """
-    scenario = checked(scenario)
-    if not dispersions:
-        raise ValueError("nothing is dispersed: give dispersions")
-    check_dispersions(scenario, dispersions)
-    parameters = Parameters.of(scenario, where, bounds, scales)
-    _require_disjoint(scenario, parameters, dispersions)
-    for name, value, least in (
-        ("runs", runs, 2),
-        ("steps", steps, 1),
-        ("held_out", held_out, 2),
-        ("patience", patience, 1),
-    ):
-        if value < least:
-            raise ValueError(f"{name} is {value}: it must be at least {least}")
-    if not 0.0 < difference_step < 1.0:
-        raise ValueError(
-            f"difference_step is {difference_step}: it must be between 0 and 1; 0.02 is 2 "
-            "% of a positive number"
-        )
-    # All draws before the first flight, those of later steps and the held-out ones too.
-    if fresh_draws:
-        check_draws(scenario, dispersions, key, np.arange((steps + 1) * runs))
-    unseen = filled_up(np.arange(held_out), len(jax.devices()))
-    drawn_inputs(scenario, dispersions, held_out_key(key), unseen)
-    stepper = _stepper(optimizer, loss, fresh_draws)
-    least_squares = _is_least_squares(optimizer)
-    exact = Problem(scenario, parameters, outputs, solver, history)
-    followed = exact
-    if surrogate is not None:
-        followed = dataclasses.replace(exact, scenario=surrogate(scenario))
-    evaluate = Evaluator(
-        exact,
-        followed,
-        loss,
-        dispersions,
-        key,
-        runs,
-        fresh_draws=fresh_draws,
-        forward=_is_forward(mode, parameters.count, least_squares),
-        least_squares=least_squares,
-        difference=difference_step if mode == "difference" else None,
-    )
-    stored = None
-    if record is not None:
-        by = difference_step if mode == "difference" else None
-        asked = loss, outputs, optimizer, fresh_draws, by, labels or {}
-        description = _description(exact, followed, dispersions, key, runs, asked)
-        stored = Record(Path(record), description)
+    parameters = Parameters.of(start, where, ranges, build)
+    scenario = scenario_at(parameters, parameters.first)
+    check(scenario)
+    stepper = _stepper(optimizer, draws.fresh)
+    draws.check(scenario, budget.steps)
+    _require_disjoint(scenario, parameters, draws.dispersions)
+    simulation = Simulation(outputs, solver, history)
+    exact = Problem(parameters, simulation)
+    evaluate = Evaluator(exact, loss, draws, gradient)
+    file = None
+    if record.path is not None:
+        asked = loss, optimizer, gradient, record.labels
+        described = _description(exact, scenario, draws, asked)
+        file = CourseFile(Path(record.path), described)
     remarks = parameters.near_bounds()
     for remark in remarks:
         warnings.warn(remark, ResultWarning, stacklevel=3)
-    course = Course(parameters.start())
-    if stored is not None and stored.path.exists():
-        course.resume(stored, evaluate)
-    limits = steps, seconds, patience, tolerance
-    while not (stopped := course.why_stop(*limits)):
+    course = Course(parameters.zeros())
+    if file is not None and file.path.exists():
+        course.resume(file, evaluate)
+    while not (stopped := course.why_stop(budget)):
         course.advance(evaluate, stepper, parameters)
         if len(course.entries) == 1 and course.entries[0].contradicted:
             said = _contradiction(course.entries[0])
             warnings.warn(said, ResultWarning, stacklevel=3)
-        if stored is not None:
-            course.store(stored)
-        if report is not None:
-            report(course.entries, course.best)
+        if file is not None:
+            course.store(file)
+        if record.report is not None:
+            record.report(course.entries, course.best)
 
     values = course.entries[course.best].values
-    tuned = replace_leaves(scenario, values)
-    judgement = judge(
-        scenario,
-        tuned,
-        dispersions,
-        held_out_key(key),
-        held_out,
-        loss,
-        outputs,
-        solver,
-        history,
-    )
+    tuned = scenario_at(parameters, values)
+    unseen = draws.dispersions, held_out(draws.key), draws.held_out
+    judgement = judge(scenario, tuned, *unseen, loss, simulation)
     first = course.entries[0]
     remarks += [_contradiction(first)] if first.contradicted else []
     return Tuned(
-        tuned, values, course.entries, course.best, stopped, judgement, tuple(remarks)
+        scenario=tuned,
+        parameters=replace_leaves(parameters.start, values),
+        values=values,
+        moved=parameters.moved,
+        course=course.entries,
+        best=course.best,
+        stopped=stopped,
+        judgement=judgement,
+        remarks=tuple(remarks),
     )
 
 
@@ -254,90 +228,67 @@ def _contradiction(entry: Entry) -> str:
         f"difference of the loss along it, of {100.0 * COARSE_STEP:g} % to both sides, "
         f"says {entry.difference:.3g} +- {entry.difference_error:.2g}: flights jump there "
         "(a bank reversal or an end one guidance cycle later), which their derivatives do "
-        "not know; follow a surrogate, such as smooth_reversals, or take "
-        'mode="difference"'
+        "not know; take gradient=CentralDifferences(), or "
+        "gradient=AutomaticDifferentiation(surrogate=...) of a smoother law, such as "
+        "smooth_reversals"
     )
-
-
-def _is_least_squares(optimizer: Optimizer) -> bool:
-    return isinstance(optimizer, optimistix.AbstractLeastSquaresSolver)
-
-
-def _is_forward(mode: str | None, count: int, least_squares: bool) -> bool:
-    if mode not in (None, "forward", "reverse", "difference"):
-        raise ValueError(
-            f'mode is {mode!r}: it must be "forward", "reverse" or "difference"'
-        )
-    if least_squares:
-        if mode in ("reverse", "difference"):
-            raise ValueError(
-                "a least-squares solver goes forward: leave the mode out, or take "
-                "another optimizer, such as optimistix.LBFGS"
-            )
-        return True
-    return count <= FORWARD_UP_TO if mode is None else mode == "forward"
 
 
 def _require_disjoint(
     scenario: Scenario, parameters: Parameters, dispersions: Mapping[str, Dispersion]
 ) -> None:
+    """What a run draws is drawn about the start: it would undo what is tuned."""
     for name, dispersion in dispersions.items():
         for address in addresses_of(scenario, dispersion.where):
-            if address in parameters.maps:
+            if address in parameters.moved:
                 raise ValueError(
                     f"{address} is tuned, and the dispersion {name!r} moves it: tune "
                     "something else, or leave the dispersion out"
                 )
 
 
-def _stepper(optimizer: Optimizer, loss: Loss, fresh_draws: bool) -> AbstractStepper:
+def _stepper(optimizer: Optimizer, fresh_draws: bool) -> AbstractStepper:
     if isinstance(optimizer, optax.GradientTransformation):
         return Descent(optimizer, fresh_draws)
-    if not isinstance(
-        optimizer,
-        optimistix.AbstractLeastSquaresSolver | optimistix.AbstractMinimiser,
-    ):
+    if not isinstance(optimizer, optimistix.AbstractMinimiser):
         raise ValueError(
             f"the optimizer is a {type(optimizer).__name__}: give one of optax, or a "
-            "minimiser or a least-squares solver of optimistix"
+            "minimiser of optimistix, such as LBFGS"
         )
     if fresh_draws:
         raise ValueError(
-            "a solver of optimistix compares points on the same draws: leave fresh_draws "
-            "out, or take an optimizer of optax"
-        )
-    if _is_least_squares(optimizer) and not isinstance(loss, MeanSquare):
-        raise ValueError(
-            "a least-squares solver needs residuals: give the loss as "
-            "MeanSquare(lambda outputs: ...), or take another optimizer"
+            "a minimiser of optimistix compares points on the same draws: leave "
+            "fresh=True out, or take an optimizer of optax"
         )
     return Solver(optimizer)
 
 
 def _description(
     exact: Problem,
-    followed: Problem,
-    dispersions: Mapping[str, Dispersion],
-    key: Key[Array, ""],
-    runs: int,
-    asked: tuple[Loss, Outputs, Optimizer, bool, float | None, Mapping[str, Any]],
+    scenario: Scenario,
+    draws: Draws,
+    asked: tuple[Loss, Optimizer, GradientMethod, Mapping[str, Any]],
 ) -> dict[str, Any]:
     """What a tuning run is: two that are equal take the same steps.
 
     Of functions the names can be told, and of optimizers of optax nothing.
     """
-    loss, outputs, optimizer, fresh_draws, difference, labels = asked
-    known = describe(exact.scenario, dispersions, 0, exact.solver, exact.history)
+    loss, optimizer, gradient, labels = asked
+    simulation, parameters = exact.simulation, exact.parameters
+    assert isinstance(parameters, Parameters)
+    solver, history = simulation.solver, simulation.history
+    smooth = gradient.surrogate
     return {
-        **known,
-        "seed": jax.random.key_data(key).tolist(),
-        "runs": runs,
-        "followed": str(followed.scenario),
-        "parameters": {a: told(m) for a, m in exact.parameters.maps.items()},
+        **describe(scenario, draws.dispersions, 0, solver, history),
+        "seed": jax.random.key_data(draws.key).tolist(),
+        "runs": draws.runs,
+        "fresh_draws": draws.fresh,
+        "build": told(parameters.build),
+        "parameters": {a: told(m) for a, m in parameters.maps.items()},
         "loss": told(loss),
-        "outputs": told(outputs),
+        "outputs": told(simulation.outputs),
         "optimizer": told(optimizer),
-        "fresh_draws": fresh_draws,
-        "difference_step": difference,
+        "gradient": told(gradient),
+        "followed": None if smooth is None else str(smooth(scenario)),
         "labels": {name: str(value) for name, value in labels.items()},
     }

@@ -1,0 +1,90 @@
+"""What has been tuned as a configuration file, which the command line reads again."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .._files import write_toml
+from ..addresses import field_metadata, leaves_by_address, unit_of
+from .judgement import Judgement
+
+
+if TYPE_CHECKING:
+    from .tuning import Tuned
+
+
+def write_tuned(
+    path: Path | str,
+    tuned: "Tuned",
+    head: Mapping[str, Any],
+    values: Mapping[str, Any],
+    comment: str,
+) -> None:
+    """See `Tuned.save`."""
+    leaves = leaves_by_address(tuned.scenario)
+    set_to = {**values, **{address: leaves[address] for address in tuned.moved}}
+    dispersions = head["dispersions"]
+    contents = {
+        "variant": head["variant"],
+        # Before the tables, where TOML has plain values.
+        "dispersions": dispersions if isinstance(dispersions, str) else None,
+        "set": {a: with_unit(x, unit_of(tuned.scenario, a)) for a, x in set_to.items()},
+        "tuned": _what_was_tuned(tuned),
+    }
+    if isinstance(dispersions, Mapping):
+        contents["dispersions"] = dict(dispersions)
+    write_toml(path, comment, contents)
+
+
+def with_unit(value: Any, unit: str) -> Any:
+    """A number as a configuration file has it: `"0.5 rad"`. Tables are lists of them."""
+    if np.ndim(value):
+        return [with_unit(item, unit) for item in value]
+    number = float(value)
+    # One over something, such as 1/s, would run into the number.
+    return number if unit[:1] == "1" else f"{number!r} {unit}"
+
+
+def _what_was_tuned(tuned: "Tuned") -> dict[str, Any]:
+    first, best = tuned.course[0], tuned.course[tuned.best]
+    start = tuned.parameters
+
+    def parameter(address: str, value: Any) -> dict[str, Any]:
+        unit = field_metadata(start, address).get("unit", "1")
+        return {
+            "start": with_unit(first.values[address], unit),
+            "value": with_unit(value, unit),
+            "gradient_share": best.gradient_shares[address],
+        }
+
+    return {
+        "stopped": tuned.stopped,
+        "steps": len(tuned.course),
+        "best_step": tuned.best + 1,
+        "loss_at_start": first.loss,
+        "loss": best.loss,
+        "remarks": list(tuned.remarks),
+        "parameters": {a: parameter(a, x) for a, x in tuned.values.items()},
+        "judgement": _told(tuned.judgement),
+    }
+
+
+def _told(judgement: Judgement) -> dict[str, Any]:
+    return {
+        "runs": judgement.runs,
+        "not_finite_before": judgement.not_finite_before,
+        "not_finite_after": judgement.not_finite_after,
+        "comparisons": [
+            {
+                "quantity": comparison.quantity,
+                "statistic": comparison.statistic,
+                "before": comparison.before.value,
+                "after": comparison.after.value,
+                "change": comparison.change.value,
+                "interval": [comparison.change.low, comparison.change.high],
+            }
+            for comparison in judgement.comparisons
+        ],
+    }
