@@ -41,6 +41,7 @@ def newton(
     largest_step: Bound = None,
     falls: bool = False,
     unroll: bool = False,
+    nan_where_lost: bool = False,
 ) -> Root:
     """Look for a zero of a function of one or of two unknowns.
 
@@ -60,14 +61,18 @@ def newton(
       lower bound to a negative one at the upper bound. The bounds then close in on the
       zero, and a step that would leave them goes to the middle between them.
     - `unroll`: write the steps out, in place of a loop that compiles once.
+    - `nan_where_lost`: x becomes NaN, and stays so, where otherwise it stays. A loop that
+      carries x alone is a quarter of the operations of one that carries `known` as well.
     """
+    if falls and nan_where_lost:
+        raise ValueError("falls=True has bounds that close in: it is not lost")
     if falls and (lower is None or upper is None or jnp.ndim(x) != 0):
         raise ValueError("falls=True needs one unknown with a lower and an upper bound")
 
     def improve(carry, _):
         (x, _, _, known), low, high = carry
         value, slope = value_and_slope(x)
-        finite = jnp.all(jnp.isfinite(value)) & jnp.all(jnp.isfinite(slope))
+        finite = _is_finite(value) & _is_finite(slope)
         usable = finite & (_determinant(slope) != 0.0)
         # On both sides of the last `where`, so that no derivative comes from there.
         at = jnp.where(usable, value, jnp.zeros_like(value))
@@ -83,10 +88,24 @@ def newton(
         step = jnp.where(usable, moved - x, jnp.inf)
         return (Root(moved, value, step, known & finite), low, high), None
 
-    known = jnp.all(jnp.isfinite(x))
+    def improve_or_lose(carry, _):
+        (x, _, _, known), low, high = carry
+        value, slope = value_and_slope(x)
+        # A slope of zero gives an infinite step, and an infinite slope one of zero.
+        step = -solve(slope, value) + 0.0 * jnp.sum(slope)
+        step = jnp.where(jnp.isfinite(step), step, jnp.nan)
+        if largest_step is not None:
+            step = _within(step, -largest_step, largest_step)
+        moved = _within(x + step, lower, upper)
+        return (Root(moved, value, moved - x, known), low, high), None
+
+    known = _is_finite(x)
     first = Root(x, jnp.full_like(x, jnp.inf), jnp.full_like(x, jnp.inf), known)
     start = first, _like(lower, x), _like(upper, x)
-    (found, _, _), _ = lax.scan(improve, start, length=steps, unroll=unroll)
+    one = improve_or_lose if nan_where_lost else improve
+    (found, _, _), _ = lax.scan(one, start, length=steps, unroll=unroll)
+    if nan_where_lost:
+        found = found._replace(known=_is_finite(found.x))
     return found
 
 
@@ -109,6 +128,11 @@ def solve(slope: Slope, right: Point) -> Point:
     (a, b), (c, d) = jnp.asarray(slope)
     e, f = jnp.asarray(right)
     return jnp.stack([d * e - b * f, a * f - c * e]) / _determinant(slope)
+
+
+def _is_finite(x: Point | Slope) -> Flag:
+    # A reduction of a scalar would stand between operations that belong together.
+    return jnp.isfinite(x if jnp.ndim(x) == 0 else jnp.sum(x))
 
 
 def _determinant(slope: Slope) -> Scalar:

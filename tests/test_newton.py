@@ -54,6 +54,27 @@ def test_where_there_is_no_answer_x_stays():
     assert not bool(newton(by_jvp(lambda x: x), one(np.nan), 1).known)
 
 
+@pytest.mark.parametrize(
+    "function, start",
+    [
+        (lambda x: jnp.log(x - 5.0), 1.0),
+        (lambda x: jnp.sqrt(x - 1.0), 1.0),
+        (lambda x: 1.0 / (x - 1.0), 1.0),
+        (lambda x: 3.0 + 0.0 * x, 1.0),
+        (jnp.log, 3.0),
+    ],
+)
+def test_what_is_lost_is_nan_to_the_end(function, start):
+    for steps in (2, 3):
+        found = newton(by_jvp(function), one(start), steps, nan_where_lost=True)
+        assert np.isnan(found.x) and not bool(found.known)
+    kept = newton(by_jvp(lambda x: x * x - 2.0), one(1.0), 3, nan_where_lost=True)
+    assert float(kept.x) == pytest.approx(577 / 408, rel=1e-15) and bool(kept.known)
+    bounds = {"lower": 0.0, "upper": 1.2, "nan_where_lost": True}
+    held = newton(by_jvp(lambda x: x * x - 2.0), one(1.0), 3, **bounds)
+    assert float(held.x) == 1.2 and bool(held.known)
+
+
 def test_two_unknowns():
     """x^2 + y^2 = 4 and x y = 1, whose Jacobian is not symmetric."""
 

@@ -144,9 +144,10 @@ def scale_to_reach(
         _NEWTON_STEPS,
         lower=0.0,
         upper=jnp.maximum(energy - corner_energy, 0.0),
+        nan_where_lost=True,
     )
     _, scale = along(found.x)
-    return jnp.where(found.known, scale, jnp.nan)
+    return scale
 
 
 class RangeTracking(AbstractSampledLaw[ObserverState, HeldScale]):
