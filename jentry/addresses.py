@@ -34,7 +34,7 @@ def _address(path: tuple) -> str:
     return ".".join(_step(key) for key in path)
 
 
-def leaves_by_address(tree: PyTree) -> dict[str, Array]:
+def leaves_by_address(tree: PyTree) -> dict[str, Any]:
     """Every array leaf with its address, in the order of the tree."""
     paths, _ = jtu.tree_flatten_with_path(tree)
     return {_address(path): leaf for path, leaf in paths if eqx.is_array(leaf)}

@@ -23,11 +23,24 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
+_MOST = 3 * 2**30
+"""Bytes in memory, of each worker, beyond which it forgets what it has compiled"""
+
+
+def in_memory() -> float:
+    """Bytes; infinite where the system does not say."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return float("inf")
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
 @pytest.fixture(autouse=True)
 def forgetting(request):
-    """What a slow test has traced and compiled would fill the memory, gigabytes in all."""
+    """What slow tests have traced and compiled would fill the memory, gigabytes in all."""
     yield
-    if request.node.get_closest_marker("slow"):
+    if request.node.get_closest_marker("slow") and in_memory() > _MOST:
         jax.clear_caches()
 
 
