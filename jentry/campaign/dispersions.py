@@ -276,7 +276,7 @@ def disperse(
                     f"dispersion {name!r} replaces {address}, which another dispersion "
                     "has moved already: use add or multiply, or remove one"
                 )
-            nominal = inputs.get(address, leaves[address])
+            nominal = inputs[address] if address in inputs else leaves[address]
             inputs[address] = dispersion.apply(nominal, draws[name])
     return inputs
 
