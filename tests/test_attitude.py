@@ -381,6 +381,7 @@ def test_without_one_of_its_own_an_attitude_starts_at_the_first_command():
     assert float(one.angle_of_attack.angle) == 0.1
 
 
+@pytest.mark.slow
 def test_the_first_attitude_is_a_leaf_within_the_limits():
     given = started(first_bank_angle=30 * degree)
     where = lambda s: s.attitude.first_bank_angle

@@ -402,6 +402,7 @@ def commanded_below(**kept):
     return decided(LAW, told, before).controls
 
 
+@pytest.mark.slow
 def test_it_keeps_the_limits_of_the_scenario():
     """The least angle of attack at which it would glide below a limit, and the largest
     that its load factor allows; without a limit there is none.

@@ -109,6 +109,7 @@ def test_continuous_law():
     assert 2.0 * fine - coarse == pytest.approx(2624.58, abs=0.05)
 
 
+@pytest.mark.slow
 def test_adjusted_once():
     """Equation (38), with the velocity predicted by flying the model."""
     campaign, (flight, _) = flown("adjusted-once")
@@ -227,6 +228,7 @@ def test_any_heading_and_place_flies_the_same():
     assert float(start.latitude) == 0.0
 
 
+@pytest.mark.slow
 def test_history_is_on_one_clock_while_the_cycles_become_shorter():
     flight = fly_compiled(stored(), history=50.0)
     time = np.asarray(flight.history.time)

@@ -59,6 +59,7 @@ def test_with_known_factors():
     assert few(error > 0.01, 20) and few(error > 20.0, 1)
 
 
+@pytest.mark.slow
 def test_with_accelerometers():
     """Better than the paper's table, with errors of sensors that it does not have."""
     error, campaign = errors("newton", "normal-sensed")

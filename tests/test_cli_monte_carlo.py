@@ -49,6 +49,7 @@ def test_monte_carlo(command, tmp_path):
     assert "1 of 1 runs" in other
 
 
+@pytest.mark.slow
 def test_every_option_of_monte_carlo_arrives(command, tmp_path):
     """All at once, each other than where it is not given: the same campaign by hand."""
     out, config = tmp_path / "out", tmp_path / "overrides.toml"
@@ -101,6 +102,7 @@ apply = "add"
 """
 
 
+@pytest.mark.slow
 def test_dispersions_of_a_file_change_those_of_a_reading(command, tmp_path):
     """One is changed, in its place, and one added; the others are drawn as they were."""
     config = tmp_path / "overrides.toml"
@@ -181,6 +183,7 @@ def shown(axes, x, y):
     return in_si(axes.get_xlabel(), x), in_si(axes.get_ylabel(), y)
 
 
+@pytest.mark.slow
 def test_figures_are_drawn(command, tmp_path, monkeypatch):
     """Of the runs of the campaign, in the units that their axes name."""
     drawn = {}

@@ -38,6 +38,7 @@ def test_every_option_of_sensitivity_arrives(command, monkeypatch, density):
     assert seen["solver"] == FixedStep(2.0)
 
 
+@pytest.mark.slow
 def test_sensitivity_by_differences_prints_their_errors(command):
     given = ("--differences", "--step", 1, "--scale", 1, "--runs", 0)
     code, printed, said = command("sensitivity", "cheap", *given)
@@ -45,6 +46,7 @@ def test_sensitivity_by_differences_prints_their_errors(command):
     assert "predicted from mean differences" in printed and "+-" in printed
 
 
+@pytest.mark.slow
 def test_sensitivity_prints_derivatives_and_spreads(command):
     given = ("--wrt", "initial_state.velocity,vehicle.mass", "--runs", 40)
     code, printed, said = command(

@@ -36,6 +36,7 @@ def tune(command, *words):
     return command("tune", "cheap", *TUNE, *words)
 
 
+@pytest.mark.slow
 def test_tune_writes_what_monte_carlo_flies(command, tmp_path):
     code, printed, said = tune(command, "--steps", 3)
     assert code == 0
@@ -139,6 +140,7 @@ def test_tune_by_differences_prints_their_error(command, tmp_path):
     assert f"+- {error:.2g}" in said
 
 
+@pytest.mark.slow
 def test_tune_prints_what_it_warns_of(command):
     bounds = ("--bounds", "guidance.bank_angle=0.8726:1.2")
     code, printed, said = tune(command, "--steps", 1, *bounds)

@@ -115,6 +115,7 @@ def flown(history):
 ALONE = [name for name in all_laws if name != "Bézier" and "composition" not in name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALONE)
 def test_beside_the_trim_angle_a_bank_law_flies_bit_for_bit_as_alone(name):
     law = all_laws[name](reference())
@@ -128,6 +129,7 @@ def test_beside_the_trim_angle_a_bank_law_flies_bit_for_bit_as_alone(name):
     assert float(ends[0].state.altitude) < float(mars_entry().altitude)
 
 
+@pytest.mark.slow
 def test_two_ways_to_one_angle_of_attack():
     """A schedule beside a bank law, and the vehicle trimmed at the same constant."""
     beside = lifting(
@@ -287,6 +289,7 @@ def test_a_continuous_half_acts_between_the_cycles_of_the_other():
     np.testing.assert_allclose(history.controls.angle_of_attack, wanted, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_side_is_decided_as_by_the_bank_law_alone():
     law = compose(
         Sampled(modulation(), 1.0),
@@ -302,6 +305,7 @@ def test_the_side_is_decided_as_by_the_bank_law_alone():
 # Modulation in flight.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("attitude", ["lagging", "ideal"])
 def test_modulation_moves_the_angle_of_attack_and_the_bank(attitude):
     """About their schedules, within the limits; commands are held over a cycle where the
@@ -337,6 +341,7 @@ def test_modulation_by_the_drag_of_the_instant_is_refused_where_it_is_flown_at_o
         fly(lifting(compose(modulation(), steady())), FixedStep(1.0))
 
 
+@pytest.mark.slow
 def test_held_through_ever_shorter_cycles_it_is_the_continuous_one():
     """Under an attitude that takes its time; at first order in the period."""
     pair = compose(modulation(), steady(0.5))
@@ -350,6 +355,7 @@ def test_held_through_ever_shorter_cycles_it_is_the_continuous_one():
     assert far[1] < 0.4 * far[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("leaf", ["angle_of_attack.gain", "bank.cos_bank.coefficients"])
 def test_derivatives_reach_both_halves(leaf):
     given = lifting(compose(modulation(), steady(0.5)), attitude=lagging())

@@ -246,6 +246,7 @@ def limits(**limits):
     return {name: each.drag for name, each in points.items()}
 
 
+@pytest.mark.slow
 def test_corridor_is_that_of_lee_cho_and_yan():
     """Equations (6) to (9), their heating constant from ours."""
     found = limits()
@@ -267,6 +268,7 @@ def test_corridor_is_that_of_lee_cho_and_yan():
     np.testing.assert_allclose(found["glide"], needed / LIFT_TO_DRAG, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_corridor_has_derivatives():
     """The drag goes with the limits of pressure and load, and with the square of (6)'s."""
     for name, power in (("heat_rate", 2.0), ("pressure", 1.0), ("load", 1.0)):
@@ -329,6 +331,7 @@ def first(tree):
     return run_of(tree, 0)
 
 
+@pytest.mark.slow
 def test_what_is_looked_at_does_not_move_the_flight(campaign, plain):
     flight = first(campaign.flights)
     assert set(plain.peaks) == {"drag", "dynamic_pressure", "heat_rate", "load_factor"}
@@ -360,6 +363,7 @@ def test_peaks_are_located(campaign):
                 assert float(value) == pytest.approx(float(expected), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_one_peak_may_be_located(campaign):
     scenario = dataclasses.replace(constrained_scenario(), located_peaks=("heat_rate",))
     flight = fly(scenario, Adaptive())
@@ -433,6 +437,7 @@ def test_heat_load_of_a_straight_path():
     np.testing.assert_allclose(slope, 0.5 * expected / 1.1, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_derivative_of_a_peak_is_that_without_its_place():
     located = constrained_scenario()
     plain = dataclasses.replace(located, located_peaks=())

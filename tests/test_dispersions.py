@@ -269,6 +269,7 @@ def test_any_mapping_is_a_table(key):
     assert list(given) == ["vehicle.mass"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mission",
     [
@@ -343,6 +344,7 @@ def observer_scenario(reference):
     return mars_scenario(observer_law(reference))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("where", "apply", "message"), NO_EFFECT.values(), ids=NO_EFFECT
 )

@@ -285,6 +285,7 @@ def test_energy_falls_along_the_nominal_flight(planned):
     assert np.all(np.diff(along) < 0.0)
 
 
+@pytest.mark.slow
 def test_held_command_tends_to_the_continuous_one_at_first_order(planned):
     """Halving the guidance cycle halves the difference from the continuous law."""
     _, flight, references = planned

@@ -125,6 +125,7 @@ def measured(law, state, drag=1.002, lift=0.97):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", helpers.all_laws)
 def test_what_a_law_says_has_the_derivatives_of_differences(name, planned):
     _, flight, references = planned

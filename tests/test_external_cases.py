@@ -260,6 +260,7 @@ def velocity_and_gradient(numbers):
     return jax.value_and_grad(velocity, argnums=(0, 1, 2))(*numbers)
 
 
+@pytest.mark.slow
 def test_gradient_of_velocity_at_an_altitude():
     numbers = jnp.asarray(EARTH[0]), jnp.asarray(EARTH[3]), jnp.asarray(EARTH[4])
     velocity, gradient = velocity_and_gradient(numbers)
@@ -291,6 +292,7 @@ def peak_and_gradient(numbers):
     return jax.value_and_grad(peak, argnums=(0, 1, 2))(*numbers)
 
 
+@pytest.mark.slow
 def test_gradient_of_peak_deceleration():
     numbers = tuple(jnp.asarray(EARTH[i]) for i in (2, 3, 4))
     peak, (by_velocity, by_steepness, by_beta) = peak_and_gradient(numbers)
@@ -340,6 +342,7 @@ def drop_time_and_gradient(drag_coefficient):
     return jax.value_and_grad(time)(drag_coefficient)
 
 
+@pytest.mark.slow
 def test_gradient_of_the_time_of_a_drop():
     time, gradient = drop_time_and_gradient(jnp.asarray(0.5))
     expected = CLOSED["vertical_drop"]

@@ -90,6 +90,7 @@ def said_by(calls):
     return [line.split() for line in run.stdout.splitlines()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "calls", [{"fly": WHOLE["fly"]}, REFUSING], ids=["fly", "rest"]
 )

@@ -135,6 +135,7 @@ def test_outcomes(case):
         np.testing.assert_allclose(flight.time, 300.0, rtol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["reached", "crashed", "skipped out", "timed out"])
 def test_fixed_steps_agree_with_adaptive_ones(case):
     changes, outcome, name = ENDS[case]
@@ -217,6 +218,7 @@ def test_peaks_are_over_what_the_solver_steps_on(case, solver, between):
     assert (np.argmax(expected["drag"]) == len(times) - 1) == ends_at_its_peak
 
 
+@pytest.mark.slow
 def test_solvers_agree_on_a_sampled_law(reference):
     scenario = mars_scenario(all_laws["sampled observer"](reference))
     fixed = fly_compiled(scenario, STEP)
@@ -279,6 +281,7 @@ def test_flight_ends_at_the_first_of_two_conditions_that_are_close():
 LIMITS = [20.0, 20.037]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", LIMITS)
 @pytest.mark.parametrize(
     ("period", "step"),
@@ -296,6 +299,7 @@ def test_time_limit_of_a_sampled_law(period, step, limit):
     np.testing.assert_allclose(flight.time, limit, rtol=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", [STEP, Adaptive()], ids=["fixed", "adaptive"])
 def test_time_limit_alone(solver):
     scenario = mars_scenario()
@@ -352,6 +356,7 @@ def sampled_flight():
     return fly_compiled(sampled_scenario(), FixedStep(0.25))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("interval", [0.5, 1.0, 4.0])
 def test_history_does_not_change_the_flight(interval, sampled_flight):
     """Intervals that divide the guidance period, equal it, and are multiples of it."""
@@ -495,6 +500,7 @@ assert any("float64 is off" in str(w.message) for w in caught), caught
 """
 
 
+@pytest.mark.slow
 def test_fly_warns_without_float64():
     """In a fresh process, where nothing has set it."""
     here = Path(__file__).parent

@@ -145,6 +145,7 @@ def given(planned):
     return lambda law: scenario_of(law, planned)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "law",
     [
@@ -245,6 +246,7 @@ def seen_on_the_way(leaves, scenario):
     return jnp.concatenate([states / size, controls, constraints / peak])
 
 
+@pytest.mark.slow
 def test_derivatives_of_all_that_a_history_shows():
     """Entry by entry; the first one is the start, which moves with the path angle only."""
     scenario = short()

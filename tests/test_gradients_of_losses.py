@@ -88,6 +88,7 @@ MODES = [True, pytest.param(False, marks=pytest.mark.slow)]
 """Forward, and reverse, which `test_tuning` has everyday with another loss"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BY_NAME)
 @pytest.mark.parametrize("forward", MODES)
 def test_gradient_of_a_named_loss_is_its_difference(name, forward):

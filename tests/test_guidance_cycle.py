@@ -143,6 +143,7 @@ def scenarios():
     return table
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("history", [None, pytest.param(20.0, marks=pytest.mark.slow)])
 def test_a_wrapper_that_forwards_all_is_the_identity(history):
     for name, scenario in scenarios().items():
@@ -151,6 +152,7 @@ def test_a_wrapper_that_forwards_all_is_the_identity(history):
         assert alone == inside, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("variant", "history"), [("stored", None), ("stored", 20.0), ("newton", None)]
 )

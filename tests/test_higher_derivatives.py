@@ -90,6 +90,7 @@ def test_the_toy_stops_within_its_cycles():
     assert 7 <= int(path.running.sum()) <= 9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("outer", MODES)
 @pytest.mark.parametrize("inner", MODES)
 @pytest.mark.parametrize("loop", LOOPS)
@@ -113,6 +114,7 @@ def test_third_derivatives_of_the_loop():
     )
 
 
+@pytest.mark.slow
 def test_second_derivatives_of_a_batch_of_loops():
     """Loops that stop after different numbers of cycles, side by side."""
     batch = Z[None] + jnp.outer(
@@ -177,6 +179,7 @@ def differences(f, x, step):
     return np.stack(columns, axis=-1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "order",
     [

@@ -175,6 +175,7 @@ def any_vehicle():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("atmosphere", "gravity"),
     [
@@ -254,6 +255,7 @@ def lander_with_drag_rise():
     return Vehicle(992.0, 16.0, aerodynamics=aerodynamics)
 
 
+@pytest.mark.slow
 def test_drag_is_tracked_in_any_atmosphere_with_any_aerodynamics():
     """With a table of the atmosphere, and lift and drag over the Mach number.
 

@@ -68,6 +68,7 @@ STATISTICS = {
 }
 
 
+@pytest.mark.slow
 def test_flights_that_are_not_finite_are_counted_and_left_out_of_both():
     _, finite = flown(THICK)
     assert flown(THIN)[1].all()

@@ -402,6 +402,7 @@ def test_a_corridor_about_a_destination_needs_one():
         fly(given, FixedStep(1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [FixedSide, lambda: VelocityReversals([5e3, 2e3])])
 def test_decisions_side_by_side_are_those_one_by_one(make):
     given = sampled(steady(make()))

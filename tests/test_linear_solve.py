@@ -90,6 +90,7 @@ def exact(p, b):
 JACOBIANS = {"forward": jax.jacfwd, "reverse": jax.jacrev}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", JACOBIANS)
 @pytest.mark.parametrize("second", JACOBIANS)
 def test_derivatives_of_places_and_right_hand_sides(solved, first, second):
@@ -109,6 +110,7 @@ def test_derivatives_of_places_and_right_hand_sides(solved, first, second):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batched", ["places", "right", "one place", "all", "nested"])
 @pytest.mark.parametrize("jacobian", ["none", *JACOBIANS])
 def test_batches(solved, batched, jacobian):

@@ -129,6 +129,7 @@ def test_runs_are_flown_in_the_order_that_is_asked_for(many):
     assert_same(fly(jax.random.key(3), np.array(wanted)), runs_of(many, wanted))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chunks", [1, 2])
 def test_runs_are_the_same_in_any_chunking(many, chunks, monkeypatch):
     monkeypatch.setattr(batch, "_CHUNKS", chunks)

@@ -120,6 +120,7 @@ def made_up(vehicles=40, each=6):
     return Samples(situations, final, flight, vehicle, to_go == length, left_out)
 
 
+@pytest.mark.slow
 def test_card_of_a_training(capsys):
     """What was left out, and the error at the entry, from the predictor itself."""
     samples = made_up()
@@ -168,6 +169,7 @@ def test_card_of_a_training(capsys):
         assert shown in printed
 
 
+@pytest.mark.slow
 def test_only_the_law_can_be_learnt():
     other = find_mission("mars-drag-tracking").scenario()
     with pytest.raises(ValueError, match="this needs BezierGuidance"):

@@ -38,6 +38,7 @@ def folder(tmp_path, monkeypatch):
     sys.modules.pop("copied_law", None)
 
 
+@pytest.mark.slow
 def test_its_law_commands_both_angles_and_its_attitude_lags(command, tmp_path):
     out = tmp_path / "flight.nc"
     words = ("--step", 1, "--history", 10, "--out", out)
@@ -70,6 +71,7 @@ def test_its_law_commands_both_angles_and_its_attitude_lags(command, tmp_path):
     }
 
 
+@pytest.mark.slow
 def test_it_is_flown_many_times_and_drawn(command, tmp_path):
     words = ("monte-carlo", OWN, "--step", 1, "--runs", 3)
     code, printed, said = command(*words)
@@ -99,6 +101,7 @@ def test_it_is_listed_and_shown(command):
     assert "guidance.slope" not in idle.split("dispersions:")[0]
 
 
+@pytest.mark.slow
 def test_changed_code_does_not_resume(command, folder):
     words = ("monte-carlo", "copied_mission.py", "--step", 1, "--no-figures")
     assert command(*words, "--runs", 1)[0] == 0

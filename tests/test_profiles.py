@@ -49,6 +49,7 @@ def exact(nodes):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("power", [1, 2])
 @pytest.mark.parametrize(("start", "end"), [(1.0, 3.0), (3.0, 1.0)])
 def test_a_table_has_its_quantities_at_its_nodes_and_between(start, end, power):

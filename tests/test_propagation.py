@@ -124,6 +124,7 @@ def test_factors_are_those_of_the_forces():
     assert downrange(lift.state) > downrange(nominal.state) > downrange(drag.state)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_end():
     """First and second, in both modes, against differences; also across steps."""
 
@@ -221,6 +222,7 @@ def test_a_mirrored_bank_flies_a_mirrored_crossrange():
     assert right[1] < -1e4
 
 
+@pytest.mark.slow
 def test_eastward_over_the_equator_space_is_the_plane():
     """Also over a rotating planet, lift up."""
     turning = with_leaf(MODEL, lambda m: m.planet.rotation_rate, 7e-5)
@@ -267,6 +269,7 @@ def in_the_air():
     return jax.tree.map(lambda x: x[70], history.states)
 
 
+@pytest.mark.slow
 def test_over_an_index_it_ends_where_it_does_over_time():
     """At the fourth order of the steps; what the drag has taken is the energy."""
     start, flight = in_the_air(), fly_compiled(SCENARIO, FixedStep(0.1))
@@ -428,6 +431,7 @@ def correcting() -> "eqx.Module":
     return dataclasses.replace(scenario, guidance=law)
 
 
+@pytest.mark.slow
 def test_a_law_that_predicts_and_corrects(key):
     """Cosine of a constant bank by two Newton steps every 2 s: the trial of 200 runs.
 

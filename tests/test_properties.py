@@ -170,6 +170,7 @@ def test_mirrored_bank_flies_the_mirrored_flight(rotation_rate):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "law",
     [bank_profile(), Sampled(bank_profile(), 4.0)],

@@ -119,6 +119,7 @@ def test_a_plain_number_deep_inside_is_refused():
         with_leaves(Inside({"a": jnp.ones(2), "b": [jnp.ones(()), 1.5]}))
 
 
+@pytest.mark.slow
 def test_a_plain_number_in_a_field_of_a_number_becomes_a_leaf():
     """As `tree_at` leaves it: the same flight, described by the same address."""
     where = lambda s: s.guidance.bank_angle

@@ -167,6 +167,7 @@ def test_flight_along_the_equator_is_flight_at_latitude_zero(rotation_rate, wind
 # What a flight keeps of its constraints.
 
 
+@pytest.mark.slow
 def test_constraints_of_a_flight_are_those_of_its_states():
     """At the angle of attack that is flown, over the air, with this planet's heat."""
     aerodynamics = PolynomialAerodynamics([0.1, 0.8], [0.4, 0.0, 0.9])

@@ -117,6 +117,7 @@ def scale_by_search(law, now, range_to_go, drag_factor):
     return 0.5 * (lower + upper)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drag_factor", [0.6, 0.9, 1.1, 1.7])
 @pytest.mark.parametrize(("second", "range_share"), [(70, 0.9), (70, 1.1), (150, 1.0)])
 def test_scale_is_that_of_the_profile_that_ends_at_the_target(
@@ -337,6 +338,7 @@ def test_range_flown_is_that_of_the_reference_from_its_gate_on():
         np.testing.assert_allclose(law.range_flown(now), downrange, atol=10.0)
 
 
+@pytest.mark.slow
 def test_scale_has_the_derivatives_of_differences():
     law = scenario().guidance
     state = state_at(nominal(), 100)
@@ -374,6 +376,7 @@ def dispersed():
     )
 
 
+@pytest.mark.slow
 def test_mirrored_scenario_flies_the_mirrored_flight():
     """Target to the left and first bank to the right; and all of it in a mirror."""
 
@@ -538,6 +541,7 @@ def check_campaigns(runs):
     assert few(abs(free.misses.crossrange) > 1 * km, 354)
 
 
+@pytest.mark.slow
 def test_campaigns_of_64_runs_keep_the_promise():
     check_campaigns(64)
 

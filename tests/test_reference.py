@@ -30,6 +30,7 @@ def tabulated(flight, power):
     return table, flight.interpolation_error(table, QUANTITIES, index)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("power", "least", "most"), [(1, 5e-3, 1e-2), (2, 0.0, 2e-7)])
 def test_the_error_of_a_table_is_stated(planned, power, least, most):
     """Of the drag, m/s2: the first of 2000 even intervals lasts 25 s of the entry."""

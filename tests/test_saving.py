@@ -41,6 +41,7 @@ def read_back(path, scenario):
     return overrides, apply_values(scenario, overrides.values)
 
 
+@pytest.mark.slow
 def test_what_is_saved_is_read_to_the_last_bit(tuned, tmp_path):
     path = tmp_path / "tuned.toml"
     tuned.save(path)

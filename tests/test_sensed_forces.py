@@ -125,6 +125,7 @@ def test_a_continuous_law_senses_the_forces_that_it_flies():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrapped", [False, True])
 def test_a_sampled_law_senses_the_angle_of_attack_that_is_held(wrapped):
     """The angle of attack may then depend on the drag: on that before the decision."""

@@ -29,6 +29,7 @@ def found(mode=None, outputs=misses):
     return sensitivity(cheap.scenario(), outputs, two, solver=cheap.SOLVER, mode=mode)
 
 
+@pytest.mark.slow
 def test_jacobian_matches_differences():
     result = found()
     for address, step in (
@@ -54,6 +55,7 @@ def _leaf(address):
     return float(getattr(getattr(cheap.scenario(), part), name))
 
 
+@pytest.mark.slow
 def test_modes_agree_and_values_are_those_of_the_flight():
     forward, reverse = found("forward"), found("reverse")
     here = miss_of(cheap.scenario())
@@ -76,6 +78,7 @@ def test_one_number_and_one_table():
     assert result.ended_by in cheap.scenario().termination.names
 
 
+@pytest.mark.slow
 def test_the_initial_state_is_the_default_without_what_has_no_effect():
     result = sensitivity(mars_scenario(), solver=cheap.SOLVER)
     addresses = list(result.jacobian["downrange"])
@@ -104,6 +107,7 @@ def test_a_flight_without_an_end_has_no_derivatives(where, value, message):
         sensitivity(scenario, misses, two, solver=cheap.SOLVER, mode="forward")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -192,6 +196,7 @@ def test_on_the_bend_of_two_end_conditions_both_are_needed():
     assert both < 0.8 * plain
 
 
+@pytest.mark.slow
 def test_spread_is_the_root_of_the_sum_of_squares_of_the_slopes():
     """Slopes per standard deviation, which the flown effects confirm below."""
     analysis = analysed(False)

@@ -143,6 +143,7 @@ PASSES = [
 ]
 
 
+@pytest.mark.slow
 def test_passes_over_a_pole_are_right_or_named():
     states = [over_the_pole(*each) for each in PASSES]
     flights = fly_all([scenario(state, density_scale=1e-30) for state in states])

@@ -142,6 +142,7 @@ def before_the_limit(seconds):
     return altitude + seconds / gap, velocity + slowing * seconds
 
 
+@pytest.mark.slow
 def test_ends_just_before_the_time_limit_are_reached():
     """The time limit is a condition too, and its margin closes at another rate."""
     seconds = np.geomspace(1e-6, 0.09, 400)
@@ -194,6 +195,7 @@ def shallow():
     return gradient(jnp.asarray(paths), jnp.asarray(drops))
 
 
+@pytest.mark.slow
 def test_reverse_mode_is_finite_in_flights_that_reached(shallow):
     (of_path, of_drop), flight = shallow
     reached = np.asarray(flight.outcome == Outcome.REACHED)

@@ -109,6 +109,7 @@ def fly_and_kill(where, stop, out):
     return reports
 
 
+@pytest.mark.slow
 def test_a_killed_campaign_is_resumed_to_the_same_numbers(tmp_path, whole, small_parts):
     """Killed after a report, again within a part, and resumed twice by the same call."""
     out = tmp_path / "campaign"
@@ -155,6 +156,7 @@ def test_a_stored_campaign_is_not_flown_again(tmp_path, small_parts):
     assert written(tmp_path / parts(tmp_path)[0]) == before
 
 
+@pytest.mark.slow
 def test_more_runs_are_added(tmp_path, whole):
     for runs in (5, LANES, RUNS):
         cheap.campaign(tmp_path, runs)
@@ -397,6 +399,7 @@ CHANGED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", CHANGED.values(), ids=CHANGED)
 def test_a_part_that_is_damaged_is_named_and_mended(copy, stored, change):
     out, path = copy
@@ -581,6 +584,7 @@ def test_given_inputs_are_stored(tmp_path, whole):
     xarray.testing.assert_identical(open_campaign(tmp_path).drop_attrs(), three)
 
 
+@pytest.mark.slow
 def test_histories_are_stored(tmp_path):
     cheap.campaign(tmp_path, 3, history=20.0)
     results = open_campaign(tmp_path)

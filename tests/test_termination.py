@@ -137,6 +137,7 @@ def times_and_slopes(ends, numbers):
     return flights, slopes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("upwards", [True, False], ids=["up", "down"])
 def test_arcs_end_where_kepler_has_them_end(upwards):
     names, flights, _ = flown(upwards)

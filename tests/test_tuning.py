@@ -109,6 +109,7 @@ def tuned(optimizer="L-BFGS", where=bank, loss=LOSS, table=None, start=None, **o
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OPTIMIZERS)
 def test_the_best_bank_is_found(name):
     """Up to what the mean of the dispersed flights differs from the nominal."""
@@ -129,6 +130,7 @@ def test_all_optimizers_end_at_the_same_point():
     assert ends[0] == pytest.approx(ends[1], abs=2e-3)  # adam creeps
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OPTIMIZERS)
 def test_resumed_as_if_never_stopped(name, tmp_path):
     """In history and result, and the finished run flies nothing more."""
@@ -238,6 +240,7 @@ def test_flights_that_fail_do_not_poison_the_gradient(forward):
 ADDRESS = "guidance.bank_angle"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -367,6 +370,7 @@ def test_a_gradient_that_a_difference_contradicts_is_warned_of(tmp_path):
     assert smooth.remarks == ()
 
 
+@pytest.mark.slow
 def test_differences_see_the_jumps():
     """Twice the gradient that the derivatives have; and no one warns."""
     result = tuned(start=stepped(), gradient=CentralDifferences(), steps=25)
@@ -387,6 +391,7 @@ def test_differences_agree_with_derivatives_where_nothing_jumps():
     assert first.gradient_shares == exact.gradient_shares == {ADDRESS: 1.0}
 
 
+@pytest.mark.slow
 def test_a_start_next_to_a_bound_is_warned_of():
     bounds = Bounds(50 * degree - 1e-5, 60 * degree)
     with pytest.warns(UserWarning, match="starts within 0.0057 % of one of its bounds"):
@@ -442,6 +447,7 @@ def twice_as_far(scenario):
     )
 
 
+@pytest.mark.slow
 def test_a_surrogate_is_followed_and_the_exact_law_judges():
     result = tuned(
         "adam", steps=8, gradient=AutomaticDifferentiation(surrogate=twice_as_far)
@@ -504,6 +510,7 @@ def twice(parameters):
     return with_leaf(scenario(), bank, 2.0 * parameters["half"])
 
 
+@pytest.mark.slow
 def test_a_build_is_tuned_as_its_leaf_is():
     """Of twice a number, each being its own scale: the same points but for rounding."""
     result, direct = tuned(start=HALF, where=None, build=twice), tuned()
@@ -569,6 +576,7 @@ def nose_first(parameters):
     return with_leaf(twice(parameters), lambda s: s.vehicle.nose_radius, radius)
 
 
+@pytest.mark.slow
 def test_a_point_that_cannot_be_flown_is_turned_back_from():
     """Though its flights would be finite."""
     result = tuned(start=HALF, where=None, build=nose_first, steps=8)
@@ -609,6 +617,7 @@ def planned_anew(parameters):
     return eqx.tree_at(lambda s: s.guidance.cos_bank, mars_scenario(), profile)
 
 
+@pytest.mark.slow
 def test_training_and_judgement_measure_the_same():
     """On the same draws they agree; also where the entry point itself is tuned."""
     result = tuned(where=three, steps=3)

@@ -56,6 +56,7 @@ def situation(law, velocity=7500.0, lift=1.0, drag=1.0, second=None):
     return Situation(point, start.velocity, shape, law.target(), factors)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_prediction_converges(name):
     law = LAWS[name]
@@ -93,6 +94,7 @@ def test_lift_and_drag_act_as_they_should():
     assert velocity[3] >= velocity[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LAWS)
 def test_derivative_in_the_shape_is_that_of_differences(name):
     law = LAWS[name]
@@ -133,6 +135,7 @@ def test_the_curve_at_a_new_anchor(rule):
     assert float(again.k2) == pytest.approx(0.7, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_newton_brings_the_prediction_to_the_wanted_velocity():
     law = LAWS["subdivision"]
     control = NewtonAdjustment(2700.0, FlownModel(), Epochs(every=10), iterations=4)
@@ -153,6 +156,7 @@ def test_newton_brings_the_prediction_to_the_wanted_velocity():
         assert (float(made.asked), float(made.unanswered)) == (0.0, 0.0)
 
 
+@pytest.mark.slow
 def test_newton_stays_within_the_bounds():
     law = LAWS["subdivision"]
     control = NewtonAdjustment(500.0, FlownModel(8), Epochs(every=1), iterations=6)
@@ -163,6 +167,7 @@ def test_newton_stays_within_the_bounds():
     assert float(lower) <= float(moved.second) <= float(upper)
 
 
+@pytest.mark.slow
 def test_a_prediction_that_is_not_finite_leaves_the_curve():
     """From an entry at -0.2 deg no curve with these parameters stays in the air."""
     law = LAWS["stored"]
