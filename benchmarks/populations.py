@@ -181,6 +181,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/populations"))
     parser.add_argument("--save", action="store_true", help=f"to {SAVED.name}")
     options = parser.parse_args()
+    if options.save and (options.only or options.sets != SETS or options.seed != 0):
+        parser.error("--save is for all variants, in 16 sets of seed 0")
     jentry.setup()
     mission, size = options.mission, RUNS[options.mission]
     statistics = statistics_of(mission)
