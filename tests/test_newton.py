@@ -65,8 +65,10 @@ def test_where_there_is_no_answer_x_stays():
     ],
 )
 def test_what_is_lost_is_nan_to_the_end(function, start):
-    for steps in (2, 3):
-        found = newton(by_jvp(function), one(start), steps, nan_where_lost=True)
+    for steps, bounds in ((2, {}), (3, {"lower": -10.0, "upper": 10.0})):
+        found = newton(
+            by_jvp(function), one(start), steps, nan_where_lost=True, **bounds
+        )
         assert np.isnan(found.x) and not bool(found.known)
     kept = newton(by_jvp(lambda x: x * x - 2.0), one(1.0), 3, nan_where_lost=True)
     assert float(kept.x) == pytest.approx(577 / 408, rel=1e-15) and bool(kept.known)
