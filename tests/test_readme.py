@@ -106,11 +106,11 @@ def test_nominal_downrange_errors_of_the_mars_mission():
         errors[variant] = float(misses(scenario, fly_compiled(scenario)).downrange)
     printed = paper["nominal_errors"]
     assert_says(
-        "-0.7 m (paper 4.75 m)",
+        "-0.5 m (paper 4.75 m)",
         errors["state-feedback"],
         1e3 * printed["state_feedback"],
     )
-    text = "-4.0 m (paper 72 m)"
+    text = "0.4 m (paper 72 m)"
     assert_says(text, errors["observer-feedback"], 1e3 * printed["observer"])
     assert abs(errors["time-index"]) < 1e-3 and "`time-index` below 1 mm" in README
 
