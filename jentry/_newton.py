@@ -61,8 +61,8 @@ def newton(
       lower bound to a negative one at the upper bound. The bounds then close in on the
       zero, and a step that would leave them goes to the middle between them.
     - `unroll`: write the steps out, in place of a loop that compiles once.
-    - `nan_where_lost`: x becomes NaN, and stays so, where otherwise it stays. A loop that
-      carries x alone is a quarter of the operations of one that carries `known` as well.
+    - `nan_where_lost`: x becomes NaN, and stays so, where otherwise it stays: for an inner
+      loop, which then carries x alone.
     """
     if falls and nan_where_lost:
         raise ValueError("falls=True has bounds that close in: it is not lost")

@@ -117,8 +117,9 @@ def units_of(kind: type) -> dict[str, str]:
         if "unit" in field.metadata
     }
     for name, member in vars(kind).items():
-        if isinstance(member, property) and hasattr(member.fget, "unit"):
-            found[name] = getattr(member.fget, "unit")  # noqa: B009
+        if isinstance(member, property):
+            unit = getattr(member.fget, "unit", None)
+            found |= {} if unit is None else {name: unit}
     return found
 
 
