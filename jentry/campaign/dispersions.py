@@ -32,7 +32,7 @@ class AbstractDistribution(eqx.Module):
 
     @abstractmethod
     def sample(self, key: Key[Array, ""]) -> Scalar:
-        """One draw."""
+        """Draw one number."""
 
     @abstractmethod
     def moments(self) -> tuple[Scalar, Scalar]:
@@ -40,7 +40,7 @@ class AbstractDistribution(eqx.Module):
 
     @abstractmethod
     def scaled(self, factor: Scalar | float) -> "AbstractDistribution":
-        """This distribution about the same mean, so many times as wide."""
+        """The distribution about the same mean that is `factor` times as wide."""
 
 
 class Normal(AbstractDistribution):
@@ -82,7 +82,7 @@ class Uniform(AbstractDistribution):
 
 
 class Constant(AbstractDistribution):
-    """Always the same: what belongs to a table of dispersions without being drawn."""
+    """A number that is always the same, for a table of dispersions without a draw."""
 
     value: Scalar = scalar()
 
@@ -109,7 +109,7 @@ class TruncatedNormal(AbstractDistribution):
     upper: Scalar = scalar()
 
     def in_deviations(self) -> tuple[Scalar, Scalar]:
-        """The bounds, counted from the mean in standard deviations."""
+        """The two bounds, counted from the mean in standard deviations."""
         lower = (self.lower - self.mean) / self.standard_deviation
         upper = (self.upper - self.mean) / self.standard_deviation
         return lower, upper
@@ -200,7 +200,7 @@ Inputs = dict[str, Scalar]
 
 
 MOST_RUNS = 2**32
-"""Indices of runs that draw apart: a key takes 32 bits of one."""
+"""Number of runs that draw apart: a key takes 32 bits of the index of a run."""
 
 
 def key_of(seed: int) -> Key[Array, ""]:
@@ -309,7 +309,7 @@ def unit_of_draw(
     addresses: Iterable[str],
     apply: Callable[[Scalar, Scalar], Scalar],
 ) -> str:
-    """Unit of what is drawn: that of the leaves, or of a factor on them.
+    """Unit of what a dispersion draws: that of its leaves, or of a factor on them.
 
     Raises `ValueError` for a draw that takes the place of leaves in different units.
     """
