@@ -101,7 +101,7 @@ def cycle(
     """Before and after a decision, the forces being so many times those expected."""
     state = at() if state is None else state
     angle = number(0.23)
-    _, before = law.init(Measurement(state, number(1.0), number(1.0), number(0.0)))
+    _, before = law.init(Measurement(state, number(1.0), number(1.0), *2 * [number(0.0)]))
     before = eqx.tree_at(
         lambda d: (
             d.controls.angle_of_attack,
@@ -113,7 +113,7 @@ def cycle(
         (angle, number(count), number(duration), number(second)),
     )
     forces = expected_forces(state, angle)
-    measurement = Measurement(state, lift * forces[0], drag * forces[1], number(0.0))
+    measurement = Measurement(state, lift * forces[0], drag * forces[1], *2 * [number(0.0)])
     return before, decided(law, measurement, before)
 
 
@@ -135,7 +135,7 @@ def test_a_memory_forgets_by_the_duration_of_the_cycle():
     known = FactorEstimate(Factors(1.2, 0.9), number(40.0), number(7.0))
     held = eqx.tree_at(lambda d: d.estimate, before, known)
     after = decided(
-        law, Measurement(state, number(lift), number(drag), number(0.0)), held
+        law, Measurement(state, number(lift), number(drag), *2 * [number(0.0)]), held
     )
     kept = np.exp(-0.1 / 2.0)
     for name, force, factor, weight in (
@@ -243,7 +243,7 @@ def test_the_command_is_frozen_just_before_the_target(seconds, frozen):
 
 
 def test_before_the_first_cycle_it_flies_level_at_trim():
-    _, held = LAW.init(Measurement(at(), number(3.0), number(2.0), number(0.0)))
+    _, held = LAW.init(Measurement(at(), number(3.0), number(2.0), *2 * [number(0.0)]))
     assert float(held.controls.angle_of_attack) == pytest.approx(10 * degree)
     assert float(held.controls.cos_bank) == 1.0 and float(held.controls.sin_bank) == 0.0
     assert float(held.duration) == 1.0 and float(held.count) == 0.0
@@ -402,7 +402,7 @@ def commanded_below(**kept):
     """With the forces that the model expects at trim."""
     state = at()
     forces = expected_forces(state, VEHICLE.trim_angle_of_attack)
-    told = Measurement(state, *forces, number(0.0), kept)
+    told = Measurement(state, *forces, *2 * [number(0.0)], kept)
     _, before = LAW.init(told)
     return decided(LAW, told, before).controls
 

@@ -144,7 +144,7 @@ def test_the_polynomial_gives_back_the_k2_that_was_flown():
     law = MISSION.scenario("adjusted-once").guidance
     control = law.velocity_control
     start = stored().initial_state
-    _, held = law.init(Measurement(start, *3 * [jnp.asarray(0.0)]))
+    _, held = law.init(Measurement(start, *4 * [jnp.asarray(0.0)]))
 
     @jax.jit
     def reached(k2):

@@ -186,7 +186,7 @@ class Asking(AbstractContinuousLaw[None]):
 def at_start(law, **changes) -> Controls:
     """What a law commands at the entry."""
     one = jnp.asarray(1.0)
-    measurement = Measurement(mars_entry(), one, one, 0.07 * one)
+    measurement = Measurement(mars_entry(), one, one, 0.07 * one, 0.07 * one)
     for name, value in changes.items():
         measurement = with_leaf(measurement, lambda m, n=name: getattr(m, n), value)
     return commanded(law, 0.0 * one, measurement, *begun(law, measurement))[0]

@@ -122,7 +122,7 @@ def test_rates_are_those_expanded_by_hand(index, by_hand, key):
     def both(state):
         zero = 0.0 * state.altitude
         drag = 1.3 * air_data(planet, vehicle, state, zero).drag
-        measurement = Measurement(state, 0.4 * drag, drag, zero)
+        measurement = Measurement(state, 0.4 * drag, drag, zero, zero)
         rate = drag_dynamics(model, measurement, zero).rate
         found = index_motion(index, zero, measurement, model, zero, rate)
         lift = 0.18 * drag
@@ -148,7 +148,7 @@ def test_drag_dynamics_are_equations_8_9_and_11(key):
     def both(state):
         zero = 0.0 * state.altitude
         drag = 1.3 * air_data(planet, vehicle, state, zero).drag
-        measurement = Measurement(state, drag, drag, zero)
+        measurement = Measurement(state, drag, drag, zero, zero)
         lift = 0.18 * drag
         flow = sensed_flow(model, zero)
         found = twice_along(flow, lambda p: p.drag, measurement, zero, lift)

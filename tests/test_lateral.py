@@ -129,7 +129,7 @@ TIME = jnp.asarray(3.0)
 
 def seen(state: EntryState) -> Measurement:
     one = jnp.asarray(1.0)
-    return Measurement(state, one, one, 0.0 * one)
+    return Measurement(state, one, one, 0.0 * one, 0.0 * one)
 
 
 def at_speed(velocity) -> Measurement:

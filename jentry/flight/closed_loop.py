@@ -117,15 +117,16 @@ def sense(
 
 
 def _acting(scenario: Scenario, flown: Scalar, moving: Moving, held: Any) -> Traced:
-    """The command of the law, and the rate of its memory, over the sensed forces."""
+    """The command of the law and the rate of its memory, over what is sensed: lift, drag,
+    and the angle of attack at which they are."""
     state, memory = moving.state, moving.memory
     trim = scenario.vehicle.trim_angle_of_attack
 
-    def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
-        measurement = Measurement(state, lift, drag, trim, scenario.constraints)
+    def act(lift: Scalar, drag: Scalar, angle: Scalar) -> tuple[Controls, Any]:
+        measurement = Measurement(state, lift, drag, angle, trim, scenario.constraints)
         return commanded(scenario.guidance, flown, measurement, memory, held)
 
-    return Traced(act, state.altitude, state.altitude)
+    return Traced(act, *3 * [state.altitude])
 
 
 def _sensed(
@@ -183,12 +184,12 @@ def first_measurement(scenario: Scenario) -> Measurement:
     law, state = scenario.guidance, scenario.initial_state
     trim = scenario.vehicle.trim_angle_of_attack
 
-    def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
-        measurement = Measurement(state, lift, drag, trim, scenario.constraints)
+    def act(lift: Scalar, drag: Scalar, angle: Scalar) -> tuple[Controls, Any]:
+        measurement = Measurement(state, lift, drag, angle, trim, scenario.constraints)
         begin = begun(law, measurement)
         return commanded(law, 0.0 * state.altitude, measurement, *begin)
 
-    acting = Traced(act, state.altitude, state.altitude)
+    acting = Traced(act, *3 * [state.altitude])
     angle = acting.independent(lambda out: out[0].angle_of_attack)
     if angle is None:
         angle = trim
@@ -247,7 +248,7 @@ def command(
     """What the law commands, and the rate of its memory."""
     acting = _acting(scenario, flown, moving, held)
     measurement = _sensed(scenario, moving, acting)
-    return acting(measurement.lift, measurement.drag)
+    return acting(measurement.lift, measurement.drag, measurement.angle_of_attack)
 
 
 def caveats(scenario: Scenario, held: Any) -> dict[str, Scalar]:

@@ -313,9 +313,11 @@ def reads_forces_between_cycles(law: AbstractLaw, state: EntryState) -> bool:
     if isinstance(law, AbstractContinuousLaw):
         return True
     force = 0.0 * state.altitude
-    before = begun(law, Measurement(state, force, force, force))
+    before = begun(law, Measurement(state, *4 * [force]))
 
     def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
-        return commanded(law, force, Measurement(state, lift, drag, force), *before)
+        return commanded(
+            law, force, Measurement(state, lift, drag, force, force), *before
+        )
 
     return Traced(act, force, force).depends()

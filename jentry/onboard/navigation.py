@@ -22,6 +22,8 @@ class Measurement(eqx.Module):
     """Sensed specific force across the relative wind, m/s2"""
     drag: Scalar
     """Sensed specific force along the relative wind, m/s2"""
+    angle_of_attack: Scalar
+    """Angle of attack that is flown, at which the forces are sensed, rad"""
     trim_angle_of_attack: Scalar
     """Angle of attack at which the vehicle flies where its law leaves it alone, rad"""
     constraints: Constraints = eqx.field(default_factory=dict)
@@ -99,4 +101,4 @@ def measure(
     air = air_data(planet, vehicle, state, angle_of_attack)
     lift, drag = accelerometers.read(air, sampled_at)
     trim = vehicle.trim_angle_of_attack
-    return Measurement(state, lift, drag, trim, constraints or {})
+    return Measurement(state, lift, drag, angle_of_attack, trim, constraints or {})
