@@ -20,7 +20,13 @@ from jentry.guidance import (
     SmoothReversals,
 )
 from jentry.guidance.switching import AbstractSwitching, shares_reversals
-from jentry.motion import Controls, IdealAttitude, Response, SecondOrderAttitude
+from jentry.motion import (
+    Controls,
+    EquatorialDynamics,
+    IdealAttitude,
+    Response,
+    SecondOrderAttitude,
+)
 
 
 class Raw(AbstractContinuousLaw[None]):
@@ -93,13 +99,14 @@ def test_which_laws_share_reversals_out():
     assert shares_reversals(smooth) and shares_reversals(Sampled(smooth, 1.0))
 
 
+@pytest.mark.parametrize("begin", [20.0, 20.2, 20.4999])
 @pytest.mark.parametrize("solver", [FixedStep(0.5), Adaptive(1e-6)])
-def test_a_flight_stops_where_its_command_is_no_bank_any_more(solver):
-    law = Raw(0.6, 0.9, start=20.0)
+def test_a_flight_stops_where_its_command_is_no_bank_any_more(solver, begin):
+    law = Raw(0.6, 0.9, start=begin)
     flight = fly_compiled(flying(law), solver, None)
     assert int(flight.outcome) == Outcome.NOT_A_BANK
     # By the step, or the guidance cycle of the adaptive solver.
-    assert 18.5 <= float(flight.time) <= 20.0
+    assert 18.5 <= float(flight.time) <= begin
     assert np.isfinite(float(flight.state.altitude))
 
 
@@ -111,6 +118,14 @@ def test_it_is_the_command_that_is_looked_at(attitude):
     chosen = IdealAttitude() if attitude == "ideal" else lagging
     flight = fly_compiled(flying(Raw(0.8, 0.8), attitude=chosen), FixedStep(0.5))
     assert int(flight.outcome) == Outcome.NOT_A_BANK
+
+
+def test_in_the_plane_of_the_equator_as_well():
+    """There nobody reads the sine."""
+    given = flying(Raw(0.6, 0.9), dynamics=EquatorialDynamics())
+    start = dataclasses.replace(given.initial_state, latitude=0.0, heading=np.pi / 2.0)
+    given = dataclasses.replace(given, initial_state=start)
+    assert int(fly_compiled(given, FixedStep(0.5)).outcome) == Outcome.NOT_A_BANK
 
 
 def test_one_such_flight_leaves_the_others_of_a_batch():

@@ -49,8 +49,8 @@ class Moving(eqx.Module):
     integrals: Mapping[str, Scalar] = eqx.field(default_factory=dict)
     """Values of the path constraints that are integrals, by name"""
     off_a_bank: Scalar | None = None
-    """Integral over what was commanded: zero as long as that was a bank. None where
-    nobody asks"""
+    """Integral over what was commanded: zero as long as that was a bank. None while the
+    flight goes on: there what is no bank is flown as NaN, which costs less and stops it"""
 
 
 class Instant(eqx.Module):
@@ -207,7 +207,7 @@ def start(scenario: Scenario, step: float) -> Lane:
     first, _ = commanded(scenario.guidance, flown, measurement, memory, held)
     integrals = {n: jnp.zeros_like(flown) for n in integrals_of(scenario.constraints)}
     attitude = scenario.attitude.init(first)
-    moving = Moving(state, attitude, memory, integrals, jnp.zeros_like(flown))
+    moving = Moving(state, attitude, memory, integrals)
     peaks = path_constraints(scenario, flown, moving, held)
     first_instant = lax.stop_gradient(Instant(flown, state))
     at_peaks = {name: first_instant for name in scenario.located_peaks}
@@ -264,13 +264,15 @@ def vector_field(scenario: Scenario, held: Any):
 
     def field(flown: Scalar, moving: Moving) -> Moving:
         wish, memory_rate = command(scenario, flown, moving, held)
+        # In each stage, since there the command is known.
+        off = wish.off_a_bank(shared)
+        if moving.off_a_bank is None:
+            wish, off = wish.unless(off > 0.0), None
         controls = attitude.flown(moving.attitude, wish)
         planet, vehicle = scenario.planet, scenario.vehicle
         rate = dynamics.rates(planet, vehicle, moving.state, controls)
         integrands = _integrands(scenario, moving, controls)
         turning = attitude.rate(moving.attitude, wish)
-        # In each stage, since there the command is known.
-        off = None if moving.off_a_bank is None else wish.off_a_bank(shared)
         return Moving(rate, turning, memory_rate, integrands, off)
 
     return field

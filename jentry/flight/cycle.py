@@ -10,13 +10,12 @@ import optimistix
 from jax import lax
 
 from .._setup import fast_options_are_on
-from ..fields import Count, Flag, Scalar
+from ..fields import Flag, Scalar
 from ..guidance.cycle import FixedCycle
 from ..guidance.law import AbstractLaw, AbstractSampledLaw
 from .closed_loop import (
     Bracket,
     Lane,
-    Moving,
     decide,
     guidance_period,
     is_finite,
@@ -206,7 +205,7 @@ def _fixed_cycle(
         finite = is_finite(moving)
         taken = lane.running & finite & (margin > 0.0)
         singular = dynamics.is_singular(lane.state, moving.state)
-        stopped = _stopped(lane, taken, singular, moving)
+        stopped = jnp.where(taken & singular, Outcome.SINGULAR, lane.stopped)
         taken = taken & (stopped < 0)
         flown, moving, peaks, at_peaks = select(
             taken,
@@ -222,14 +221,6 @@ def _fixed_cycle(
         return Lane(*after), None
 
     return lax.scan(step, lane, None, length=steps)[0]
-
-
-def _stopped(lane: Lane, going: Flag, singular: Flag, moving: Moving) -> Count:
-    """Code of what stops a flight in a step that it would take otherwise; else -1."""
-    stop = jnp.where(singular, Outcome.SINGULAR, -1)
-    assert moving.off_a_bank is not None
-    stop = jnp.where(moving.off_a_bank > 0.0, Outcome.NOT_A_BANK, stop)
-    return jnp.where(going, stop, lane.stopped)
 
 
 def _next_trial(
@@ -310,7 +301,7 @@ def _adaptive_cycle(
     going = lane.running & good & is_finite(moving)
     now = path_constraints(scenario, after, moving, lane.held)
     singular = scenario.dynamics.is_beyond(moving.state)
-    stopped = _stopped(lane, going, singular, moving)
+    stopped = jnp.where(going & singular, Outcome.SINGULAR, lane.stopped)
     going = going & (stopped < 0)
     peaks, at_peaks = raised(lane, after, moving, now)
     flown, moving, peaks, at_peaks = select(

@@ -1,5 +1,6 @@
 """The end of a flight: the last correction to it, its derivative, and its outcome."""
 
+import dataclasses
 import functools
 
 import equinox as eqx
@@ -8,7 +9,14 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..fields import Count
-from .closed_loop import Lane, is_finite, path_constraints, raised, vector_field
+from .closed_loop import (
+    Lane,
+    is_finite,
+    path_constraints,
+    raised,
+    select,
+    vector_field,
+)
 from .scenario import Scenario
 from .termination import Outcome
 
@@ -40,9 +48,13 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     The loop stops close to it, at a time that is not differentiated. The rest is Newton's
     method along the flow, which is: it moves nothing but the last digits, and gives time
     and state at the end their derivatives, up to the fourth order.
+
+    Where the loop stopped for numbers that are not finite its last step is tried again, to
+    see whether that was for a command that is no bank.
     """
     conditions = scenario.termination
     field = vector_field(scenario, lane.held)
+    asking = dataclasses.replace(lane.moving, off_a_bank=jnp.zeros_like(lane.flown))
     counting = conditions.counting(lane.flown, lane.state)
 
     def land(landing, _):
@@ -72,10 +84,11 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
             ended_by = jnp.where(unknown, jnp.argmin(seconds_left), ended_by)
             near = seconds_left[ended_by] < _TIME_TOLERANCE
             met = jnp.where(unknown, near, met)
+            again = jnp.where(unknown & ~met & (lane.stopped < 0), tried, 0.0)
 
             moves = met & (flown > 0.0)
             closing = jnp.where(moves, closing[ended_by], 1.0)
-            newton = jnp.where(moves, -margins[ended_by] / closing, 0.0)
+            newton = jnp.where(moves, -margins[ended_by] / closing, again)
             correction = jnp.where(first, newton, correction)
             length = weight * correction
             total = jax.tree.map(lambda y, k: y + length * k, total, slope)
@@ -88,9 +101,13 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
         return (flown + correction, y, ended_by, met), None
 
     unknown = jnp.full_like(lane.running, -1, int), jnp.zeros_like(lane.running)
-    landing = lane.flown, lane.moving, *unknown
+    tried = lax.stop_gradient(lane.bracket.trial)
+    landing = lane.flown, asking, *unknown
     landing, _ = lax.scan(land, landing, length=_LANDINGS)
     flown, moving, ended_by, met = landing
+    off_a_bank = ~met & (moving.off_a_bank > 0.0)
+    moving = dataclasses.replace(moving, off_a_bank=None)
+    flown, moving = select(met, (flown, moving), (lane.flown, lane.moving))
     now = path_constraints(scenario, flown, moving, lane.held)
     peaks, at_peaks = raised(lane, flown, moving, now)
     ended = Lane(
@@ -107,7 +124,8 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     at_stop = conditions.margins(lane.flown, lane.state)
     beyond = (lane.flown == 0.0) & (at_stop[ended_by] <= 0.0)
     outcome = jnp.where(beyond, Outcome.BEGAN_BEYOND_END, outcome)
-    outcome = jnp.where(met, outcome, Outcome.NOT_FINITE)
+    lost = jnp.where(off_a_bank, Outcome.NOT_A_BANK, Outcome.NOT_FINITE)
+    outcome = jnp.where(met, outcome, lost)
     outcome = jnp.where(lane.stopped < 0, outcome, lane.stopped)
     finite = is_finite((flown, moving, peaks))
     outcome = jnp.where(finite, outcome, Outcome.NOT_FINITE)

@@ -6,7 +6,7 @@ from jax import lax
 
 from .._math import safe_arccos, sincos
 from .._printed import as_text
-from ..fields import ABOVE_GROUND, QUARTER, Scalar, in_unit, scalar
+from ..fields import ABOVE_GROUND, QUARTER, Flag, Scalar, in_unit, scalar
 
 
 _ROUNDING = 1e-9
@@ -64,6 +64,14 @@ class Controls(eqx.Module):
         rounding = max(_ROUNDING, 32.0 * float(jnp.finfo(jnp.result_type(excess)).eps))
         off = excess if shares_reversals else jnp.abs(excess)
         return lax.stop_gradient(jnp.where(off > rounding, off, 0.0))
+
+    def unless(self, wrong: Flag) -> "Controls":
+        """These controls; where they are wrong their cosine of the bank is NaN.
+
+        Every motion and every attitude reads the cosine.
+        """
+        cosine = jnp.where(wrong, jnp.nan, self.cos_bank)
+        return Controls(self.angle_of_attack, cosine, self.sin_bank)
 
     @property
     @in_unit("rad")
