@@ -101,7 +101,9 @@ def cycle(
     """Before and after a decision, the forces being so many times those expected."""
     state = at() if state is None else state
     angle = number(0.23)
-    _, before = law.init(Measurement(state, number(1.0), number(1.0), *2 * [number(0.0)]))
+    _, before = law.init(
+        Measurement(state, number(1.0), number(1.0), *2 * [number(0.0)])
+    )
     before = eqx.tree_at(
         lambda d: (
             d.controls.angle_of_attack,
@@ -113,7 +115,9 @@ def cycle(
         (angle, number(count), number(duration), number(second)),
     )
     forces = expected_forces(state, angle)
-    measurement = Measurement(state, lift * forces[0], drag * forces[1], *2 * [number(0.0)])
+    measurement = Measurement(
+        state, lift * forces[0], drag * forces[1], *2 * [number(0.0)]
+    )
     return before, decided(law, measurement, before)
 
 

@@ -45,7 +45,8 @@ def misses(scenario: Scenario, flight: Flight) -> Misses:
     not have an end (`has_end(flight.outcome)`) say nothing.
     """
     target, end = scenario.target, flight.state
-    downrange, crossrange = ground_track(scenario.planet, scenario.initial_state, end)
+    origin = scenario.initial_state if target.origin is None else target.origin
+    downrange, crossrange = ground_track(scenario.planet, origin, end)
     circumference = 2.0 * jnp.pi * scenario.planet.radius
     return Misses(
         downrange=_nearest(downrange - target.downrange, circumference),

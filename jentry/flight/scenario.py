@@ -53,6 +53,9 @@ class Target(eqx.Module):
     """Desired flight-path angle; None where any will do"""
     heading: Scalar | None = optional_scalar(unit="rad")
     """Desired heading; None where any will do"""
+    origin: EntryState | None = None
+    """Place and heading from which downrange and crossrange are counted; None for those of
+    the initial state. Give it where the initial state is one that is off its reference"""
 
     __str__ = as_text
 

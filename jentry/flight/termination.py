@@ -9,8 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..fields import Scalar, scalar
+from ..motion.quantities import energy
 from ..motion.state import EntryState
 from ..onboard.track import Track
+from ..world.planet import Planet
 
 
 class Outcome(enum.IntEnum):
@@ -123,6 +125,18 @@ class VelocityAbove(AbstractEndCondition):
 
     def margin(self, state: EntryState) -> Scalar:
         return self.velocity - state.velocity
+
+
+class EnergyBelow(AbstractEndCondition):
+    """Ends when the energy has fallen to a value: V^2/2 and the potential of a planet."""
+
+    energy: Scalar = scalar(unit="J/kg")
+    planet: Planet = eqx.field(kw_only=True)
+    """Of which radius and gravity count"""
+    outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
+
+    def margin(self, state: EntryState) -> Scalar:
+        return energy(self.planet, state) - self.energy
 
 
 class Apoapsis(AbstractEndCondition):

@@ -1,13 +1,15 @@
-"""Flying a bank profile without feedback."""
+"""Flying profiles of the controls without feedback."""
 
 import jax.numpy as jnp
 
 from ..fields import Scalar, optional_scalar
+from ..motion.index import AbstractIndex
 from ..motion.state import Controls
 from ..onboard.navigation import Measurement
 from ..onboard.profiles import AbstractProfile
+from ..world.planet import Planet
 from .lateral import AbstractLateralLogic, FixedSide
-from .law import AbstractBankLaw
+from .law import AbstractBankLaw, AbstractContinuousLaw
 
 
 class BankProfile(AbstractBankLaw[None]):
@@ -43,3 +45,24 @@ def vertical_lift_command(cos_bank: Scalar, angle_of_attack: Scalar) -> Controls
     inside = jnp.abs(clipped) < 1.0
     sine = jnp.sqrt(jnp.where(inside, 1.0 - clipped * clipped, 1.0))
     return Controls(angle_of_attack, clipped, jnp.where(inside, sine, 0.0))
+
+
+class ControlProfiles(AbstractContinuousLaw[None]):
+    """Angle of attack and signed bank as functions of an index, such as the energy."""
+
+    index: AbstractIndex
+    planet: Planet
+    """Of which the index is one, as that of an onboard model"""
+    angle_of_attack: AbstractProfile
+    """rad, over the index"""
+    bank: AbstractProfile
+    """rad, over the index; positive to the right"""
+
+    def init(self, measurement: Measurement) -> None:
+        return None
+
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: None
+    ) -> tuple[Controls, None]:
+        here = self.index.value(self.planet, time, measurement.state)
+        return Controls.from_bank(self.bank(here), self.angle_of_attack(here)), None

@@ -4,10 +4,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from .._newton import by_jvp, newton
 from ..fields import Scalar
 from ..motion.state import EntryState
+from ..world.aerodynamics import AbstractInvertibleAerodynamics
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
+
+
+_INVERSIONS = 5
+"""Newton steps for the angle of attack; a lift that is linear in it takes one"""
 
 
 class OnboardModel(eqx.Module):
@@ -49,6 +55,30 @@ class OnboardModel(eqx.Module):
         _, drag = self._coefficients(state, angle_of_attack)
         density = self.planet.density(state.altitude)
         return jnp.log(density) + 2.0 * jnp.log(state.velocity) + jnp.log(drag)
+
+    def angle_of_attack_for(
+        self, state: EntryState, lift: Scalar, least: Scalar, largest: Scalar
+    ) -> Scalar:
+        """Angle of attack between two bounds (rad) at which there is a lift (m/s2).
+
+        In still air. The lift coefficient must rise between the bounds; where no angle
+        between them has the lift it is the bound that comes nearest.
+        """
+        velocity = state.velocity
+        pressure = 0.5 * self.planet.density(state.altitude) * velocity * velocity
+        wanted = lift * self.vehicle.mass / (pressure * self.vehicle.reference_area)
+        aerodynamics = self.vehicle.aerodynamics
+        if isinstance(aerodynamics, AbstractInvertibleAerodynamics):
+            mach = velocity / self.planet.atmosphere.speed_of_sound(state.altitude)
+            wanted = wanted / self.vehicle.lift_scale
+            angle = aerodynamics.angle_of_attack(wanted, mach, velocity)
+            return jnp.clip(angle, least, largest)
+
+        def excess(angle: Scalar) -> Scalar:
+            return self._coefficients(state, angle)[0] - wanted
+
+        middle = 0.5 * (least + largest)
+        return newton(by_jvp(excess), middle, _INVERSIONS, lower=least, upper=largest).x
 
     def _coefficients(
         self, state: EntryState, angle_of_attack: Scalar

@@ -144,8 +144,8 @@ def open_loop(
     )
 
 
-Quantity = Callable[[Scalar, EntryState], Scalar]
-"""A function of time (s) and state."""
+Quantities = Callable[[Scalar, EntryState], Mapping[str, Scalar]]
+"""Numbers by name, as a function of time (s) and state"""
 
 
 class ReferenceFlight(eqx.Module):
@@ -166,7 +166,7 @@ class ReferenceFlight(eqx.Module):
 
     def tabulate(
         self,
-        quantities: Mapping[str, Quantity],
+        quantities: Quantities,
         index: AbstractIndex,
         intervals: int,
         first_value: Scalar | None = None,
@@ -179,7 +179,7 @@ class ReferenceFlight(eqx.Module):
 
         **Arguments:**
 
-        - `quantities`: each of time and state, by name.
+        - `quantities`: of time and state, to numbers by name.
         - `index`: monotonic from `first_value` on.
         - `intervals`: how many between `first_value` and the end.
         - `first_value`: of the index; its value at the start if not given.
@@ -193,7 +193,7 @@ class ReferenceFlight(eqx.Module):
     def interpolation_error(
         self,
         table: QuinticTable,
-        quantities: Mapping[str, Quantity],
+        quantities: Quantities,
         index: AbstractIndex,
     ) -> dict[str, Scalar]:
         """Largest error of a table half way between its nodes, in units of the quantity.
@@ -227,7 +227,7 @@ class ReferenceFlight(eqx.Module):
 
     def _exact(
         self,
-        quantities: Mapping[str, Quantity],
+        quantities: Quantities,
         index: AbstractIndex,
         nodes: Float[Array, " nodes"],
         first_value: Scalar | None,
@@ -285,9 +285,7 @@ class ReferenceFlight(eqx.Module):
             point = jax.tree.map(lambda x, rate: x + late * rate, point, rates)
 
             def all_of_them(point):
-                return index_at(point), {
-                    name: quantity(*point) for name, quantity in quantities.items()
-                }
+                return index_at(point), dict(quantities(*point))
 
             (_, values), (rate, firsts), (acceleration, seconds) = derivatives_along(
                 flow, all_of_them, point
@@ -325,14 +323,18 @@ def plan_drag_reference(
     angle = law.angle_of_attack
     angle = vehicle.trim_angle_of_attack if angle is None else angle
 
-    def drag(time, state):
+    def drag(state):
         return air_data(planet, vehicle, state, angle).drag
 
     first_value = None
     if gate > 0.0:
-        drags = jax.vmap(drag)(flight.times, flight.states)
+        drags = jax.vmap(drag)(flight.states)
         first = jnp.argmax(drags > gate)
         state = jax.tree.map(lambda x: x[first], flight.states)
         first_value = index.value(planet, flight.times[first], state)
-    table = flight.tabulate({"drag": drag}, index, intervals, first_value, power)
+
+    def quantities(time, state):
+        return {"drag": drag(state)}
+
+    table = flight.tabulate(quantities, index, intervals, first_value, power)
     return DragReference(index, table.profile("drag"), law.cos_bank, gate)

@@ -49,11 +49,12 @@ def _plan(
     drag = plan_drag_reference(flight, EnergyIndex(), GATE)
 
     def downrange(time, state):
-        return ground_track(start.planet, start.initial_state, state)[0]
+        flown, _ = ground_track(start.planet, start.initial_state, state)
+        return {"downrange": flown}
 
     assert isinstance(drag.drag, QuinticProfile)
     at_gate = drag.drag.start
-    flown = flight.tabulate({"downrange": downrange}, EnergyIndex(), 2000, at_gate)
+    flown = flight.tabulate(downrange, EnergyIndex(), 2000, at_gate)
     return drag, flown.profile("downrange")
 
 

@@ -1,0 +1,493 @@
+"""Track a ground track over the energy with angle of attack and bank.
+
+Reference: S. Bharadwaj, A. V. Rao, K. D. Mease, "Entry Trajectory Tracking Law via
+Feedback Linearization", Journal of Guidance, Control, and Dynamics 21(5), 1998. The symbols
+of the paper are kept where an equation is implemented. Its heading angle is counted from
+east to the left and its bank is positive to the left; here both are positive to the right.
+"""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._math import sincos
+from ..fields import Scalar, Vector, scalar, table
+from ..motion.dynamics import rates_under
+from ..motion.quantities import energy, ground_track
+from ..motion.state import Controls, EntryState
+from ..onboard.estimation import Factors
+from ..onboard.model import OnboardModel
+from ..onboard.navigation import Measurement, measure
+from ..onboard.profiles import AbstractProfile, QuinticTable
+from ..world.planet import Planet
+from .law import AbstractContinuousLaw
+from .lift_tradeoff import AbstractTradeoff, EqualTradeoff, LiftBounds
+
+
+class AbstractTrackAngles(eqx.Module):
+    """The two angles that say where on the sphere a vehicle is: the outputs y1 and y2."""
+
+    @abstractmethod
+    def angles(self, planet: Planet, state: EntryState) -> tuple[Scalar, Scalar]:
+        """Downrange and crossrange angle, rad; crossrange is positive to the left."""
+
+
+class EarthFixedAngles(AbstractTrackAngles):
+    """Longitude and latitude: for flights along the equator to the east."""
+
+    def angles(self, planet: Planet, state: EntryState) -> tuple[Scalar, Scalar]:
+        return state.longitude, state.latitude
+
+
+class ReferencePlaneAngles(AbstractTrackAngles):
+    """Angles along and across the great circle through an origin in its heading."""
+
+    origin: EntryState
+
+    def angles(self, planet: Planet, state: EntryState) -> tuple[Scalar, Scalar]:
+        downrange, crossrange = ground_track(planet, self.origin, state)
+        return downrange / planet.radius, crossrange / planet.radius
+
+
+class TrackingGains(eqx.Module):
+    """Gains of equation (49), over the energy in units of `GroundTrackModel.energy_span`.
+
+    The energy falls, so that errors die out with eigenvalues in the right half plane:
+    the signs alternate, beginning with a negative one.
+    """
+
+    downrange: Vector = table()
+    """k11 to k14, shape (4,): of the second derivative, the first, the error and its
+    integral"""
+    crossrange: Vector = table()
+    """k21 to k23, shape (3,): of the first derivative, the error and its integral"""
+
+    def __check_init__(self):
+        for name, count in (("downrange", 4), ("crossrange", 3)):
+            shape = getattr(self, name).shape
+            if shape != (count,):
+                raise ValueError(f"{name} has shape {shape}: expected {count} gains")
+
+    @classmethod
+    def from_eigenvalues(
+        cls, downrange: Sequence[Scalar], crossrange: Sequence[Scalar]
+    ) -> "TrackingGains":
+        """Gains by the real eigenvalues of (50), four, and (51), three, per energy span.
+
+        Differentiable in them. Positive eigenvalues are stable.
+        """
+        return cls(_polynomial(downrange), _polynomial(crossrange))
+
+
+def _polynomial(roots: Sequence[Scalar]) -> Vector:
+    """Coefficients of the polynomial with given roots, without the leading one."""
+    coefficients = [jnp.asarray(1.0)]
+    for root in roots:
+        shifted = [*coefficients, jnp.zeros(())]
+        below = [jnp.zeros(()), *coefficients]
+        coefficients = [a - root * b for a, b in zip(shifted, below, strict=True)]
+    return jnp.stack(coefficients[1:])
+
+
+class AttitudeBand(eqx.Module):
+    """What the law may command."""
+
+    deviation: Scalar = scalar(unit="rad", positive=True)
+    """Largest deviation of the angle of attack from the reference, to either side"""
+    least: Scalar = scalar(unit="rad")
+    """Smallest angle of attack"""
+    largest: Scalar = scalar(unit="rad")
+    """Largest angle of attack"""
+    largest_bank: Scalar = scalar(unit="rad", range=(0.0, np.pi))
+    """To either side"""
+
+
+class GroundTrackModel(eqx.Module):
+    """What is differentiated: the motion on board over the energy, and its outputs.
+
+    Energy is counted in units of `energy_span`, so that the numbers are of order one. The
+    drag is that at the reference angle of attack, equation (36): the bank is what steers
+    the drag, not the angle of attack.
+    """
+
+    model: OnboardModel
+    angle_of_attack: AbstractProfile
+    """Reference angle of attack (rad) over the energy (J/kg)"""
+    bank: AbstractProfile
+    """Reference bank (rad, positive to the right) over the energy (J/kg)"""
+    energy_span: Scalar = scalar(unit="J/kg", positive=True)
+    """Fall of the energy from the start to the end of the reference"""
+    track_angles: AbstractTrackAngles = EarthFixedAngles()
+
+    def energy(self, state: EntryState) -> Scalar:
+        """J/kg."""
+        return energy(self.model.planet, state)
+
+    def outputs(self, state: EntryState) -> tuple[Scalar, Scalar]:
+        """Downrange and crossrange angle, rad."""
+        return self.track_angles.angles(self.model.planet, state)
+
+    def forces(
+        self, state: EntryState, angle_of_attack: Scalar, factors: Factors
+    ) -> tuple[Scalar, Scalar]:
+        """Specific lift and drag as modelled (m/s2), by the factors on them."""
+        air = measure(self.model.planet, self.model.vehicle, state, angle_of_attack)
+        return factors.lift * air.lift, factors.drag * air.drag
+
+    def reference_forces(
+        self, state: EntryState, factors: Factors
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        """Lift upwards and to the right, and drag, under the reference controls; m/s2."""
+        here = self.energy(state)
+        lift, drag = self.forces(state, self.angle_of_attack(here), factors)
+        sine, cosine = sincos(self.bank(here))
+        return lift * cosine, lift * sine, drag
+
+    def over_energy(
+        self,
+        state: EntryState,
+        drag: Scalar,
+        above: Scalar | None = None,
+        right: Scalar | None = None,
+    ) -> EntryState:
+        """Rates over the energy, equations (10) to (15), under given forces (m/s2)."""
+        rates = rates_under(self.model.planet, state, -drag, above, right)
+        per_rate = -self.energy_span / (state.velocity * drag)
+        return jax.tree.map(lambda x: x * per_rate, rates)
+
+
+class OutputDynamics(eqx.Module):
+    """The outputs and their derivatives over the energy, in units of its span.
+
+    y1''' = drift[0] + effect[0] . lift and y2'' = drift[1] + effect[1] . lift, with the
+    components of the lift upwards and to the right.
+    """
+
+    downrange: tuple[Scalar, Scalar, Scalar]
+    """y1, y1' and y1'', rad"""
+    crossrange: tuple[Scalar, Scalar]
+    """y2 and y2', rad"""
+    drift: tuple[Scalar, Scalar]
+    effect: tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]
+    """rad per m/s2"""
+
+    def under(self, above: Scalar, right: Scalar) -> tuple[Scalar, Scalar]:
+        """y1''' and y2'' under a lift, m/s2."""
+        (b1, b2), (m1, m2) = self.effect
+        a, l = self.drift
+        return a + b1 * above + b2 * right, l + m1 * above + m2 * right
+
+    def lift_for(self, third: Scalar, second: Scalar) -> tuple[Scalar, Scalar]:
+        """The lift upwards and to the right (m/s2) that gives y1''' and y2''."""
+        (b1, b2), (m1, m2) = self.effect
+        w1, w2 = third - self.drift[0], second - self.drift[1]
+        per_determinant = 1.0 / (b1 * m2 - b2 * m1)
+        return (m2 * w1 - b2 * w2) * per_determinant, (
+            b1 * w2 - m1 * w1
+        ) * per_determinant
+
+
+class WantedOutputs(eqx.Module):
+    """The outputs of the reference at an energy, and their derivatives over the energy."""
+
+    downrange: tuple[Scalar, Scalar, Scalar, Scalar]
+    """y1 and its first three derivatives, rad"""
+    crossrange: tuple[Scalar, Scalar, Scalar]
+    """y2 and its first two derivatives, rad"""
+
+
+class AbstractLinearization(eqx.Module):
+    """How the outputs are differentiated until the controls appear."""
+
+    @abstractmethod
+    def dynamics(
+        self, model: GroundTrackModel, state: EntryState, factors: Factors
+    ) -> OutputDynamics:
+        """The outputs in a state, with what the lift does to them."""
+
+    @abstractmethod
+    def columns(self, model: GroundTrackModel, state: EntryState) -> dict[str, Scalar]:
+        """What is tabulated of a state of the reference, by name."""
+
+    @abstractmethod
+    def wanted(
+        self, model: GroundTrackModel, reference: QuinticTable, here: Scalar
+    ) -> WantedOutputs:
+        """What the reference has at an energy (J/kg).
+
+        The derivatives are those of the expressions of this linearization, so that on the
+        reference it asks for the reference controls.
+        """
+
+
+class FullLinearization(AbstractLinearization):
+    """Without small angles, by nested forward derivatives of equations (10) to (15).
+
+    In y1'' the lift appears too early, through the sines of flight-path angle and heading:
+    there it is the lift of the reference controls.
+    """
+
+    def dynamics(
+        self, model: GroundTrackModel, state: EntryState, factors: Factors
+    ) -> OutputDynamics:
+        def slopes(state: EntryState):
+            _, _, drag = model.reference_forces(state, factors)
+            free = model.over_energy(state, drag)
+            angles, slopes = jax.jvp(model.outputs, (state,), (free,))
+            return slopes, angles
+
+        def curved(state: EntryState):
+            above, right, drag = model.reference_forces(state, factors)
+            flow = model.over_energy(state, drag, above, right)
+            (s1, s2), (q, _), angles = jax.jvp(slopes, (state,), (flow,), has_aux=True)
+            return (q, s2), (s1, angles)
+
+        (q, s2), further, (s1, angles) = jax.linearize(curved, state, has_aux=True)
+        _, _, drag = model.reference_forces(state, factors)
+        per_rate = -model.energy_span / (state.velocity * drag)
+        turn = per_rate / state.velocity
+        _, cos_path = sincos(state.flight_path_angle)
+        still = jax.tree.map(jnp.zeros_like, state)
+        up = eqx.tree_at(lambda s: s.flight_path_angle, still, turn)
+        aside = eqx.tree_at(lambda s: s.heading, still, turn / cos_path)
+        drift = further(model.over_energy(state, drag))
+        by_lift = further(up), further(aside)
+        return OutputDynamics(
+            downrange=(angles[0], s1, q),
+            crossrange=(angles[1], s2),
+            drift=drift,
+            effect=(
+                (by_lift[0][0], by_lift[1][0]),
+                (by_lift[0][1], by_lift[1][1]),
+            ),
+        )
+
+    def columns(self, model: GroundTrackModel, state: EntryState) -> dict[str, Scalar]:
+        downrange, crossrange = model.outputs(state)
+        return {"downrange": downrange, "crossrange": crossrange}
+
+    def wanted(
+        self, model: GroundTrackModel, reference: QuinticTable, here: Scalar
+    ) -> WantedOutputs:
+        """The derivatives are those of the table: there the drag is the actual one."""
+
+        def read(here: Scalar):
+            values = reference.with_derivatives(here)
+            downrange, crossrange = values["downrange"], values["crossrange"]
+            return downrange[2], downrange + crossrange
+
+        _, third, (y1, y1_1, y1_2, y2, y2_1, y2_2) = jax.jvp(
+            read, (here,), (jnp.ones_like(here),), has_aux=True
+        )
+        span = model.energy_span
+        return WantedOutputs(
+            downrange=(y1, span * y1_1, span**2 * y1_2, span**3 * third),
+            crossrange=(y2, span * y2_1, span**2 * y2_2),
+        )
+
+
+class SmallAngleLinearization(AbstractLinearization):
+    """As printed: small flight-path, crossrange and heading angles, equations (37) to (44).
+
+    a of (43) is corrected: it misses 2 gamma (D + 2 g gamma) / (D^3 V^2 r^2). The drag
+    coefficient counts as constant along the reference angle of attack, as printed.
+    """
+
+    def dynamics(
+        self, model: GroundTrackModel, state: EntryState, factors: Factors
+    ) -> OutputDynamics:
+        planet, span = model.model.planet, model.energy_span
+        _, _, D = model.reference_forces(state, factors)
+        theta, phi = model.outputs(state)
+        V, gamma, chi = state.velocity, state.flight_path_angle, _course(model, state)
+        r = planet.radius + state.altitude
+        g = planet.gravity.acceleration(r)
+        H = model.model.scale_height(state.altitude)
+
+        K = 1.0 / H - 1.0 / r + 2.0 * g / V**2
+        D_rate = gamma / H + 2.0 * D / V**2 + 2.0 * g * gamma / V**2  # (44)
+        first = -1.0 / (D * r)  # (37)
+        second = gamma * K / (D**2 * r) + 2.0 / (D * V**2 * r)  # (39)
+        b = -K / (D**3 * V**2 * r)  # (43)
+        a = (  # (43), corrected
+            -b * (g - V**2 / r)
+            - gamma**2 / (D**3 * r**3)
+            - 4.0 * (D + g * gamma) ** 2 / (D**3 * V**4 * r)
+            - 2.0 * D_rate / (D**2 * V**2 * r)
+            + K * (gamma**2 / (D**3 * r**2) - 2.0 * D_rate * gamma / (D**3 * r))
+            + 2.0 * gamma * (D + 2.0 * g * gamma) / (D**3 * V**2 * r**2)
+        )
+        m = 1.0 / (D**2 * V**2 * r)  # (41)
+        l = (  # (41)
+            gamma * chi * K / (D**2 * r)
+            + 2.0 * chi / (D * V**2 * r)
+            - phi / (D**2 * r**2)
+        )
+        nothing = jnp.zeros_like(D)
+        return OutputDynamics(
+            downrange=(theta, span * first, span**2 * second),
+            crossrange=(phi, -span * chi / (D * r)),  # (38)
+            drift=(span**3 * a, span**2 * l),
+            effect=((span**3 * b, nothing), (nothing, -(span**2) * m)),
+        )
+
+    def columns(self, model: GroundTrackModel, state: EntryState) -> dict[str, Scalar]:
+        one = jnp.ones_like(state.velocity)
+        factors = Factors(one, one)
+        seen = self.dynamics(model, state, factors)
+        above, right, _ = model.reference_forces(state, factors)
+        third, second = seen.under(above, right)
+        values = *seen.downrange, third, *seen.crossrange, second
+        return dict(zip(_PRINTED_COLUMNS, values, strict=True))
+
+    def wanted(
+        self, model: GroundTrackModel, reference: QuinticTable, here: Scalar
+    ) -> WantedOutputs:
+        values = reference.with_derivatives(here)
+        y1, y1_1, y1_2, y1_3, *crossrange = (values[n][0] for n in _PRINTED_COLUMNS)
+        y2, y2_1, y2_2 = crossrange
+        return WantedOutputs((y1, y1_1, y1_2, y1_3), (y2, y2_1, y2_2))
+
+
+_PRINTED_COLUMNS = (
+    "downrange",
+    "downrange_first",
+    "downrange_second",
+    "downrange_third",
+    "crossrange",
+    "crossrange_first",
+    "crossrange_second",
+)
+"""Derivatives over the energy in units of its span, which are approximate ones"""
+
+
+def _course(model: GroundTrackModel, state: EntryState) -> Scalar:
+    """Direction of the velocity in the frame of the outputs: chi, rad, to the left."""
+    sin_heading, cos_heading = sincos(state.heading)
+    _, cos_latitude = sincos(state.latitude)
+    over_ground = eqx.tree_at(
+        lambda s: (s.longitude, s.latitude),
+        jax.tree.map(jnp.zeros_like, state),
+        (sin_heading / cos_latitude, cos_heading),
+    )
+    (_, phi), (along, across) = jax.jvp(model.outputs, (state,), (over_ground,))
+    return jnp.arctan2(across, along * jnp.cos(phi))
+
+
+class AbstractForceKnowledge(eqx.Module):
+    """What the law takes the actual lift and drag to be, in units of its model's."""
+
+    @abstractmethod
+    def factors(self, model: GroundTrackModel, measurement: Measurement) -> Factors:
+        """Factors on lift and drag."""
+
+
+class ModelledForces(AbstractForceKnowledge):
+    """The model is believed."""
+
+    def factors(self, model: GroundTrackModel, measurement: Measurement) -> Factors:
+        one = jnp.ones_like(measurement.drag)
+        return Factors(one, one)
+
+
+class MeasuredForces(AbstractForceKnowledge):
+    """The ratio of the sensed force to the model's, at the angle of attack that is flown.
+
+    The command then depends on forces that depend on the command: fly it by
+    `Sampled(law, period)`, or with an attitude that takes its time.
+    """
+
+    def factors(self, model: GroundTrackModel, measurement: Measurement) -> Factors:
+        nominal = ModelledForces().factors(model, measurement)
+        angle = measurement.angle_of_attack
+        lift, drag = model.forces(measurement.state, angle, nominal)
+        return Factors(measurement.lift / lift, measurement.drag / drag)
+
+
+class TrackErrors(eqx.Module):
+    """Integrals of the errors over the energy in units of its span, or their rates."""
+
+    downrange: Scalar
+    """rad"""
+    crossrange: Scalar
+    """rad"""
+
+
+class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
+    """Feedback linearization of downrange and crossrange, equations (48) to (54).
+
+    Memory is the integrals of (49).
+    """
+
+    model: GroundTrackModel
+    reference: QuinticTable
+    """Columns of the linearization over the energy (J/kg), by `plan_ground_track`"""
+    gains: TrackingGains
+    band: AttitudeBand
+    linearization: AbstractLinearization = FullLinearization()
+    tradeoff: AbstractTradeoff = EqualTradeoff()
+    force_knowledge: AbstractForceKnowledge = ModelledForces()
+
+    def init(self, measurement: Measurement) -> TrackErrors:
+        nothing = 0.0 * measurement.drag
+        return TrackErrors(nothing, nothing)
+
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: TrackErrors
+    ) -> tuple[Controls, TrackErrors]:
+        model, state = self.model, measurement.state
+        here = model.energy(state)
+        factors = self.force_knowledge.factors(model, measurement)
+        seen = self.linearization.dynamics(model, state, factors)
+        wanted = self.linearization.wanted(model, self.reference, here)
+
+        y1, y1_1, y1_2 = seen.downrange
+        y2, y2_1 = seen.crossrange
+        r1, r1_1, r1_2, r1_3 = wanted.downrange
+        r2, r2_1, r2_2 = wanted.crossrange
+        k11, k12, k13, k14 = self.gains.downrange
+        k21, k22, k23 = self.gains.crossrange
+        errors = TrackErrors(y1 - r1, y2 - r2)
+        w1 = (  # (49), with the second derivative in its first term
+            r1_3
+            - k11 * (y1_2 - r1_2)
+            - k12 * (y1_1 - r1_1)
+            - k13 * errors.downrange
+            - k14 * memory.downrange
+        )
+        w2 = (  # (49)
+            r2_2
+            - k21 * (y2_1 - r2_1)
+            - k22 * errors.crossrange
+            - k23 * memory.crossrange
+        )
+        controls = self._flown(state, here, factors, *seen.lift_for(w1, w2))
+        falls = -state.velocity * measurement.drag / model.energy_span
+        return controls, jax.tree.map(lambda error: error * falls, errors)
+
+    def _flown(
+        self,
+        state: EntryState,
+        here: Scalar,
+        factors: Factors,
+        above: Scalar,
+        right: Scalar,
+    ) -> Controls:
+        """Angle of attack and bank by (52) and (53), or within their bounds by (54)."""
+        model, band = self.model, self.band
+        reference = model.angle_of_attack(here)
+        least = jnp.maximum(reference - band.deviation, band.least)
+        largest = jnp.minimum(reference + band.deviation, band.largest)
+        bounds = LiftBounds(
+            model.forces(state, least, factors)[0],
+            model.forces(state, largest, factors)[0],
+            band.largest_bank,
+        )
+        best = self.tradeoff.nearest(above, right, bounds)
+        lift = best.lift / factors.lift
+        angle = model.model.angle_of_attack_for(state, lift, least, largest)
+        return Controls(angle, best.cos_bank, best.sin_bank)

@@ -1,0 +1,1 @@
+"""The SX-2 vehicle."""

@@ -1,0 +1,269 @@
+"""SX-2: ground-track tracking by feedback linearization with angle of attack and bank.
+
+Source: S. Bharadwaj, A. V. Rao, K. D. Mease, "Entry Trajectory Tracking Law via Feedback
+Linearization", Journal of Guidance, Control, and Dynamics 21(5), 1998. What the paper
+leaves open is stated where it is chosen.
+"""
+
+import functools
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ...fields import Scalar, scalar
+from ...flight.flight import fly
+from ...flight.scenario import Scenario, Target
+from ...flight.termination import AltitudeAbove, AltitudeBelow, EnergyBelow, Termination
+from ...guidance.feedback_linearization import (
+    AbstractForceKnowledge,
+    AbstractLinearization,
+    AbstractTrackAngles,
+    AttitudeBand,
+    EarthFixedAngles,
+    FullLinearization,
+    GroundTrackModel,
+    GroundTrackTracking,
+    MeasuredForces,
+    ModelledForces,
+    SmallAngleLinearization,
+    TrackingGains,
+)
+from ...guidance.law import Sampled
+from ...guidance.open_loop import ControlProfiles
+from ...motion.index import EnergyIndex
+from ...motion.quantities import energy, ground_track
+from ...motion.state import EntryState
+from ...onboard.model import OnboardModel
+from ...onboard.profiles import AbstractProfile, QuinticTable
+from ...onboard.spline import CubicSpline, cubic_spline
+from ...planning.ground_track import fly_reference_controls, plan_ground_track
+from ...units import degree, foot, slug
+from ...world.aerodynamics import PolynomialAerodynamics
+from ...world.atmosphere import ExponentialAtmosphere
+from ...world.gravity import InverseSquareGravity
+from ...world.planet import Planet
+from ...world.vehicle import Vehicle
+
+
+END_ALTITUDE = 84_000 * foot
+END_VELOCITY = 2647 * foot
+"""m/s. Mach 2.70: where the paper hands over to terminal area energy management"""
+
+FIRST_SHARE = 1.02
+"""Of the energy span, from which on the reference is flown: for perturbations that raise
+the energy"""
+
+
+def earth() -> Planet:
+    """The Earth at rest, with the atmosphere of the paper.
+
+    Its surface density is printed in lb/ft3 and is in slug/ft3. Radius and gravity are
+    those of WGS-84. The temperature gives the Mach number only: 2.70 at the end.
+    """
+    sound = END_VELOCITY / 2.70
+    return Planet(
+        radius=6_378_137.0,
+        gravity=InverseSquareGravity(3.986004418e14),
+        atmosphere=ExponentialAtmosphere(
+            surface_density=2.3769e-3 * slug / foot**3,
+            scale_height=23_443 * foot,
+            isothermal_temperature=sound**2 / (1.4 * 287.05287),
+        ),
+    )
+
+
+def vehicle() -> Vehicle:
+    """SX-2: 82 310 lb, 709.2 ft2; polynomials for angles of attack from 5 to 25 degrees."""
+    return Vehicle(
+        mass=2558.277 * slug,
+        reference_area=709.2 * foot**2,
+        aerodynamics=PolynomialAerodynamics(
+            jnp.array([-0.0448, 2.5457]), jnp.array([0.1971, -0.1427, 3.7677])
+        ),
+        trim_angle_of_attack=20.0 * degree,
+    )
+
+
+def start() -> EntryState:
+    """The initial reference state; the speed is printed in ft/s2."""
+    return EntryState(
+        altitude=200_000 * foot,
+        longitude=0.0,
+        latitude=0.0,
+        velocity=17_000 * foot,
+        flight_path_angle=0.0,
+        heading=90.0 * degree,
+    )
+
+
+def energies() -> tuple[Scalar, Scalar]:
+    """At the start and at the end of the reference, J/kg."""
+    end = eqx.tree_at(
+        lambda s: (s.altitude, s.velocity), start(), (END_ALTITUDE, END_VELOCITY)
+    )
+    return energy(earth(), start()), energy(earth(), end)
+
+
+class SmoothRise(AbstractProfile):
+    """A rise from one value to another by the quintic smoothstep, which is C2."""
+
+    low: Scalar = scalar(unit="rad")
+    high: Scalar = scalar(unit="rad")
+    begin: Scalar = scalar(unit="J/kg")
+    end: Scalar = scalar(unit="J/kg")
+
+    def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        span, rise = self.end - self.begin, self.high - self.low
+        x = jnp.clip((index - self.begin) / span, 0.0, 1.0)
+        step = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+        first = 30.0 * x**2 * (1.0 - x) ** 2
+        second = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x)
+        return self.low + rise * step, rise * first / span, rise * second / span**2
+
+
+class ReversedBank(AbstractProfile):
+    """A bank that changes its side once: a spline times a hyperbolic tangent."""
+
+    size: CubicSpline
+    """Bank (rad) over the energy (J/kg), positive to the right at high energy"""
+    reversal: Scalar = scalar(unit="J/kg")
+    width: Scalar = scalar(unit="J/kg", positive=True)
+
+    def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        s, s1, s2 = self.size.with_derivatives(index)
+        t = jnp.tanh((index - self.reversal) / self.width)
+        t1 = (1.0 - t * t) / self.width
+        t2 = -2.0 * t * t1 / self.width
+        return s * t, s1 * t + s * t1, s2 * t + 2.0 * s1 * t1 + s * t2
+
+
+_BANK_KNOTS = (0.0, 0.06, 0.15, 0.26, 0.38, 0.52, 0.66, 0.8, 0.92, 1.05)
+_BANKS = (21.72, 35.79, 44.74, 44.47, 45.9, 43.82, 44.02, 41.38, 29.36, 24.93)
+"""deg. The paper prints figures of its reference controls and no numbers: these sink
+smoothly where a level start begins a phugoid, and reverse at about 10 130 ft/s"""
+
+
+def reference_controls() -> tuple[SmoothRise, ReversedBank]:
+    """Angle of attack and bank over the energy.
+
+    The bank of the paper is positive to the left, and here to the right.
+    """
+    first, last = energies()
+    span = first - last
+    angle = SmoothRise(
+        12.0 * degree, 20.0 * degree, last + 0.05 * span, last + 0.60 * span
+    )
+    knots = last + jnp.array(_BANK_KNOTS) * span
+    size = cubic_spline(knots, -jnp.array(_BANKS) * degree)
+    return angle, ReversedBank(size, last + 0.345 * span, 0.014 * span)
+
+
+def gains() -> TrackingGains:
+    """The paper prints none; these were found by search."""
+    return TrackingGains.from_eigenvalues((18.0, 8.0, 8.0, 0.1), (30.0, 1.2, 1.2))
+
+
+def band() -> AttitudeBand:
+    """Bounds of (54): 5 degrees about the reference, from 5 to 25 degrees, 80 of bank."""
+    return AttitudeBand(5.0 * degree, 5.0 * degree, 25.0 * degree, 80.0 * degree)
+
+
+def track_model(angles: AbstractTrackAngles = EarthFixedAngles()) -> GroundTrackModel:
+    """The nominal motion that the law differentiates."""
+    first, last = energies()
+    return GroundTrackModel(
+        OnboardModel(earth(), vehicle()), *reference_controls(), first - last, angles
+    )
+
+
+def entry() -> Scenario:
+    """The flight under the reference controls, without feedback, to the final energy."""
+    planet, (_, last) = earth(), energies()
+    controls = ControlProfiles(EnergyIndex(), planet, *reference_controls())
+    return Scenario(
+        planet=planet,
+        vehicle=vehicle(),
+        initial_state=start(),
+        guidance=controls,
+        termination=Termination(
+            {
+                "energy": EnergyBelow(energy=last, planet=planet),
+                "ground": AltitudeBelow(altitude=0.0),
+                "skip_out": AltitudeAbove(altitude=400_000 * foot),
+            },
+            time_limit=3000.0,
+        ),
+        target=Target(0.0, 0.0, 0.0),
+    )
+
+
+@eqx.filter_jit
+def _plan(
+    entry: Scenario,
+    model: GroundTrackModel,
+    linearization: AbstractLinearization,
+    last: Scalar,
+) -> tuple[QuinticTable, EntryState]:
+    first = last + FIRST_SHARE * model.energy_span
+    reference = fly_reference_controls(entry, model, last, first)
+    table = plan_ground_track(reference, model, linearization)
+    return table, fly(entry).state
+
+
+@functools.cache
+def _planned(
+    linearization: AbstractLinearization, angles: AbstractTrackAngles
+) -> tuple[QuinticTable, EntryState]:
+    return _plan(entry(), track_model(angles), linearization, energies()[1])
+
+
+def scenario(
+    linearization: AbstractLinearization = FullLinearization(),
+    force_knowledge: AbstractForceKnowledge = ModelledForces(),
+    angles: AbstractTrackAngles = EarthFixedAngles(),
+    period: float | None = None,
+) -> Scenario:
+    """The entry with its law, which is continuous or has a guidance cycle (s).
+
+    The target is where the reference ends.
+    """
+    nominal = entry()
+    table, end = _planned(linearization, angles)
+    law = GroundTrackTracking(
+        track_model(angles),
+        table,
+        gains(),
+        band(),
+        linearization=linearization,
+        force_knowledge=force_knowledge,
+    )
+    downrange, crossrange = ground_track(nominal.planet, start(), end)
+    target = Target(
+        end.altitude,
+        end.velocity,
+        downrange,
+        crossrange,
+        end.flight_path_angle,
+        end.heading,
+        origin=start(),
+    )
+    return eqx.tree_at(
+        lambda s: (s.guidance, s.target),
+        nominal,
+        (law if period is None else Sampled(law, period), target),
+    )
+
+
+def full() -> Scenario:
+    """What the paper flew: no small angles, continuous."""
+    return scenario()
+
+
+def small_angle() -> Scenario:
+    """The law as printed, for small angles."""
+    return scenario(SmallAngleLinearization())
+
+
+def measured() -> Scenario:
+    """No small angles, with lift and drag measured on board at a guidance cycle of 1 s."""
+    return scenario(force_knowledge=MeasuredForces(), period=1.0)

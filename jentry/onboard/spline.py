@@ -1,0 +1,62 @@
+"""Cubic splines through knots, such as a bank over the energy."""
+
+import jax.numpy as jnp
+
+from ..fields import Scalar, Vector, table
+from .profiles import AbstractProfile
+
+
+class CubicSpline(AbstractProfile):
+    """Cubic through knots, twice continuously differentiable; made by `cubic_spline`.
+
+    Beyond the first and the last knot the cubics there go on.
+    """
+
+    knots: Vector = table(increasing=True)
+    """(n,)"""
+    values: Vector = table()
+    """(n,) at the knots"""
+    curvatures: Vector = table()
+    """(n,): second derivatives at the knots"""
+
+    def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        x, y, m = self.knots, self.values, self.curvatures
+        # A sum of comparisons and not a search: knots are few.
+        piece = jnp.sum(index >= x[1:-1])
+        x0, x1, y0, y1 = x[piece], x[piece + 1], y[piece], y[piece + 1]
+        m0, m1 = m[piece], m[piece + 1]
+        width = x1 - x0
+        a, b = (x1 - index) / width, (index - x0) / width
+        sixth = width / 6.0
+        value = a * y0 + b * y1 + ((a**3 - a) * m0 + (b**3 - b) * m1) * (width * sixth)
+        first = (y1 - y0) / width + (
+            (3.0 * b**2 - 1.0) * m1 - (3.0 * a**2 - 1.0) * m0
+        ) * sixth
+        return value, first, a * m0 + b * m1
+
+
+def cubic_spline(knots: Vector, values: Vector) -> CubicSpline:
+    """Spline whose third derivative does not jump at the second knot and the last but one.
+
+    With this end condition ("not-a-knot") it is the polynomial where the values are those
+    of a cubic. Differentiable in knots and values.
+
+    **Raises:** `ValueError` for fewer than four knots, or for another number of values.
+    """
+    x, y = jnp.asarray(knots, float), jnp.asarray(values, float)
+    if x.ndim != 1 or x.shape[0] < 4 or x.shape != y.shape:
+        raise ValueError(
+            f"the spline has knots of shape {x.shape} and values of shape {y.shape}: "
+            "expected (n,) of both, with n of 4 or more"
+        )
+    n, h = x.shape[0], jnp.diff(x)
+    slopes = jnp.diff(y) / h
+    inside = jnp.arange(1, n - 1)
+    system = jnp.zeros((n, n))
+    system = system.at[inside, inside - 1].set(h[:-1])
+    system = system.at[inside, inside].set(2.0 * (h[:-1] + h[1:]))
+    system = system.at[inside, inside + 1].set(h[1:])
+    system = system.at[0, :3].set(jnp.stack([-h[1], h[0] + h[1], -h[0]]))
+    system = system.at[-1, -3:].set(jnp.stack([-h[-1], h[-2] + h[-1], -h[-2]]))
+    right = jnp.zeros(n).at[inside].set(6.0 * jnp.diff(slopes))
+    return CubicSpline(x, y, jnp.linalg.solve(system, right))
