@@ -3,6 +3,7 @@
 from .closed_loop import Instant as Instant
 from .flight import Flight as Flight, History as History, fly as fly
 from .miss import Misses as Misses, misses as misses
+from .over_index import IndexedEnd as IndexedEnd, fly_over as fly_over
 from .scenario import Scenario as Scenario, Target as Target, check as check
 from .solver import Adaptive as Adaptive, FixedStep as FixedStep
 from .termination import (
@@ -11,6 +12,7 @@ from .termination import (
     AltitudeBelow as AltitudeBelow,
     Apoapsis as Apoapsis,
     Crossing as Crossing,
+    EnergyBelow as EnergyBelow,
     Outcome as Outcome,
     Periapsis as Periapsis,
     TargetPassed as TargetPassed,

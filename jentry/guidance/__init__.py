@@ -40,6 +40,23 @@ from .drag_tracking import (
     ObserverGains as ObserverGains,
     StateFeedbackDragTracking as StateFeedbackDragTracking,
 )
+from .feedback_linearization import (
+    AbstractForceKnowledge as AbstractForceKnowledge,
+    AbstractLinearization as AbstractLinearization,
+    AbstractTrackAngles as AbstractTrackAngles,
+    AttitudeBand as AttitudeBand,
+    EarthFixedAngles as EarthFixedAngles,
+    FullLinearization as FullLinearization,
+    GroundTrackModel as GroundTrackModel,
+    GroundTrackTracking as GroundTrackTracking,
+    MeasuredForces as MeasuredForces,
+    ModelledForces as ModelledForces,
+    OutputDynamics as OutputDynamics,
+    ReferencePlaneAngles as ReferencePlaneAngles,
+    SmallAngleLinearization as SmallAngleLinearization,
+    TrackErrors as TrackErrors,
+    TrackingGains as TrackingGains,
+)
 from .lateral import (
     AbstractLateralLogic as AbstractLateralLogic,
     CrossrangeCorridor as CrossrangeCorridor,
@@ -56,7 +73,14 @@ from .law import (
     AngleOfAttackCommand as AngleOfAttackCommand,
     Sampled as Sampled,
 )
-from .open_loop import BankProfile as BankProfile
+from .lift_tradeoff import (
+    AbstractTradeoff as AbstractTradeoff,
+    EqualTradeoff as EqualTradeoff,
+    Lift as Lift,
+    LiftBounds as LiftBounds,
+    WeightedTradeoff as WeightedTradeoff,
+)
+from .open_loop import BankProfile as BankProfile, ControlProfiles as ControlProfiles
 from .range_tracking import (
     Aim as Aim,
     RangeTracking as RangeTracking,

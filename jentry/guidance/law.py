@@ -313,7 +313,7 @@ def reads_forces_between_cycles(law: AbstractLaw, state: EntryState) -> bool:
     if isinstance(law, AbstractContinuousLaw):
         return True
     force = 0.0 * state.altitude
-    before = begun(law, Measurement(state, *4 * [force]))
+    before = begun(law, Measurement(state, force, force, force, force))
 
     def act(lift: Scalar, drag: Scalar) -> tuple[Controls, Any]:
         return commanded(

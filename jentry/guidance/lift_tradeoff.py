@@ -159,7 +159,7 @@ def _stationary(
         cosine, sine = side * up * above * second, side * across * right * first
         return _polar(cosine, sine)[1:]
 
-    cosines, sines = jax.vmap(direction)(jnp.stack(starts))
+    cosines, sines = map(jnp.asarray, jax.vmap(direction)(jnp.stack(starts)))
     return [(cosines[k], sines[k]) for k in range(len(starts))]
 
 

@@ -15,9 +15,12 @@ from .own import (
     packaged_missions,
     where_from,
 )
+from .sx_2 import MISSION as SX_2
 
 
-ALL = {mission.name: mission for mission in (DRAG_TRACKING, RANGE_TRACKING, CAV_H)}
+ALL = {
+    mission.name: mission for mission in (DRAG_TRACKING, RANGE_TRACKING, CAV_H, SX_2)
+}
 """Every mission of jentry by its name."""
 
 

@@ -45,4 +45,5 @@ from .reference import (
     along as along,
     index_motion as index_motion,
 )
+from .spline import CubicSpline as CubicSpline, cubic_spline as cubic_spline
 from .track import Track as Track, TrackPosition as TrackPosition

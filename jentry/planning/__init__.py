@@ -6,6 +6,10 @@ from .bezier_curve import (
     plan_parameters as plan_parameters,
     velocity_map as velocity_map,
 )
+from .ground_track import (
+    fly_reference_controls as fly_reference_controls,
+    plan_ground_track as plan_ground_track,
+)
 from .reference_flight import (
     ReferenceFlight as ReferenceFlight,
     open_loop as open_loop,

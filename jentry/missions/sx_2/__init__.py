@@ -1,1 +1,3 @@
-"""The SX-2 vehicle."""
+"""The SX-2 vehicle: its scenario, reference controls, cases and dispersions."""
+
+from .mission import MISSION as MISSION

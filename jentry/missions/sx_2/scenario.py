@@ -217,7 +217,7 @@ def _planned(
     return _plan(entry(), track_model(angles), linearization, energies()[1])
 
 
-def scenario(
+def tracking(
     linearization: AbstractLinearization = FullLinearization(),
     force_knowledge: AbstractForceKnowledge = ModelledForces(),
     angles: AbstractTrackAngles = EarthFixedAngles(),
@@ -256,14 +256,14 @@ def scenario(
 
 def full() -> Scenario:
     """What the paper flew: no small angles, continuous."""
-    return scenario()
+    return tracking()
 
 
 def small_angle() -> Scenario:
     """The law as printed, for small angles."""
-    return scenario(SmallAngleLinearization())
+    return tracking(SmallAngleLinearization())
 
 
 def measured() -> Scenario:
     """No small angles, with lift and drag measured on board at a guidance cycle of 1 s."""
-    return scenario(force_knowledge=MeasuredForces(), period=1.0)
+    return tracking(force_knowledge=MeasuredForces(), period=1.0)
