@@ -119,6 +119,14 @@ def test_factors_are_those_of_the_forces():
     np.testing.assert_allclose(
         jax.tree.leaves(factors), jax.tree.leaves(density), rtol=1e-11, atol=1e-11
     )
+    # They multiply those that the model has of its own.
+    known = with_leaf(MODEL, lambda m: m.vehicle.lift_scale, 1.1)
+    np.testing.assert_allclose(
+        jax.tree.leaves(predicted(lift=one(1.1), model=known)),
+        jax.tree.leaves(predicted(lift=one(1.21))),
+        rtol=1e-11,
+        atol=1e-11,
+    )
     lift, drag = predicted(lift=one(1.1)), predicted(drag=one(1.1))
     nominal = predicted()
     assert downrange(lift.state) > downrange(nominal.state) > downrange(drag.state)
@@ -220,6 +228,21 @@ def test_a_mirrored_bank_flies_a_mirrored_crossrange():
     np.testing.assert_allclose(right[0], left[0], rtol=1e-12)
     np.testing.assert_allclose(right[1], -left[1], rtol=1e-9)
     assert right[1] < -1e4
+
+
+def test_over_a_pole_it_is_given_up():
+    """Longitude and heading turn by 180 degrees there, in a step that says nothing."""
+    north = with_leaf(
+        with_leaf(START, lambda s: s.heading, 0.0), lambda s: s.latitude, 0.0
+    )
+    beside = with_leaf(north, lambda s: s.longitude, 0.1)
+    assert bool(spatial(beside, one(0.9)).has_end)
+    before = with_leaf(north, lambda s: s.latitude, 89.0 * degree)
+    end = spatial(before, one(0.0))
+    assert not bool(end.has_end)
+    # The last good state is on this side of the pole.
+    assert 89.0 * degree < float(end.state.latitude) < 90.0 * degree
+    assert abs(float(end.state.longitude - before.longitude)) < 1e-6
 
 
 @pytest.mark.slow
