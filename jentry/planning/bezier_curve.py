@@ -124,7 +124,7 @@ def k2_polynomial(velocity: np.ndarray, k2: np.ndarray) -> np.ndarray:
     k2 over the velocity is no parabola, so that the three depend on which k2 are fitted.
     For the CAV-H mission and its k1 of 0.848, in steps of 0.05, they are 2.53e-7, -0.00226
     and 4.92 from k2 of 0.4 to 1.0, 2.81e-7, -0.00240 and 5.10 from 0.55 to 0.9, and
-    2.10e-7, -0.00204 and 4.63 from 0.3 to 1.0. The paper prints 2.32e-7, -0.0024 and 5.46;
+    2.09e-7, -0.00204 and 4.63 from 0.3 to 1.0. The paper prints 2.32e-7, -0.0024 and 5.46;
     it searches between 0.4 and 1, and does not say which k2 it fits.
 
     Raises `ValueError` where fewer than three velocities are finite.
