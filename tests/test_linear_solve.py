@@ -153,6 +153,24 @@ def test_batches_along_last_axes(solved):
         np.testing.assert_allclose(found[j, i], expected, rtol=1e-13)
 
 
+def test_right_hand_sides_in_columns():
+    """Of one leaf: those above are cut in parts, which moves their axis to the front."""
+    places = jnp.asarray(numpy_matrix(0.7, -0.4))
+    rights = RIGHT[:, None] + np.arange(9.0).reshape(3, 3)
+
+    def x_of(right):
+        return linear_solve(
+            lambda p, x: p @ x,
+            lambda p, b: jnp.linalg.solve(p, b),
+            lambda p, b: jnp.linalg.solve(p.T, b),
+            places,
+            right,
+        )
+
+    found = jax.jit(jax.vmap(x_of, 1, 1))(jnp.asarray(rights))
+    np.testing.assert_allclose(found, np.linalg.solve(places, rights), rtol=1e-13)
+
+
 def test_a_gradient_of_a_batch(solved):
     x_of, _ = solved
     rights = jnp.asarray(RIGHT)[None] + jnp.arange(12.0).reshape(4, 3)

@@ -171,15 +171,30 @@ def test_the_end_varies_smoothly_where_the_number_of_steps_changes():
     assert np.max(np.abs(bends)) < 1.0
 
 
+RISING = with_leaf(
+    with_leaf(START, lambda s: s.altitude, 9.5e3),
+    lambda s: s.flight_path_angle,
+    20.0 * degree,
+)
+"""Beyond an end, and on this side of it a step later"""
+
+
 @pytest.mark.parametrize(
     "changes",
     [
         {"steps": 16},
         {"state": with_leaf(START, lambda s: s.altitude, 9e3)},
+        {"state": RISING},
         {"lift": one(jnp.nan)},
         {"drag": one(1e12)},
     ],
-    ids=["too few steps", "beyond an end", "no number", "no longer finite"],
+    ids=[
+        "too few steps",
+        "beyond an end",
+        "rising from there",
+        "no number",
+        "no longer finite",
+    ],
 )
 def test_what_has_no_end_says_so_and_is_finite(changes):
     end = predicted(**changes)
@@ -319,6 +334,7 @@ def test_over_an_index_derivatives_are_those_of_differences():
 
     lift, h = one(1.02), 1e-5
     difference = (reached(lift + h) - reached(lift - h)) / (2 * h)
+    assert float(difference) > 1e3  # m: it flies, and further with more lift
     for derivative in (jax.jacfwd, jax.grad):
         found = float(jax.jit(derivative(reached))(lift))
         assert found == pytest.approx(float(difference), rel=1e-6)

@@ -285,7 +285,7 @@ def test_tuned_gains_are_judged_as_it_is_saved(name):
     )
     expected = saved["tuned"]["judgement"]["comparisons"]
     # A bank reversal that comes a cycle later, by another order of rounding, moves one of
-    # 5000 flights by a standard deviation.
+    # 5000 flights by a standard deviation. Means are differences of such numbers.
     rel = 1e-3 if name == "mars-range-tracking" else 1e-6
     for one, other in zip(found.comparisons, expected, strict=True):
         assert (one.quantity, one.statistic) == (other["quantity"], other["statistic"])
