@@ -286,7 +286,7 @@ def addresses_of_dispersion(
 ) -> list[str]:
     """The leaves that it moves, each once. Raises `ValueError` for what is no leaf."""
     try:
-        reached = addresses_of(scenario, dispersion.where)
+        addresses = addresses_of(scenario, dispersion.where)
         parts = dispersion.where(scenario)
     except (ValueError, AttributeError, LookupError, TypeError) as error:
         raise ValueError(f"dispersion {name!r}: {error}") from error
@@ -295,12 +295,12 @@ def addresses_of_dispersion(
     if whole is not None:
         raise ValueError(
             f"dispersion {name!r} reaches a whole {type(whole).__name__}, with "
-            f"{', '.join(reached)}: return the numbers themselves"
+            f"{', '.join(addresses)}: return the numbers themselves"
         )
-    for address in reached:
-        if reached.count(address) > 1:
+    for address in addresses:
+        if addresses.count(address) > 1:
             raise ValueError(f"dispersion {name!r} reaches {address} twice: once")
-    return reached
+    return addresses
 
 
 def unit_of_draw(
@@ -337,13 +337,13 @@ def check_dispersions(
     leaves = leaves_by_address(scenario)
     moved: set[str] = set()
     for name, dispersion in dispersions.items():
-        reached = addresses_of_dispersion(scenario, name, dispersion)
-        unit_of_draw(scenario, name, reached, dispersion.apply)
-        for address in reached:
+        addresses = addresses_of_dispersion(scenario, name, dispersion)
+        unit_of_draw(scenario, name, addresses, dispersion.apply)
+        for address in addresses:
             require_effect(scenario, address)
             if dispersion.apply is multiply and address not in moved:
                 _refuse_factor_on_zero(name, address, leaves[address])
-        moved.update(reached)
+        moved.update(addresses)
         distribution = dispersion.distribution
         try:
             distribution = with_leaves(distribution)
