@@ -34,11 +34,11 @@ class Traced:
 
     def depends(self) -> bool:
         """Whether any number that the function gives depends on its inputs."""
-        return any(self._reached())
+        return any(self._dependent())
 
     def depending(self) -> Any:
         """Which numbers that the function gives depend on its inputs, each in its place."""
-        return jax.tree.unflatten(self._structure, self._reached())
+        return jax.tree.unflatten(self._structure, self._dependent())
 
     def independent(self, where: Callable[[Any], Any]) -> Scalar | None:
         """The number at a place of the output; None where it depends on the inputs.
@@ -48,7 +48,7 @@ class Traced:
         jaxpr = self._closed.jaxpr
         places = jax.tree.unflatten(self._structure, range(len(jaxpr.outvars)))
         place = where(places)
-        if self._reached()[place]:
+        if self._dependent()[place]:
             return None
         wanted = set(filter(_is_variable, [jaxpr.outvars[place]]))
         needed = []
@@ -61,30 +61,30 @@ class Traced:
         value = jaxpr_as_fun(ClosedJaxpr(lean, self._closed.consts))(*nothing)[0]
         return jnp.asarray(value)
 
-    def _reached(self) -> list[bool]:
+    def _dependent(self) -> list[bool]:
         jaxpr = self._closed.jaxpr
-        return _reached(jaxpr, [True] * len(jaxpr.invars))
+        return _dependent(jaxpr, [True] * len(jaxpr.invars))
 
 
 def _is_variable(v: Any) -> bool:
     return not isinstance(v, Literal)
 
 
-def _reached(jaxpr: Jaxpr, reached_inputs: Sequence[bool]) -> list[bool]:
+def _dependent(jaxpr: Jaxpr, dependent_inputs: Sequence[bool]) -> list[bool]:
     """Which outputs of a traced function depend on those of its inputs."""
-    reached = {v for v, r in zip(jaxpr.invars, reached_inputs, strict=True) if r}
+    dependent = {v for v, r in zip(jaxpr.invars, dependent_inputs, strict=True) if r}
 
-    def is_reached(v: Any) -> bool:
-        return _is_variable(v) and v in reached
+    def is_dependent(v: Any) -> bool:
+        return _is_variable(v) and v in dependent
 
     for equation in jaxpr.eqns:
-        inputs = [is_reached(v) for v in equation.invars]
+        inputs = [is_dependent(v) for v in equation.invars]
         if not any(inputs):
             continue
         inner = _called(equation)
-        outputs = _reached(inner, inputs) if inner else [True] * len(equation.outvars)
-        reached.update(v for v, r in zip(equation.outvars, outputs, strict=True) if r)
-    return [is_reached(v) for v in jaxpr.outvars]
+        outputs = _dependent(inner, inputs) if inner else [True] * len(equation.outvars)
+        dependent.update(v for v, r in zip(equation.outvars, outputs, strict=True) if r)
+    return [is_dependent(v) for v in jaxpr.outvars]
 
 
 def _called(equation: Any) -> Jaxpr | None:

@@ -72,11 +72,17 @@ def newton(
     def improve(carry, _):
         (x, _, _, known), low, high = carry
         value, slope = value_and_slope(x)
-        finite = _is_finite(value) & _is_finite(slope)
-        usable = finite & (_determinant(slope) != 0.0)
-        # On both sides of the last `where`, so that no derivative comes from there.
-        at = jnp.where(usable, value, jnp.zeros_like(value))
-        step = -solve(jnp.where(usable, slope, _identity(slope)), at)
+        if nan_where_lost:
+            # A slope of zero gives an infinite step, and an infinite slope one of zero.
+            step = -solve(slope, value) + 0.0 * jnp.sum(slope)
+            step = jnp.where(jnp.isfinite(step), step, jnp.nan)
+        else:
+            finite = _is_finite(value) & _is_finite(slope)
+            usable = finite & (_determinant(slope) != 0.0)
+            known = known & finite
+            # On both sides of the last `where`, so that no derivative comes from there.
+            at = jnp.where(usable, value, jnp.zeros_like(value))
+            step = -solve(jnp.where(usable, slope, _identity(slope)), at)
         if largest_step is not None:
             step = _within(step, -largest_step, largest_step)
         moved = x + step
@@ -84,26 +90,16 @@ def newton(
             low, high = jnp.where(at > 0.0, x, low), jnp.where(at < 0.0, x, high)
             inside = (moved >= low) & (moved <= high)
             moved = jnp.where(inside, moved, 0.5 * (low + high))
-        moved = jnp.where(usable, _within(moved, lower, upper), x)
-        step = jnp.where(usable, moved - x, jnp.inf)
-        return (Root(moved, value, step, known & finite), low, high), None
-
-    def improve_or_lose(carry, _):
-        (x, _, _, known), low, high = carry
-        value, slope = value_and_slope(x)
-        # A slope of zero gives an infinite step, and an infinite slope one of zero.
-        step = -solve(slope, value) + 0.0 * jnp.sum(slope)
-        step = jnp.where(jnp.isfinite(step), step, jnp.nan)
-        if largest_step is not None:
-            step = _within(step, -largest_step, largest_step)
-        moved = _within(x + step, lower, upper)
-        return (Root(moved, value, moved - x, known), low, high), None
+        moved = _within(moved, lower, upper)
+        step = moved - x
+        if not nan_where_lost:
+            moved, step = jnp.where(usable, moved, x), jnp.where(usable, step, jnp.inf)
+        return (Root(moved, value, step, known), low, high), None
 
     known = _is_finite(x)
     first = Root(x, jnp.full_like(x, jnp.inf), jnp.full_like(x, jnp.inf), known)
     start = first, _like(lower, x), _like(upper, x)
-    one = improve_or_lose if nan_where_lost else improve
-    (found, _, _), _ = lax.scan(one, start, length=steps, unroll=unroll)
+    (found, _, _), _ = lax.scan(improve, start, length=steps, unroll=unroll)
     if nan_where_lost:
         found = found._replace(known=_is_finite(found.x))
     return found

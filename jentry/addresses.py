@@ -48,13 +48,13 @@ def addresses_of(tree: PyTree, where: Callable[[Any], Any]) -> list[str]:
     names = jtu.tree_map_with_path(
         lambda path, leaf: _address(path) if eqx.is_array(leaf) else None, tree
     )
-    reached = where(names)
-    found = jax.tree.leaves(reached)
+    named = where(names)
+    found = jax.tree.leaves(named)
     known = leaves_by_address(tree)
     if not found or any(name not in known for name in found):
         raise ValueError(
             "a lens reaches no leaf: it must return a number of the scenario, such as "
-            f"lambda s: s.planet.density_scale, and returned {reached!r}"
+            f"lambda s: s.planet.density_scale, and returned {named!r}"
         )
     return found
 

@@ -14,14 +14,18 @@ from helpers import ahead
 
 from jentry._batching import where_due
 from jentry.flight.closed_loop import first_measurement
+from jentry.flight.scenario import check
 from jentry.guidance import (
+    AbstractSampledLaw,
     AbstractVelocityPredictor,
+    BezierGuidance,
     BezierPath,
     Epochs,
     NetworkPredictor,
     NewtonAdjustment,
     PathPoint,
     PolynomialAdjustment,
+    ShorteningCycle,
     StoredParameters,
     Subdivision,
 )
@@ -37,6 +41,7 @@ from jentry.motion.constraints import (
     HeatRate,
     LoadFactor,
     limit_of,
+    usual_constraints,
 )
 from jentry.onboard import FactorEstimate, Factors, Measurement, Network
 from jentry.units import degree, km
@@ -430,3 +435,47 @@ def test_the_limits_are_told_to_the_law_in_flight():
     assert limit_of({"a": HeatRate(), "b": Drag(1.0)}, HeatRate) is None
     glide = scenario.guidance.glide(scenario.constraints)
     assert glide.constraints is scenario.constraints
+
+
+class Wrapped(AbstractSampledLaw):
+    """Forwards everything."""
+
+    law: BezierGuidance
+    cycle: ShorteningCycle
+
+    def init(self, measurement):
+        return self.law.init(measurement)
+
+    def update(self, *sensed):
+        return self.law.update(*sensed)
+
+    def __call__(self, *sensed):
+        return self.law(*sensed)
+
+
+def test_a_scenario_without_limits_is_flown_with_a_warning():
+    """Unless it has none of the constraints, and so nothing that could be kept."""
+    scenario = dataclasses.replace(stored(), constraints=usual_constraints())
+    names = "dynamic_pressure, heat_rate, load_factor"
+    said = f"BezierGuidance keeps the limits of {names}, .* DynamicPressure\\(limit\\)"
+    with pytest.warns(UserWarning, match=said):
+        check(scenario)
+    wrapped = dataclasses.replace(scenario, guidance=Wrapped(LAW, LAW.cycle))
+    with pytest.warns(UserWarning, match="Wrapped keeps the limits"):
+        check(wrapped)
+
+
+@pytest.mark.parametrize(
+    "known",
+    [{}, {"drag": Drag()}, {"heat_rate": HeatRate(1e6), "load_factor": LoadFactor()}],
+    ids=["none", "another", "one with a limit"],
+)
+def test_limits_that_are_given_or_not_meant_are_no_warning(known):
+    """Warnings are errors in the tests."""
+    check(dataclasses.replace(stored(), constraints=known))
+
+
+def test_a_law_that_keeps_no_limits_needs_none():
+    scenario = find_mission("mars-drag-tracking").scenario("time-index")
+    assert all(each.limit is None for each in scenario.constraints.values())
+    check(scenario)

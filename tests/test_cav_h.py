@@ -22,6 +22,7 @@ from helpers import (
     most_by_chance,
     truths,
 )
+from readme import assert_says
 
 from jentry.addresses import leaves_by_address
 from jentry.campaign.campaign import drawn_inputs, monte_carlo
@@ -67,7 +68,7 @@ def test_nominal_velocity_at_the_target(as_printed):
     """2630 m/s with the guidance cycle of the notes, and the paper's k1 and k2."""
     _, (flight, _) = as_printed
     # As the README has it, to the digits there.
-    assert float(flight.state.velocity) == pytest.approx(2630.00, abs=0.005)
+    assert_says("flight ends at 2630.00 m/s", float(flight.state.velocity))
 
 
 def test_position_and_angles_at_the_target(as_printed):
@@ -106,7 +107,7 @@ def test_continuous_law():
     coarse, fine = velocity
     assert abs(fine - 2624.6) < 0.5
     # The difference to the limit halves with the cycle.
-    assert 2.0 * fine - coarse == pytest.approx(2624.58, abs=0.05)
+    assert_says("hold of a cycle, at 2624.6", 2.0 * fine - coarse)
 
 
 @pytest.mark.slow
@@ -291,15 +292,18 @@ def test_map_and_polynomial_are_those_of_the_paper():
     printed = truths("zhou.csv")["polynomial"]
     some = slice(5, 13)  # 0.55 to 0.9
     assert k2[some][[0, -1]] == pytest.approx([0.55, 0.9])
-    # As the function and the README say, to the digits there.
+    # As the function and the README say, half a digit to either side.
     said = (
         (some, (2.81e-7, -0.00240, 5.10)),
         (slice(2, None), (2.53e-7, -0.00226, 4.92)),
-        (slice(None), (2.10e-7, -0.00204, 4.63)),
+        (slice(None), (2.09e-7, -0.00204, 4.63)),
     )
     for where, expected in said:
         found = k2_polynomial(flown.velocity[1][where], k2[where])
-        assert found == pytest.approx(expected, rel=3e-3)
+        for value, printed_value, half in zip(
+            found, expected, (5e-10, 5e-6, 5e-3), strict=True
+        ):
+            assert value == pytest.approx(printed_value, abs=half)
         assert found == pytest.approx(list(printed.values()), rel=0.25)
     # The narrower one goes through the nominal flight.
     a, b, c = k2_polynomial(flown.velocity[1][some], k2[some])

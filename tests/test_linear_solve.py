@@ -138,6 +138,39 @@ def test_batches(solved, batched, jacobian):
     )
 
 
+def test_batches_along_last_axes(solved):
+    """A vmap of a vmap, the outer one along the second axis of places and right."""
+    x_of, _ = solved
+    a, b = (
+        np.linspace(0.1, 0.9, 6).reshape(2, 3),
+        np.linspace(-0.5, 0.8, 6).reshape(2, 3),
+    )
+    rights = RIGHT[:, None] + np.arange(9.0).reshape(3, 3)
+    inner = jax.vmap(x_of, (0, None))
+    found = jax.jit(jax.vmap(inner, (1, 1)))(places(a, b), jnp.asarray(rights))
+    for i, j in np.ndindex(2, 3):
+        expected = solution(a[i, j], b[i, j], rights[:, j])
+        np.testing.assert_allclose(found[j, i], expected, rtol=1e-13)
+
+
+def test_right_hand_sides_in_columns():
+    """Of one leaf: those above are cut in parts, which moves their axis to the front."""
+    places = jnp.asarray(numpy_matrix(0.7, -0.4))
+    rights = RIGHT[:, None] + np.arange(9.0).reshape(3, 3)
+
+    def x_of(right):
+        return linear_solve(
+            lambda p, x: p @ x,
+            lambda p, b: jnp.linalg.solve(p, b),
+            lambda p, b: jnp.linalg.solve(p.T, b),
+            places,
+            right,
+        )
+
+    found = jax.jit(jax.vmap(x_of, 1, 1))(jnp.asarray(rights))
+    np.testing.assert_allclose(found, np.linalg.solve(places, rights), rtol=1e-13)
+
+
 def test_a_gradient_of_a_batch(solved):
     x_of, _ = solved
     rights = jnp.asarray(RIGHT)[None] + jnp.arange(12.0).reshape(4, 3)

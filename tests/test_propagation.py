@@ -119,6 +119,14 @@ def test_factors_are_those_of_the_forces():
     np.testing.assert_allclose(
         jax.tree.leaves(factors), jax.tree.leaves(density), rtol=1e-11, atol=1e-11
     )
+    # They multiply those that the model has of its own.
+    known = with_leaf(MODEL, lambda m: m.vehicle.lift_scale, 1.1)
+    np.testing.assert_allclose(
+        jax.tree.leaves(predicted(lift=one(1.1), model=known)),
+        jax.tree.leaves(predicted(lift=one(1.21))),
+        rtol=1e-11,
+        atol=1e-11,
+    )
     lift, drag = predicted(lift=one(1.1)), predicted(drag=one(1.1))
     nominal = predicted()
     assert downrange(lift.state) > downrange(nominal.state) > downrange(drag.state)
@@ -168,10 +176,17 @@ def test_the_end_varies_smoothly_where_the_number_of_steps_changes():
     [
         {"steps": 16},
         {"state": with_leaf(START, lambda s: s.altitude, 9e3)},
+        {"state": with_leaf(START, lambda s: s.altitude, 137e3)},
         {"lift": one(jnp.nan)},
         {"drag": one(1e12)},
     ],
-    ids=["too few steps", "beyond an end", "no number", "no longer finite"],
+    ids=[
+        "too few steps",
+        "beyond an end",
+        "beyond it for a step",
+        "no number",
+        "no longer finite",
+    ],
 )
 def test_what_has_no_end_says_so_and_is_finite(changes):
     end = predicted(**changes)
@@ -220,6 +235,21 @@ def test_a_mirrored_bank_flies_a_mirrored_crossrange():
     np.testing.assert_allclose(right[0], left[0], rtol=1e-12)
     np.testing.assert_allclose(right[1], -left[1], rtol=1e-9)
     assert right[1] < -1e4
+
+
+def test_over_a_pole_it_is_given_up():
+    """Longitude and heading turn by 180 degrees there, in a step that says nothing."""
+    north = with_leaf(
+        with_leaf(START, lambda s: s.heading, 0.0), lambda s: s.latitude, 0.0
+    )
+    beside = with_leaf(north, lambda s: s.longitude, 0.1)
+    assert bool(spatial(beside, one(0.9)).has_end)
+    before = with_leaf(north, lambda s: s.latitude, 89.0 * degree)
+    end = spatial(before, one(0.0))
+    assert not bool(end.has_end)
+    # The last good state is on this side of the pole.
+    assert 89.0 * degree < float(end.state.latitude) < 90.0 * degree
+    assert abs(float(end.state.longitude - before.longitude)) < 1e-6
 
 
 @pytest.mark.slow
@@ -296,6 +326,7 @@ def test_over_an_index_derivatives_are_those_of_differences():
 
     lift, h = one(1.02), 1e-5
     difference = (reached(lift + h) - reached(lift - h)) / (2 * h)
+    assert float(difference) > 1e3  # m: it flies, and further with more lift
     for derivative in (jax.jacfwd, jax.grad):
         found = float(jax.jit(derivative(reached))(lift))
         assert found == pytest.approx(float(difference), rel=1e-6)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import fly_compiled, mars_scenario, with_leaf
+from readme import assert_says
 
 from jentry.analysis import linear_covariance, sensitivity
 from jentry.campaign import Constant, Dispersion, Normal, Uniform, add, monte_carlo
@@ -354,7 +355,7 @@ def test_what_cannot_be_analysed_is_an_error(options, message):
 @pytest.mark.slow
 def test_mars_mission_is_predicted_at_a_tenth_and_departs_at_full_size():
     mission = find_mission("mars-drag-tracking")
-    ratios = []
+    ratios = []  # predicted over flown
     for factor in (0.1, 1.0):
         analysis = linear_covariance(
             mission.scenario(),
@@ -364,8 +365,10 @@ def test_mars_mission_is_predicted_at_a_tenth_and_departs_at_full_size():
         )
         assert set(analysis.models) == {"altitude", "velocity"}
         ratios.append(analysis.spreads["downrange"].ratio)
-    assert ratios[0] == pytest.approx(1.0, abs=0.1)
-    assert abs(ratios[1] - 1.0) > 0.1
+    small, full = (100.0 * abs(ratio - 1.0) for ratio in ratios)
+    assert_says(
+        "to 2 % at a tenth of the dispersions and is 16 % off at full size", small, full
+    )
 
 
 @pytest.mark.slow

@@ -18,10 +18,10 @@ from jaxtyping import PyTree
 
 
 LANES = 64
-"""Flights side by side: few enough to stay in the cache, and always as many, so that a
-run does not depend on how many it is flown with. A law of your own may depend by rounding
-on its place among them: the compiler may treat the last eight otherwise than the others,
-where a flight reads several numbers out of one array of its own."""
+"""Number of flights side by side: few enough to stay in the cache, and always as many,
+so that a run does not depend on how many it is flown with. A law of your own may depend
+by rounding on its place among them: the compiler may treat the last eight otherwise
+than the others, where a flight reads several numbers out of one array of its own."""
 
 _CHUNKS = 8
 """Of lanes, for each core, between two reports to the host."""
@@ -41,7 +41,7 @@ def over_runs(
     *,
     one_device: bool = False,
 ) -> Any:
-    """`function(shared, run)` for every run, as numpy arrays with the runs in front.
+    """Values of `function(shared, run)` for all runs, as numpy arrays, the runs in front.
 
     **Arguments:**
 
@@ -76,7 +76,7 @@ def sum_over_runs(
 
 
 def filled_up(runs: np.ndarray) -> np.ndarray:
-    """Indices of runs as they are flown: the last one again, up to whole batches."""
+    """Indices of runs, filled up to whole batches with the last one."""
     return np.asarray(_filled_up(runs, len(jax.devices())))
 
 

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 Runs = int | np.integer | Sequence[int] | np.ndarray
-"""How many runs, or the indices of which"""
+"""How many runs there are, or the indices of some"""
 
 
 class Campaign(eqx.Module):
@@ -150,7 +150,7 @@ def fly_in_blocks(
 ) -> Iterator[Campaign]:
     """Fly a campaign as `monte_carlo` does, part by part in the order of the runs.
 
-    In constant memory.
+    The memory that it takes does not grow with the runs.
     """
     scenario = checked(scenario)
     Plan.of(scenario, solver, history)  # refuses a step or an interval
@@ -245,8 +245,8 @@ def check_draws(
 ) -> None:
     """Refuse runs of which one has a draw that cannot be flown, before any is flown.
 
-    Block by block as they will be flown: in constant memory, and with nothing compiled
-    that flying does not need.
+    They are drawn block by block, as they will be flown: in constant memory, and with
+    nothing compiled that flying does not need.
     """
     for block in in_blocks(runs):
         drawn_inputs(scenario, dispersions, key, block)
@@ -297,10 +297,10 @@ def fly_run(
     solver: AbstractSolver,
     history: float | None = None,
 ) -> tuple[Flight, Scenario]:
-    """Fly one run of a campaign; also the scenario from which its misses are counted.
+    """Fly one run of a campaign, and give the scenario that its misses are counted from.
 
-    This is the dispersed one, but for the entry point: the target stays where it is when
-    that is dispersed.
+    That is the dispersed scenario, but for the entry point: the target stays where it
+    is when that is dispersed.
     """
     dispersed = replace_leaves(scenario, inputs)
     flight = fly(dispersed, solver, history)

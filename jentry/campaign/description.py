@@ -25,7 +25,7 @@ def describe(
     inputs: Mapping[str, Any] | None = None,
     **labels: Any,
 ) -> dict[str, Any]:
-    """What a campaign is, as plain values: two that are equal fly the same runs."""
+    """A campaign as plain values: two with equal values fly the same runs."""
     leaves = leaves_by_address(scenario)
     return {
         **labels,
@@ -76,7 +76,7 @@ def _name(function: Callable) -> str:
 
 
 def first_difference(known: Any, wanted: Any, place: str = "") -> str | None:
-    """In words, where two descriptions differ; none where they are equal."""
+    """Words for the first place where two descriptions differ; None if they are equal."""
     if isinstance(known, dict) and isinstance(wanted, dict):
         for name in [*known, *(n for n in wanted if n not in known)]:
             inner = f"{place}.{name}" if place else name

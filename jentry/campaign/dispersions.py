@@ -32,7 +32,7 @@ class AbstractDistribution(eqx.Module):
 
     @abstractmethod
     def sample(self, key: Key[Array, ""]) -> Scalar:
-        """One draw."""
+        """Draw one number."""
 
     @abstractmethod
     def moments(self) -> tuple[Scalar, Scalar]:
@@ -40,7 +40,7 @@ class AbstractDistribution(eqx.Module):
 
     @abstractmethod
     def scaled(self, factor: Scalar | float) -> "AbstractDistribution":
-        """This distribution about the same mean, so many times as wide."""
+        """The distribution about the same mean that is `factor` times as wide."""
 
 
 class Normal(AbstractDistribution):
@@ -82,7 +82,7 @@ class Uniform(AbstractDistribution):
 
 
 class Constant(AbstractDistribution):
-    """Always the same: what belongs to a table of dispersions without being drawn."""
+    """A number that is always the same, for a table of dispersions without a draw."""
 
     value: Scalar = scalar()
 
@@ -109,7 +109,7 @@ class TruncatedNormal(AbstractDistribution):
     upper: Scalar = scalar()
 
     def in_deviations(self) -> tuple[Scalar, Scalar]:
-        """The bounds, counted from the mean in standard deviations."""
+        """The two bounds, counted from the mean in standard deviations."""
         lower = (self.lower - self.mean) / self.standard_deviation
         upper = (self.upper - self.mean) / self.standard_deviation
         return lower, upper
@@ -200,7 +200,7 @@ Inputs = dict[str, Scalar]
 
 
 MOST_RUNS = 2**32
-"""Indices of runs that draw apart: a key takes 32 bits of one."""
+"""Number of runs that draw apart: a key takes 32 bits of the index of a run."""
 
 
 def key_of(seed: int) -> Key[Array, ""]:
@@ -286,7 +286,7 @@ def addresses_of_dispersion(
 ) -> list[str]:
     """The leaves that it moves, each once. Raises `ValueError` for what is no leaf."""
     try:
-        reached = addresses_of(scenario, dispersion.where)
+        addresses = addresses_of(scenario, dispersion.where)
         parts = dispersion.where(scenario)
     except (ValueError, AttributeError, LookupError, TypeError) as error:
         raise ValueError(f"dispersion {name!r}: {error}") from error
@@ -295,12 +295,12 @@ def addresses_of_dispersion(
     if whole is not None:
         raise ValueError(
             f"dispersion {name!r} reaches a whole {type(whole).__name__}, with "
-            f"{', '.join(reached)}: return the numbers themselves"
+            f"{', '.join(addresses)}: return the numbers themselves"
         )
-    for address in reached:
-        if reached.count(address) > 1:
+    for address in addresses:
+        if addresses.count(address) > 1:
             raise ValueError(f"dispersion {name!r} reaches {address} twice: once")
-    return reached
+    return addresses
 
 
 def unit_of_draw(
@@ -309,7 +309,7 @@ def unit_of_draw(
     addresses: Iterable[str],
     apply: Callable[[Scalar, Scalar], Scalar],
 ) -> str:
-    """Unit of what is drawn: that of the leaves, or of a factor on them.
+    """Unit of what a dispersion draws: that of its leaves, or of a factor on them.
 
     Raises `ValueError` for a draw that takes the place of leaves in different units.
     """
@@ -337,13 +337,13 @@ def check_dispersions(
     leaves = leaves_by_address(scenario)
     moved: set[str] = set()
     for name, dispersion in dispersions.items():
-        reached = addresses_of_dispersion(scenario, name, dispersion)
-        unit_of_draw(scenario, name, reached, dispersion.apply)
-        for address in reached:
+        addresses = addresses_of_dispersion(scenario, name, dispersion)
+        unit_of_draw(scenario, name, addresses, dispersion.apply)
+        for address in addresses:
             require_effect(scenario, address)
             if dispersion.apply is multiply and address not in moved:
                 _refuse_factor_on_zero(name, address, leaves[address])
-        moved.update(reached)
+        moved.update(addresses)
         distribution = dispersion.distribution
         try:
             distribution = with_leaves(distribution)

@@ -13,17 +13,17 @@ MISS_DISTANCE = "miss_distance"
 
 
 def at_end(name: str) -> str:
-    """Of a component of the state, or of the time."""
+    """Name in the results of a component of the state, or of the time, at the end."""
     return f"end_{name}"
 
 
 def error_of(miss: str) -> str:
-    """Of a field of `Misses`, or of its `distance`."""
+    """Name in the results of a field of `Misses`, or of its `distance`."""
     return MISS_DISTANCE if miss == "distance" else f"{miss}_error"
 
 
 def peak_of(constraint: str) -> str:
-    """Of a path constraint."""
+    """Name in the results of the peak of a path constraint."""
     return f"peak_{constraint}"
 
 

@@ -47,7 +47,7 @@ def _seal(campaign: str, first: int, last: int, contents: bytes) -> str:
 
 @dataclasses.dataclass(frozen=True, order=True)
 class Part:
-    """A stored part, by what its name says."""
+    """A stored part of a campaign, by what its file name says."""
 
     first: int
     last: int
@@ -55,7 +55,7 @@ class Part:
     path: Path
 
     def contents_of(self, campaign: str) -> bytes | None:
-        """Its bytes; None unless they are what a campaign of this digest has written."""
+        """Bytes of the part; None unless a campaign of this digest has written them."""
         contents = _read(self.path)
         seal = _seal(campaign, self.first, self.last, contents)
         return contents if seal == self.digest else None
@@ -76,7 +76,7 @@ def parts_of(out: Path) -> list[Part]:
 
 
 def not_as_written(paths: list[Path]) -> CampaignError:
-    """What to say of files that are no parts of the campaign whose folder they are in."""
+    """Sentence about files that are no parts of the campaign whose folder they are in."""
     named = ", ".join(map(str, paths[:_NAMED]))
     if len(paths) > _NAMED:
         named += f" and {len(paths) - _NAMED} more"

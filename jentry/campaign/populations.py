@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 def finite_flights(results: "xarray.Dataset") -> "xarray.Dataset":
     """The runs that statistics are taken of.
 
-    Left out are those without an end, see `has_end`, and those of which an output is not
-    finite, whatever their outcome.
+    Runs without an end (see `has_end`) are left out, and so are runs of which an output is
+    not finite, whatever their outcome.
     """
     finite = np.array(has_end(results["outcome"].values))
     for name in map(str, results.data_vars):
@@ -59,7 +59,7 @@ class Population(eqx.Module):
     """One statistic of many sets of runs."""
 
     values: np.ndarray
-    """(sets,)"""
+    """The statistic of each set, shape (sets,)"""
 
     @property
     def mean(self) -> float:
@@ -83,5 +83,5 @@ class Population(eqx.Module):
 def population(
     statistic: Callable[[Any], float], sets: "Iterable[xarray.Dataset]"
 ) -> Population:
-    """A statistic of each set; it takes the variables by name."""
+    """The population of a statistic, a function of the variables of a set by name."""
     return Population(np.array([statistic(one) for one in sets]))

@@ -40,10 +40,11 @@ def _of(constraint: AbstractPathConstraint) -> dict[str, Any]:
 def dataset(
     scenario: Scenario, campaign: Campaign, history: float | None = None
 ) -> "xarray.Dataset":
-    """Inputs by address, outcome, final state, misses, peaks and, if kept, histories.
+    """The results of a campaign as a dataset, with units.
 
-    And the caveats of the law: a variable with the attribute `caveat` is a share, and
-    where it is not zero the run did not go as the law is meant to.
+    It has the inputs by address, outcome, final state, misses, peaks and, if kept,
+    histories; and the caveats of the law: a variable with the attribute `caveat` is a
+    share, and where it is not zero the run did not go as the law is meant to.
 
     Dimensions: run, and time for histories, whose interval is `history` (s). Errors are
     actual minus desired. Names and units are those of the fields of the flight.

@@ -57,7 +57,7 @@ def run_campaign(
     report: Callable[[int], None] = lambda stored: None,
     **labels: Any,
 ) -> None:
-    """Fly a campaign into a folder, or what of it is not there yet.
+    """Fly those runs of a campaign that are not in a folder yet, and store them there.
 
     Interrupted at any moment, it is resumed by the same call and ends with the same
     numbers. More runs of the same campaign are added by a larger `runs`. Nothing that is
@@ -68,7 +68,7 @@ def run_campaign(
     - `out`: folder; made if it does not exist.
     - `inputs`: in place of dispersions, values by address.
     - `report`: is told how many runs are stored, whenever that changes.
-    - `labels`: such as the mission; kept in the results.
+    - `labels`: attributes of the results, such as the mission.
 
     **Raises:** `CampaignError` for a folder with another campaign or with something else,
     and for a part that is damaged; `ValueError` for what cannot be flown, a draw of any

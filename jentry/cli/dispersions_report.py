@@ -42,14 +42,14 @@ def print_dispersions(
     for column in table.columns[3:]:
         column.justify = "left"
     for name, dispersion in dispersions.items():
-        reached = addresses_of_dispersion(scenario, name, dispersion)
+        addresses = addresses_of_dispersion(scenario, name, dispersion)
         own = getattr(dispersion.apply, "__name__", "")
         cells = [
             name,
             _in_words(dispersion.distribution),
-            unit_of_draw(scenario, name, reached, dispersion.apply),
+            unit_of_draw(scenario, name, addresses, dispersion.apply),
             _HOW.get(dispersion.apply, own),
-            ", ".join(reached),
+            ", ".join(addresses),
         ]
         if before is not None:
             known = before.get(name)

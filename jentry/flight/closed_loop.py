@@ -33,7 +33,7 @@ class Bracket(eqx.Module):
     far: Scalar
     """A step of this length is known to cross the end, s; infinite while none is"""
     far_margin: Scalar
-    """Smallest margin there"""
+    """Smallest margin of the end conditions at `far`"""
     allowed: Scalar
     """`far` is at most this after the next step, s"""
 
@@ -45,9 +45,9 @@ class Moving(eqx.Module):
     attitude: Any
     """None where commands are flown at once"""
     memory: Any
-    """Of the law"""
+    """Memory of the law"""
     integrals: Mapping[str, Scalar] = eqx.field(default_factory=dict)
-    """Of path constraints that are integrals, by name"""
+    """Values of the path constraints that are integrals, by name"""
     off_a_bank: Scalar | None = None
     """Integral over what was commanded: zero as long as that was a bank. None while the
     flight goes on: there what is no bank is flown as NaN, which costs less and stops it"""
@@ -57,7 +57,7 @@ class Instant(eqx.Module):
     """When and where a flight was."""
 
     time: Scalar = eqx.field(metadata={"unit": "s"})
-    """Since the start"""
+    """Time since the start, s"""
     state: EntryState
 
 
@@ -65,12 +65,12 @@ class Lane(eqx.Module):
     """A flight on its way: all that the loop carries."""
 
     flown: Scalar
-    """s since the start"""
+    """Time since the start, s"""
     moving: Moving
     held: Any
     peaks: ConstraintValues
     at_peaks: dict[str, Instant]
-    """Of the peaks that are located"""
+    """When and where the located peaks were, by name"""
     bracket: Bracket
     running: Flag
     stopped: Count
@@ -172,10 +172,10 @@ def _measured(
 def first_measurement(scenario: Scenario) -> Measurement:
     """What the vehicle measures at the start, when its law has no memory yet.
 
-    At the first angle of attack of the attitude, or where that has none of its own at the
-    one that the law commands there. Where that depends on what is measured, through the
-    first memory or the first decision, it is the trim angle of attack of the vehicle: the
-    attitude before guidance begins.
+    The forces are those at the first angle of attack of the attitude or, where that has
+    none of its own, at the one that the law commands at the start. Where that command
+    depends on what is measured, through the first memory or the first decision, the angle
+    is the trim angle of attack of the vehicle: the attitude before guidance begins.
     """
     first = scenario.attitude.first_angle_of_attack
     if first is not None:
@@ -196,7 +196,7 @@ def first_measurement(scenario: Scenario) -> Measurement:
 
 
 def start(scenario: Scenario, step: float) -> Lane:
-    """The flight before its first step, which will be of a length (s)."""
+    """The flight before its first step, of which `step` is the length (s)."""
     state = scenario.initial_state
     measurement = first_measurement(scenario)
     memory, held = begun(scenario.guidance, measurement)
@@ -224,7 +224,7 @@ def start(scenario: Scenario, step: float) -> Lane:
 
 
 def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
-    """Start of a guidance cycle: what a sampled law decides, if the cycle is due."""
+    """The flight after what a sampled law decides, if its guidance cycle is due."""
     law = scenario.guidance
     if not isinstance(law, AbstractSampledLaw):
         return lane

@@ -58,11 +58,11 @@ class Plan(eqx.Module):
     """How the time of a flight is divided: into cycles, and these into steps."""
 
     duration: float = eqx.field(static=True)
-    """Of a cycle, s"""
+    """Length of a cycle, s"""
     scheduled: int = eqx.field(static=True)
-    """Cycles up to the time limit"""
+    """Number of cycles up to the time limit"""
     cycles: int = eqx.field(static=True)
-    """And those in which the last steps to the end are taken, at most"""
+    """Largest number of cycles, with those in which the last steps to the end are taken"""
     decide_every: int = eqx.field(static=True)
     keep_every: int = eqx.field(static=True)
     solver: AbstractSolver
@@ -130,7 +130,7 @@ class Plan(eqx.Module):
         return cls(duration, scheduled, cycles, decide_every, keep_every, solver)
 
     def kept(self, scenario: Scenario, lanes: Lane) -> Lane:
-        """Of the lanes at the starts of all cycles those that the history keeps."""
+        """Lanes that the history keeps, of those at the starts of all cycles."""
         if not varies(scenario.guidance):
             return jax.tree.map(lambda x: x[: self.scheduled : self.keep_every], lanes)
         interval = self.duration * self.keep_every
@@ -172,7 +172,7 @@ def varies(law: AbstractLaw) -> bool:
 
 
 def steps_to_the_end(step: float) -> int:
-    """That are taken at most in a step (s) that holds the end; see `_next_trial`."""
+    """Largest number of steps within the step (s) that holds the end: `_next_trial`."""
     return math.ceil(math.log2(max(step / _END_TOLERANCE, 1.0))) + _FREE_STEPS + 2
 
 

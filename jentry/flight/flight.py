@@ -30,13 +30,13 @@ class History(eqx.Module):
     time: Float[Array, "*n"] = eqx.field(metadata={"unit": "s"})
     states: EntryState
     controls: Controls
-    """That were flown"""
+    """Controls that were flown"""
     commands: Controls | None
-    """Of the law; None where it is flown at once"""
+    """Commands of the law; None where they are flown at once"""
     constraints: ConstraintValues
     """The constrained quantities at these times, not their peaks"""
     decisions: Any
-    """What a sampled law holds: curves, estimates, commands. None of a continuous one"""
+    """What a sampled law holds: curves, estimates, commands; None of a continuous law"""
 
 
 class Flight(eqx.Module):

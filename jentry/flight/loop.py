@@ -66,7 +66,7 @@ def while_running_with_history(
     carry: Carry,
     max_cycles: int,
 ) -> tuple[Carry, Carry]:
-    """As `while_running`; also the carry at the start of every cycle, stacked.
+    """Loop as `while_running` does, and stack the carry at the start of every cycle.
 
     Of the `max_cycles` entries those count for which `running(entry)` holds.
     """

@@ -15,22 +15,22 @@ class Misses(eqx.Module):
     """Differences at the end of the flight, actual minus desired."""
 
     downrange: Scalar = output(unit="m")
-    """Positive is too far"""
+    """Error along the entry direction; positive is too far"""
     crossrange: Scalar = output(unit="m")
-    """Positive is to the left"""
+    """Error across the entry direction; positive is to the left"""
     altitude: Scalar = output(unit="m")
     velocity: Scalar = output(unit="m/s")
     flight_path_angle: Scalar | None = output(unit="rad", default=None)
-    """None if the target has none"""
+    """Error of the flight-path angle; None if the target has none"""
     heading: Scalar | None = output(unit="rad", default=None)
-    """None if the target has none"""
+    """Error of the heading; None if the target has none"""
 
     __str__ = as_text
 
     @property
     @in_unit("m")
     def distance(self) -> Array:
-        """From the target, m; of one flight or of many."""
+        """Distance from the target, m, of one flight or of many."""
         square = sum(
             jnp.square(x) for x in (self.downrange, self.crossrange, self.altitude)
         )

@@ -1,5 +1,6 @@
 """What flies: planet, vehicle, initial state, guidance and end conditions in one pytree."""
 
+import warnings
 from collections.abc import Mapping
 
 import equinox as eqx
@@ -10,7 +11,11 @@ from jax.core import Tracer
 from .._printed import as_text
 from ..addresses import field_metadata, leaves_by_address, unit_of, with_leaves
 from ..fields import QUARTER, Scalar, optional_scalar, scalar
-from ..guidance.law import AbstractLaw, reads_forces_between_cycles
+from ..guidance.law import (
+    AbstractLaw,
+    kept_constraints,
+    reads_forces_between_cycles,
+)
 from ..motion.attitude import AbstractAttitude, IdealAttitude
 from ..motion.constraints import (
     AbstractConstraint,
@@ -45,9 +50,9 @@ class Target(eqx.Module):
     downrange: Scalar = scalar(unit="m")
     crossrange: Scalar = scalar(0.0, unit="m")
     flight_path_angle: Scalar | None = optional_scalar(unit="rad", range=QUARTER)
-    """None where any will do"""
+    """Desired flight-path angle; None where any will do"""
     heading: Scalar | None = optional_scalar(unit="rad")
-    """Likewise"""
+    """Desired heading; None where any will do"""
 
     __str__ = as_text
 
@@ -65,9 +70,9 @@ class Scenario(eqx.Module):
     attitude: AbstractAttitude = IdealAttitude()
     dynamics: AbstractDynamics = EntryDynamics()
     constraints: Constraints = eqx.field(default_factory=usual_constraints)
-    """What is looked at on the way, by name: see `Flight.peaks`"""
+    """Path constraints that are looked at on the way, by name: see `Flight.peaks`"""
     located_peaks: tuple[str, ...] = eqx.field(default=(), static=True)
-    """Names of those whose peaks are located in time: see `Flight.at_peaks`"""
+    """Names of the path constraints whose peaks are located: see `Flight.at_peaks`"""
 
 
 def check(scenario: Scenario) -> None:
@@ -75,12 +80,13 @@ def check(scenario: Scenario) -> None:
 
     Raises `ValueError` that names the address, the value and what was expected. Numbers
     that are not known yet (under `jit`, `vmap` or `grad`) are left to the outcome of
-    the flight.
+    the flight. Warns where the law keeps limits that the scenario does not have.
     """
     with_leaves(scenario)
     _check_kept(scenario.dynamics, scenario.initial_state)
     _check_noise(scenario)
     _check_constraints(scenario)
+    _warn_without_limits(scenario)
     for address, leaf in leaves_by_address(scenario).items():
         if jax.config.read("jax_enable_x64") and leaf.dtype == np.float32:
             raise ValueError(
@@ -137,6 +143,22 @@ def _check_constraints(scenario: Scenario) -> None:
                 f"located_peaks has {name!r}, which is no constraint of the scenario: "
                 f"choose from {', '.join(known)}"
             )
+
+
+def _warn_without_limits(scenario: Scenario) -> None:
+    kinds = kept_constraints(scenario.guidance)
+    known = scenario.constraints.items()
+    kept = {name: each for name, each in known if isinstance(each, kinds)}
+    if kept and all(each.limit is None for each in kept.values()):
+        some, each = next(iter(kept.items()))
+        warnings.warn(
+            f"{type(scenario.guidance).__name__} keeps the limits of "
+            f"{', '.join(kept)}, and constraints has them without a limit: it flies "
+            f"whatever they become. Give one, such as "
+            f'constraints={{"{some}": {type(each).__name__}(limit)}}, or leave these '
+            "constraints out if none is meant",
+            stacklevel=3,
+        )
 
 
 def _check_noise(scenario: Scenario) -> None:
@@ -205,7 +227,7 @@ def check_values(address: str, values: np.ndarray, metadata: Mapping) -> None:
 
 
 def allowed(metadata: Mapping) -> str:
-    """In words, what the values of a field may be; nothing where they may be any."""
+    """Words for what the values of a field may be; none where they may be any."""
     if metadata.get("positive"):
         return "greater than zero"
     least, largest = metadata.get("range") or (-np.inf, np.inf)

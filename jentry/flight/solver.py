@@ -53,7 +53,7 @@ class RungeKutta4(diffrax.AbstractSolver):
 
 
 class AbstractSolver(eqx.Module):
-    """How to integrate; passed to `fly`."""
+    """A way to integrate the motion, which `fly` is given."""
 
 
 class FixedStep(AbstractSolver):
@@ -65,8 +65,8 @@ class FixedStep(AbstractSolver):
     """
 
     step: float | None = eqx.field(default=None, static=True)
-    """s; if none is given, 0.1, or for a law with a guidance cycle that varies, which
-    holds its command, one step a cycle"""
+    """Length of a step, s; if none is given, 0.1, or for a law with a guidance cycle
+    that varies, which holds its command, one step a cycle"""
     method: diffrax.AbstractSolver = RungeKutta4()
 
     def __check_init__(self):
@@ -74,7 +74,7 @@ class FixedStep(AbstractSolver):
             raise ValueError(f"step is {self.step} s: it must be positive and finite")
 
     def or_step(self, step: float) -> "FixedStep":
-        """This, with a step (s) if it has none."""
+        """The same solver with a step (s), if it has none."""
         return FixedStep(step, self.method) if self.step is None else self
 
     def steps_in(self, duration: float) -> int:
@@ -83,7 +83,7 @@ class FixedStep(AbstractSolver):
         return max(1, math.ceil(duration / self.step - 1e-9))
 
     def advance(self, field: VectorField, time: Scalar, duration: Scalar, y: Y) -> Y:
-        """One step. For reverse mode its stages are computed again, not kept."""
+        """Take one step. For reverse mode its stages are computed again, not kept."""
         terms = diffrax.ODETerm(lambda t, y, args: field(jnp.asarray(t), y))
 
         def step(time: Scalar, duration: Scalar, y: Y) -> Y:
@@ -105,10 +105,10 @@ class Adaptive(AbstractSolver):
     """
 
     tolerance: float = eqx.field(default=1e-10, static=True)
-    """Relative, and absolute in SI units and radians"""
+    """Relative tolerance, and the absolute one in SI units and radians"""
     method: diffrax.AbstractAdaptiveSolver = diffrax.Dopri8()
     max_steps: int = eqx.field(default=4096, static=True)
-    """In one guidance cycle"""
+    """Largest number of steps in one guidance cycle"""
 
     def __check_init__(self):
         if not 0.0 < self.tolerance < math.inf:

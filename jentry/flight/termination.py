@@ -58,7 +58,7 @@ _WITHOUT_END = (
 def has_end(outcome: Any) -> Any:
     """Whether a flight flew to one of its end conditions or to the time limit.
 
-    Of one outcome or an array of their codes. The end state, misses and peaks of other
+    Takes one outcome or an array of their codes. The end state, misses and peaks of other
     flights say nothing: statistics, losses and derivatives leave them out.
     """
     flown = outcome != _WITHOUT_END[0]
@@ -75,13 +75,14 @@ class AbstractEndCondition(eqx.Module):
     """
 
     counts_from_start: ClassVar[bool] = True
-    """Else the condition counts where its margin has been positive, not before"""
+    """Whether the condition counts from the start; if not, it counts as soon as its margin
+    has been positive"""
 
     outcome: eqx.AbstractVar[Outcome]
 
     @abstractmethod
     def margin(self, state: EntryState) -> Scalar:
-        """A smooth function of the state."""
+        """Smooth function of the state, positive until the condition is met."""
 
 
 class VelocityBelow(AbstractEndCondition):
@@ -181,7 +182,7 @@ class TargetPassed(AbstractEndCondition):
 
     track: Track
     radius: Scalar = scalar(unit="m", positive=True)
-    """Of the sphere on which the way to go is measured"""
+    """Radius of the sphere on which the way to go is measured"""
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
     def margin(self, state: EntryState) -> Scalar:
@@ -189,7 +190,7 @@ class TargetPassed(AbstractEndCondition):
 
 
 Counting = Bool[Array, " conditions"] | None
-"""Of the end conditions and the time limit those that can end the flight now"""
+"""Which of the end conditions and the time limit can end the flight now; None for all"""
 
 
 class Termination(eqx.Module):
@@ -203,7 +204,8 @@ class Termination(eqx.Module):
         converter=lambda conditions: dict(sorted(conditions.items()))
     )
     time_limit: float = eqx.field(static=True)
-    """s after the start; static, since it bounds the length of the loop"""
+    """Time after the start at which the flight ends at the latest, s; static, since it
+    bounds the length of the loop"""
 
     def __check_init__(self):
         if not 0.0 < self.time_limit < float("inf"):
@@ -212,7 +214,7 @@ class Termination(eqx.Module):
             )
 
     def margins(self, flown: Scalar, state: EntryState) -> Float[Array, " conditions"]:
-        """Of every condition, and last of the time limit; `flown` is in s."""
+        """Margins of all conditions, and last of the time limit; `flown` is in s."""
         values = [c.margin(state) for c in self.conditions.values()]
         return jnp.stack([*values, self.time_limit - flown])
 
@@ -231,7 +233,7 @@ class Termination(eqx.Module):
     def smallest_margin(
         self, flown: Scalar, state: EntryState, counting: Counting
     ) -> Scalar:
-        """Positive in flight; the flight ends where it is zero.
+        """Smallest of the margins: positive in flight, and zero where the flight ends.
 
         `counting` is of the state before the step; a condition that has come to its near
         side in it is looked at as well.
@@ -243,11 +245,11 @@ class Termination(eqx.Module):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the margins, in their order."""
+        """Names of the conditions and of the time limit, in the order of the margins."""
         return (*self.conditions, "time_limit")
 
     @property
     def outcomes(self) -> tuple[Outcome, ...]:
-        """Of the margins, in their order."""
+        """Outcomes of the conditions and of the time limit, in the order of the margins."""
         ends = [condition.outcome for condition in self.conditions.values()]
         return (*ends, Outcome.TIMED_OUT)

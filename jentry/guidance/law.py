@@ -1,7 +1,7 @@
 """What a guidance law is: two protocols. Only this file asks which of them a law is."""
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import equinox as eqx
 import jax
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from .._dependence import Traced
 from ..fields import Scalar, optional_scalar, scalar
+from ..motion.constraints import AbstractPathConstraint
 from ..motion.state import Controls, EntryState
 from ..onboard.navigation import Measurement
 from .cycle import AbstractCycle, FixedCycle
@@ -34,6 +35,10 @@ class AbstractLaw(eqx.Module):
     chooses the angle of attack alone commands an `AngleOfAttackCommand`, and flies beside
     a bank law: `compose`.
     """
+
+    keeps: ClassVar[tuple[type[AbstractPathConstraint], ...]] = ()
+    """Path constraints whose limits the law keeps. A scenario that has such constraints,
+    and none of them with a limit, is flown with a warning"""
 
 
 class AngleOfAttackCommand(eqx.Module):
@@ -195,6 +200,12 @@ class Sampled(AbstractSampledLaw[Memory, HeldCommand]):
             return law(time, measurement, memory)
         controls, rate = law.to_the_right(time, measurement, memory)
         return turned(controls, law.lateral.sign(side)), rate
+
+
+def kept_constraints(law: AbstractLaw) -> tuple[type[AbstractPathConstraint], ...]:
+    """Path constraints whose limits a law keeps, or a law that it is made of."""
+    parts = [part for part in vars(law).values() if isinstance(part, AbstractLaw)]
+    return (*law.keeps, *(kept for part in parts for kept in kept_constraints(part)))
 
 
 def begun(law: AbstractLaw, measurement: Measurement) -> tuple[Any, Any]:

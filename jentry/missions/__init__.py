@@ -59,7 +59,7 @@ def find_mission(name: str | Path) -> Mission:
 
 
 def every_mission() -> Iterator[Mission | ValueError]:
-    """Those of jentry and of installed packages, or why one of them cannot be had."""
+    """Every mission of jentry and of installed packages, or why one cannot be had."""
     for name in dict.fromkeys((*ALL, *packaged_missions())):
         try:
             yield find_mission(name)

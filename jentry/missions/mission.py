@@ -30,7 +30,7 @@ class PublishedValue:
     value: float
     unit: str
     statistic: Callable[[Mapping[str, Any]], float]
-    """Of the variables of a result, by name, each of shape (runs,)"""
+    """Function of the variables of a result, by name, each of shape (runs,)"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Mission:
     """
 
     name: str
-    """Of letters, digits, dots, dashes and underscores: results go to a folder of it"""
+    """Name of letters, digits, dots, dashes and underscores: results go to such a folder"""
     title: str
     variants: Mapping[str, Callable[[], Scenario]]
     """Builders of the scenario; the first is the mission's own"""
@@ -64,7 +64,8 @@ class Mission:
     """What `jentry tune` tunes unless told otherwise: addresses, or the beginnings of
     some; those that a variant does not have are left out"""
     train: Callable[..., dict[str, dict[str, Any]]] | None = None
-    """Trains the mission's networks: of a folder, a seed and options to model cards"""
+    """Function that trains the mission's networks: it takes a folder, a seed and options,
+    and returns the model cards by name"""
     figures: Mapping[str, DrawFigure] = dataclasses.field(
         default_factory=lambda: dict(USUAL)
     )
@@ -74,12 +75,12 @@ class Mission:
     published_note: str = ""
     published_variant: str = ""
     published_dispersions: str = ""
-    """What the published values belong to"""
+    """Reading of the dispersions that the published values belong to"""
     published_runs: int = 1000
-    """Of which the published statistics are: the size of the sets they are compared with"""
+    """Number of runs of the published statistics: the size of the sets beside them"""
     code: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    """Of a mission that is none of jentry's, what its files were when it was imported, by
-    name; filled in by `find_mission`, stored with results, compared on resumption"""
+    """Digests of the files of a mission of one's own when it was imported, by name;
+    filled in by `find_mission`, stored with results, compared on resumption"""
 
     def __post_init__(self):
         if not _NAME.fullmatch(self.name):
@@ -108,12 +109,15 @@ class Mission:
 
     @property
     def labels(self) -> dict[str, Any]:
-        """By which its results are known: its name, and its code if that is its own."""
+        """What the results are known by: the mission's name, and its code if any."""
         return {"mission": self.name} | ({"code": dict(self.code)} if self.code else {})
 
     @needs_float64
     def scenario(self, variant: str | None = None) -> Scenario:
-        """The nominal scenario. Raises `ValueError` for an unknown variant."""
+        """The nominal scenario of a variant.
+
+        Raises `ValueError` for an unknown variant, and for one that is no scenario.
+        """
         scenario = _choose(self.variants, variant, "variant", self.name)()
         if not isinstance(scenario, Scenario):
             raise ValueError(
@@ -123,7 +127,10 @@ class Mission:
         return scenario
 
     def dispersion_table(self, reading: str | None = None) -> Mapping[str, Dispersion]:
-        """What is dispersed. Raises `ValueError` for an unknown reading."""
+        """The table of dispersions of a reading.
+
+        Raises `ValueError` for an unknown reading, and for what is no dispersion.
+        """
         table = _choose(self.dispersions, reading, "dispersions", self.name)()
         for name, dispersion in table.items():
             if not isinstance(dispersion, Dispersion):
@@ -149,5 +156,5 @@ def _choose(
 
 
 def standard_deviation(values: Any) -> float:
-    """Of a sample: divided by the number less one."""
+    """Standard deviation of a sample: divided by the number less one."""
     return float(np.std(values, ddof=1))

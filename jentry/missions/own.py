@@ -18,7 +18,7 @@ from .mission import Mission
 
 
 GROUP = "jentry.missions"
-"""Of entry points: each has the name of a mission, and leads to it"""
+"""Group of entry points: each has the name of a mission, and leads to it"""
 
 
 def is_file(name: str) -> bool:
@@ -67,7 +67,7 @@ def mission_in_file(path: Path) -> Mission:
 
 
 def packaged_missions() -> dict[str, list[EntryPoint]]:
-    """What installed packages offer, by name; imports none of it."""
+    """Entry points of the missions of installed packages, by name, not imported."""
     offered: dict[str, list[EntryPoint]] = {}
     for point in importlib.metadata.entry_points(group=GROUP):
         offered.setdefault(point.name, []).append(point)
@@ -97,7 +97,7 @@ def mission_of_package(point: EntryPoint) -> Mission:
 
 
 def where_from(point: EntryPoint) -> str:
-    """The package and the object of an entry point, in words."""
+    """Words for the package and the object of an entry point."""
     package = "a package" if point.dist is None else f"the package {point.dist.name}"
     return f"{package} ({point.value})"
 
@@ -109,7 +109,7 @@ def sources_of(
 
     **Arguments:**
 
-    - `names`: of the modules at the top of the folder that count; None for all of them.
+    - `names`: those of the modules at the top of the folder that count; None for all.
     """
     found: dict[Path, bytes] = {}
     todo = [start]

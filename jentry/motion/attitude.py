@@ -22,7 +22,7 @@ class AbstractAttitude(eqx.Module, Generic[AttitudeState]):
     """
 
     first_angle_of_attack: eqx.AbstractVar[Scalar | None]
-    """rad at the start; None where it is the one of the first command"""
+    """Angle of attack at the start, rad; None where it is the one of the first command"""
 
     @abstractmethod
     def init(self, command: Controls) -> AttitudeState:
@@ -66,9 +66,9 @@ class Swing(eqx.Module):
     """An angle about one axis and how fast it turns, or the time derivative of both."""
 
     angle: Scalar
-    """rad"""
+    """Angle, rad"""
     rate: Scalar
-    """rad/s"""
+    """Rate of the angle, rad/s"""
 
 
 class Response(eqx.Module):
@@ -84,12 +84,12 @@ class Response(eqx.Module):
     rate_limit: Scalar = scalar(unit="rad/s", positive=True)
     acceleration_limit: Scalar = scalar(unit="rad/s2", positive=True)
     lower: Scalar = scalar(unit="rad")
-    """Smallest angle"""
+    """Smallest angle that is flown"""
     upper: Scalar = scalar(unit="rad")
-    """Largest angle"""
+    """Largest angle that is flown"""
 
     def within(self, angle: Scalar) -> Scalar:
-        """An angle within the limits."""
+        """The nearest angle (rad) within the limits."""
         return clamp(angle, self.lower, self.upper)
 
     def turn(self, swing: Swing, command: Scalar) -> Swing:

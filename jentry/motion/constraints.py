@@ -40,7 +40,7 @@ class PathPoint(eqx.Module):
         controls: Controls,
         dynamics: AbstractDynamics = EntryDynamics(),
     ) -> "PathPoint":
-        """The point with the flow at its angle of attack."""
+        """The point, with the air around it at its angle of attack."""
         air = air_data(planet, vehicle, state, controls.angle_of_attack)
         return cls(planet, vehicle, state, controls, air, dynamics)
 
@@ -76,8 +76,8 @@ class AbstractPathConstraint(eqx.Module):
     def excess(self, value: Scalar) -> Scalar:
         """What a value exceeds the limit by, and zero within it.
 
-        As a share of the limit; in the unit of the value where the limit is not positive,
-        as that of the equilibrium glide. Without a limit it is zero.
+        It is a share of the limit, or in the unit of the value where the limit is not
+        positive, as that of the equilibrium glide. Without a limit it is zero.
         """
         if self.limit is None:
             return jnp.zeros_like(value)
@@ -175,10 +175,10 @@ class HeatLoad(AbstractIntegral):
 class EquilibriumGlide(AbstractConstraint):
     """How much vertical acceleration lacks for an equilibrium glide at a bank angle.
 
-    In units of 9.80665 m/s2: zero where the flight-path angle would not change at that
-    bank angle, negative below this, in denser air, and positive above it. With the limit
-    0 a vehicle at that bank can always keep its path from bending down. Near zero path
-    angle over a planet at rest, lift * cos(bank) = g - V^2 / r at a value of zero.
+    It is in units of 9.80665 m/s2: zero where the flight-path angle would not change at
+    that bank angle, negative below this, in denser air, and positive above it. With the
+    limit 0 a vehicle at that bank can always keep its path from bending down. Near zero
+    path angle over a planet at rest, lift * cos(bank) = g - V^2 / r at a value of zero.
 
     Reference: D.-W. Lee, K.-R. Cho, H. Yan, "Re-Entry Trajectory Tracking Via an Inverse
     Dynamics Method", 2004, equation (8), for zero bank.
@@ -285,7 +285,8 @@ def constraint_values(
 def limit_of(constraints: Constraints, kind: type) -> Scalar | None:
     """The limit on a quantity: the smallest of the constraints of a class.
 
-    None where there is none with a limit. So a law reads what it has to keep:
+    It is None where no constraint of the class has a limit. A law reads here what it has
+    to keep:
 
         limit_of(measurement.constraints, HeatRate)
     """
@@ -298,14 +299,14 @@ def limit_of(constraints: Constraints, kind: type) -> Scalar | None:
 
 
 def integrals_of(constraints: Constraints) -> dict[str, AbstractIntegral]:
-    """Those of the constraints that are integrated along with the motion."""
+    """Path constraints that are integrated along with the motion, by name."""
     return {n: c for n, c in constraints.items() if isinstance(c, AbstractIntegral)}
 
 
 def excesses(constraints: Constraints, values: ConstraintValues) -> ConstraintValues:
     """What the values of one flight exceed each limit by; see `excess`.
 
-    Constraints without a limit are left out. Of peaks, for the penalty of a loss:
+    Constraints without a limit are left out. With peaks it is the penalty of a loss:
 
         outputs = lambda scenario, flight: (
             misses(scenario, flight), excesses(scenario.constraints, flight.peaks)

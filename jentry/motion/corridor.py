@@ -55,9 +55,10 @@ def corridor_point(
 
     - `state`: gives velocity and direction; its altitude and its path angle do not count.
     - `angle_of_attack`: rad.
-    - `altitudes`: between which the limit is sought, m.
+    - `altitudes`: the two between which the limit is sought, m.
 
-    **Returns:** both, or NaN where the limit is met at no altitude between these.
+    **Returns:** altitude (m) and drag (m/s2), or NaN where the limit is met at no
+    altitude between these.
 
     **Raises:** `ValueError` for a constraint that has no value at a point, such as an
     integral, or no limit.
@@ -138,7 +139,7 @@ def entry_corridor(
 
 
 def bounding(constraints: Constraints) -> Constraints:
-    """Those that bound the corridor: with a limit, and a value at each point."""
+    """Path constraints that bound the corridor: with a limit, and a value at each point."""
     return {
         name: each
         for name, each in constraints.items()

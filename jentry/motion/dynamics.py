@@ -44,7 +44,7 @@ class AbstractDynamics(eqx.Module):
         at_vertical_flight,
         at_poles,
     )
-    """Where the equations are singular, see `jentry.motion.singularities`"""
+    """Points where the equations are singular: see `jentry.motion.singularities`"""
 
     @abstractmethod
     def rates(
@@ -62,7 +62,8 @@ class AbstractDynamics(eqx.Module):
         return step_is_too_long(before, after, self.singular_points)
 
     def is_beyond(self, state: EntryState) -> Flag:
-        """Whether a flight has gone over a singular point: adaptive steps can miss it."""
+        """Whether a flight has gone over a singular point, which adaptive steps can
+        miss."""
         return self.is_singular(state, state)
 
 
@@ -98,47 +99,67 @@ def entry_dynamics(
     Reference: N. X. Vinh, A. Busemann, R. D. Culp, *Hypersonic and Planetary Entry
     Flight Mechanics*, 1980, chapter 2, with the heading counted from north.
     """
+    force = aerodynamic_acceleration(planet, vehicle, state, controls)
+    return rates_under(planet, state, *force, rotation_rate=planet.rotation_rate)
+
+
+def rates_under(
+    planet: Planet,
+    state: EntryState,
+    along: Scalar,
+    above: Scalar | None = None,
+    right: Scalar | None = None,
+    rotation_rate: Scalar | None = None,
+) -> EntryState:
+    """Time derivative of the state under gravity and a specific force, m/s2.
+
+    **Arguments:**
+
+    - `along`, `above`, `right`: of the velocity, components of the force, as
+      `aerodynamic_acceleration` has them. None costs nothing, where a zero would.
+    - `rotation_rate`: of the planet, rad/s. With None the planet is at rest.
+    """
     sin_path, cos_path = sincos(state.flight_path_angle)
     sin_heading, cos_heading = sincos(state.heading)
     sin_latitude, cos_latitude = sincos(state.latitude)
     velocity = state.velocity
     radius = planet.radius + state.altitude
     # One division for each quantity: products are eight times as fast.
-    per_velocity, per_cos_path = 1.0 / velocity, 1.0 / cos_path
+    per_velocity = 1.0 / velocity
     gravity = planet.gravity.acceleration(radius)
-    along, above, right = aerodynamic_acceleration(planet, vehicle, state, controls)
-
-    rotation = planet.rotation_rate
-    centrifugal = rotation * rotation * radius * cos_latitude
-    coriolis = 2.0 * rotation * velocity
     ground_rate = velocity * cos_path * (1.0 / radius)
     turn = ground_rate * sin_heading * (1.0 / cos_latitude)
 
-    return EntryState(
-        altitude=velocity * sin_path,
-        longitude=turn,
-        latitude=ground_rate * cos_heading,
-        velocity=along
-        - gravity * sin_path
-        + centrifugal
-        * (sin_path * cos_latitude - cos_path * sin_latitude * cos_heading),
-        flight_path_angle=(
+    along = along - gravity * sin_path
+    above = -gravity * cos_path if above is None else above - gravity * cos_path
+    if rotation_rate is not None:
+        centrifugal = rotation_rate * rotation_rate * radius * cos_latitude
+        coriolis = 2.0 * rotation_rate * velocity
+        along = along + centrifugal * (
+            sin_path * cos_latitude - cos_path * sin_latitude * cos_heading
+        )
+        above = (
             above
-            - gravity * cos_path
             + coriolis * cos_latitude * sin_heading
             + centrifugal
             * (cos_path * cos_latitude + sin_path * sin_latitude * cos_heading)
         )
-        * per_velocity
-        + ground_rate,
-        heading=(
-            right
+        right = (
+            (0.0 if right is None else right)
             - coriolis
             * (sin_path * cos_latitude * cos_heading - cos_path * sin_latitude)
             + centrifugal * sin_latitude * sin_heading
         )
-        * (per_velocity * per_cos_path)
-        + turn * sin_latitude,
+    heading = turn * sin_latitude
+    if right is not None:
+        heading = right * (per_velocity * (1.0 / cos_path)) + heading
+    return EntryState(
+        altitude=velocity * sin_path,
+        longitude=turn,
+        latitude=ground_rate * cos_heading,
+        velocity=along,
+        flight_path_angle=above * per_velocity + ground_rate,
+        heading=heading,
     )
 
 
@@ -147,9 +168,9 @@ def equatorial_dynamics(
 ) -> EntryState:
     """Time derivative of the state in the plane of the equator, flying due east.
 
-    `entry_dynamics` at latitude 0 and heading 90 degrees without the lateral forces, so
-    that both stay: half the work. Over a sphere at rest every in-plane flight can be
-    written like this.
+    This is `entry_dynamics` at latitude 0 and heading 90 degrees without the lateral
+    forces, so that both stay: half the work. Over a sphere at rest every in-plane
+    flight can be written like this.
     """
     sin_path, cos_path = sincos(state.flight_path_angle)
     velocity = state.velocity

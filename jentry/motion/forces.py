@@ -15,11 +15,11 @@ class AirData(eqx.Module):
     """The flow around the vehicle and the forces that it makes."""
 
     density: Scalar
-    """kg/m3"""
+    """Density of the air, kg/m3"""
     airspeed: Scalar
-    """m/s, relative to the air"""
+    """Speed relative to the air, m/s"""
     dynamic_pressure: Scalar
-    """Pa"""
+    """Dynamic pressure, Pa"""
     mach: Scalar
     lift: Scalar
     """Specific force across the relative wind, m/s2"""

@@ -30,12 +30,12 @@ class Polar(NamedTuple):
     distance: Scalar
     """Distance from the point after the step; negative beyond it"""
     approach: Scalar
-    """Change of the distance"""
+    """Change of the distance in the step"""
     turn: Scalar
-    """By how much the angle changes, rad"""
+    """Change of the angle in the step, rad"""
 
     def excess(self) -> Scalar:
-        """Positive if the step is too long."""
+        """How far the step is too long: positive if it is."""
         # Away from a start close by, the turn is a small one that ends within the step.
         near = jnp.abs(self.approach) > _LARGEST_TURN * self.distance
         allowed = jnp.where(near, _NO_TURN, _LARGEST_TURN)
@@ -51,13 +51,13 @@ def _change(name: str, before: EntryState, after: EntryState) -> Scalar:
 
 
 def at_rest(before: EntryState, after: EntryState) -> Polar:
-    """About rest, where the flight-path angle has no meaning."""
+    """The step about rest, where the flight-path angle has no meaning."""
     path = _change("flight_path_angle", before, after)
     return Polar(after.velocity, _change("velocity", before, after), jnp.abs(path))
 
 
 def at_vertical_flight(before: EntryState, after: EntryState) -> Polar:
-    """About vertical flight, where the heading has no meaning."""
+    """The step about vertical flight, where the heading has no meaning."""
     to_vertical = 0.5 * jnp.pi - jnp.abs(after.flight_path_angle)
     # Convergence of the meridians turns the heading by no more than the longitude.
     around = jnp.abs(_change("heading", before, after))
@@ -66,7 +66,7 @@ def at_vertical_flight(before: EntryState, after: EntryState) -> Polar:
 
 
 def at_poles(before: EntryState, after: EntryState) -> Polar:
-    """About the poles, where the longitude has no meaning."""
+    """The step about the poles, where the longitude has no meaning."""
     to_pole = 0.5 * jnp.pi - jnp.abs(after.latitude)
     around = jnp.abs(_change("longitude", before, after))
     return Polar(to_pole, _change("latitude", before, after), around)

@@ -56,9 +56,9 @@ class Controls(eqx.Module):
     def off_a_bank(self, shares_reversals: bool = False) -> Scalar:
         """How far the squares of cosine and sine add up to another sum than one.
 
-        Zero for what is a bank but for rounding; with reversals that are shared out, for
-        any sum of no more than one. Not negative, and without a derivative. Numbers that
-        are not finite are no concern of this.
+        It is zero for what is a bank but for rounding and, with reversals that are shared
+        out, for any sum of no more than one. It is not negative, and has no derivative.
+        Numbers that are not finite are no concern of this.
         """
         excess = self.cos_bank * self.cos_bank + self.sin_bank * self.sin_bank - 1.0
         rounding = max(_ROUNDING, 32.0 * float(jnp.finfo(jnp.result_type(excess)).eps))
@@ -76,5 +76,5 @@ class Controls(eqx.Module):
     @property
     @in_unit("rad")
     def bank_angle(self) -> Scalar:
-        """In [-pi, pi], rad."""
+        """Bank angle in [-pi, pi], rad; positive to the right."""
         return jnp.where(self.sin_bank < 0.0, -1.0, 1.0) * safe_arccos(self.cos_bank)

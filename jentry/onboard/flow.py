@@ -6,10 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .._math import sincos
 from ..fields import Scalar
+from ..motion.dynamics import rates_under
 from ..motion.state import EntryState
-from ..world.planet import Planet
 from .model import OnboardModel
 from .navigation import Measurement
 
@@ -48,7 +47,7 @@ def sensed_flow(
     """
 
     def flow(point: SensedPoint) -> SensedPoint:
-        rates = _rates(model.planet, point.state, point.drag)
+        rates = rates_under(model.planet, point.state, -point.drag)
         if drag_rate is None:
             _, relative = jax.jvp(
                 lambda state: model.logarithm_of_drag(state, angle_of_attack),
@@ -61,26 +60,6 @@ def sensed_flow(
         return SensedPoint(jnp.ones_like(point.time), rates, changes)
 
     return flow
-
-
-def _rates(planet: Planet, state: EntryState, drag: Scalar) -> EntryState:
-    """Rates over a sphere at rest, with drag (m/s2) and without lift."""
-    sin_path, cos_path = sincos(state.flight_path_angle)
-    sin_heading, cos_heading = sincos(state.heading)
-    sin_latitude, cos_latitude = sincos(state.latitude)
-    velocity = state.velocity
-    radius = planet.radius + state.altitude
-    gravity = planet.gravity.acceleration(radius)
-    ground_rate = velocity * cos_path * (1.0 / radius)
-    turn = ground_rate * sin_heading * (1.0 / cos_latitude)
-    return EntryState(
-        altitude=velocity * sin_path,
-        longitude=turn,
-        latitude=ground_rate * cos_heading,
-        velocity=-drag - gravity * sin_path,
-        flight_path_angle=ground_rate - gravity * cos_path * (1.0 / velocity),
-        heading=turn * sin_latitude,
-    )
 
 
 def twice_along(

@@ -48,25 +48,25 @@ def plan_parameters(
     place of the paper's search. With `vary_k1` of all pairs about the nearest one, by the
     least-norm step; else k1 stays.
 
-    Raises `ValueError` where there is no such flight, and says what was reached.
+    Raises `ValueError` where there is no such flight, and says where the last one ended.
     """
     parameters = bezier_law(scenario).parameters
     free = jnp.array([1.0 if vary_k1 else 0.0, 1.0])
     k = jnp.stack([jnp.asarray(parameters.k1), jnp.asarray(parameters.k2)])
-    reached = np.nan
+    ended_at = np.nan
     for _ in range(20):
         value, slope, outcome = _velocity_and_slopes(scenario, solver, k)
         slope = slope * free
-        reached = float(value)
+        ended_at = float(value)
         if int(outcome) != Outcome.REACHED:
             break
-        if abs(reached - velocity) < tolerance:
+        if abs(ended_at - velocity) < tolerance:
             return BezierParameters(k[0], k[1])
         step = -(value - velocity) * slope / jnp.sum(slope * slope)
         k = k + jnp.clip(step, -0.1, 0.1)
     raise ValueError(
         f"no curve was found that ends at {velocity:g} m/s: the last one, with k1 = "
-        f"{float(k[0]):.4f} and k2 = {float(k[1]):.4f}, ends at {reached:.1f} m/s; start "
+        f"{float(k[0]):.4f} and k2 = {float(k[1]):.4f}, ends at {ended_at:.1f} m/s; start "
         "from other parameters"
     )
 
@@ -113,8 +113,8 @@ def velocity_map(
     first, second = (np.ravel(g) for g in np.meshgrid(k1, k2, indexing="ij"))
     flown = monte_carlo(scenario, inputs={K1: first, K2: second}, solver=solver)
     velocity = np.asarray(flown.flights.state.velocity)
-    reached = np.asarray(flown.flights.outcome) == Outcome.REACHED
-    velocity = np.where(reached, velocity, np.nan).reshape(len(k1), len(k2))
+    ended = np.asarray(flown.flights.outcome) == Outcome.REACHED
+    velocity = np.where(ended, velocity, np.nan).reshape(len(k1), len(k2))
     return VelocityMap(np.asarray(k1), np.asarray(k2), velocity)
 
 
@@ -124,7 +124,7 @@ def k2_polynomial(velocity: np.ndarray, k2: np.ndarray) -> np.ndarray:
     k2 over the velocity is no parabola, so that the three depend on which k2 are fitted.
     For the CAV-H mission and its k1 of 0.848, in steps of 0.05, they are 2.53e-7, -0.00226
     and 4.92 from k2 of 0.4 to 1.0, 2.81e-7, -0.00240 and 5.10 from 0.55 to 0.9, and
-    2.10e-7, -0.00204 and 4.63 from 0.3 to 1.0. The paper prints 2.32e-7, -0.0024 and 5.46;
+    2.09e-7, -0.00204 and 4.63 from 0.3 to 1.0. The paper prints 2.32e-7, -0.0024 and 5.46;
     it searches between 0.4 and 1, and does not say which k2 it fits.
 
     Raises `ValueError` where fewer than three velocities are finite.

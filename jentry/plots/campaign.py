@@ -114,7 +114,6 @@ GLIDE: Mapping[str, DrawFigure] = {
     "states": states,
     "controls": controls,
     "constraints": constraints,
-    "overview": end_errors,
 }
 """Of a glide to a target with a direction: bands, errors, and every run over time"""
 

@@ -29,7 +29,7 @@ class Evaluator:
             smooth = exact.parameters.followed_by(gradient.surrogate)
             self._followed = Problem(smooth, exact.simulation)
         self._loss_of, self._draws, self._gradient = loss, draws, gradient
-        self._nominal = scenario_at(exact.parameters, exact.parameters.first)
+        self._nominal = scenario_at(exact.parameters, exact.parameters.at_start)
         self._inputs = self._draw(0)
         self._apart = self._followed is not exact or draws.fresh
         batches = gradient.batches(exact.parameters.count)

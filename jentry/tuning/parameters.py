@@ -70,11 +70,11 @@ class Parameters(eqx.Module):
             )
         try:
             # A leaf that the lens reaches twice is one parameter.
-            reached = list(dict.fromkeys(addresses_of(start, where or itself)))
+            addresses = list(dict.fromkeys(addresses_of(start, where or itself)))
         except (AttributeError, KeyError, IndexError, TypeError) as error:
             raise ValueError(f"the lens of what to tune: {error}") from error
         maps: dict[str, AbstractMap] = {}
-        for address in reached:
+        for address in addresses:
             if isinstance(start, Scenario):
                 require_effect(start, address)
             leaf, metadata = leaves[address], field_metadata(start, address)
@@ -101,7 +101,7 @@ class Parameters(eqx.Module):
         return sum(m.start.size for m in self.maps.values())
 
     @property
-    def first(self) -> dict[str, Array]:
+    def at_start(self) -> dict[str, Array]:
         """The values of the leaves at the start."""
         return {address: m.start for address, m in self.maps.items()}
 

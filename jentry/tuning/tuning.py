@@ -174,7 +174,7 @@ def tune(
         tuned.scenario, tuned.judgement["downrange", "std"]
     """
     parameters = Parameters.of(start, where, ranges, build)
-    scenario = scenario_at(parameters, parameters.first)
+    scenario = scenario_at(parameters, parameters.at_start)
     check(scenario)
     stepper = _stepper(optimizer, draws.fresh)
     draws.check(scenario, budget.steps)

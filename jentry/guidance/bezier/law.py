@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from ...fields import QUARTER, Scalar, scalar
-from ...motion.constraints import Constraints
+from ...motion.constraints import Constraints, DynamicPressure, HeatRate, LoadFactor
 from ...motion.forces import air_data
 from ...motion.state import Controls, EntryState
 from ...onboard.estimation import FactorEstimate, FactorEstimator
@@ -63,13 +63,16 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], HeldCurve]):
     - `parameters`: k1 and k2 of the curve at the start.
     - `track`, `arrival`: where to, and how.
     - `limits`: of what it commands. The limits of load factor, dynamic pressure and heat
-      rate that it keeps are those of `Scenario.constraints`, if they have any.
+      rate that it keeps are those of `Scenario.constraints`; without any of them it is
+      flown with a warning.
     - `cycle`: the guidance cycles.
     - `anchoring`: `StoredParameters` (the paper's) or `Subdivision`.
     - `acceleration_loop`: the commanded specific force is achieved, by the estimated
       lift factor. Without it the model is inverted as printed, equation (34): with an
       unknown factor of 10 % on the lift that loses a third of the flights.
     """
+
+    keeps = (LoadFactor, DynamicPressure, HeatRate)
 
     parameters: BezierParameters
     track: Track

@@ -17,7 +17,7 @@ from ...units import degree, km, micro_g
 
 
 RADIUS = 6371.0 * km
-"""Of the Earth, on which Table 2 counts range and cross range"""
+"""Radius of the Earth, on which Table 2 counts range and cross range, m"""
 
 
 def _initial_state(
@@ -123,9 +123,10 @@ def _wider(printed: float) -> Uniform:
 
 @functools.cache
 def training_dispersions() -> dict[str, Dispersion]:
-    """Uniform, half as wide again as Table 2; lift and drag within 20 %.
+    """Dispersions of the training flights: uniform, half as wide again as Table 2.
 
-    That is the product of two factors at their limit of 10 %. k2 moves with them.
+    Lift and drag are within 20 %, the product of two factors at their limit of 10 %. k2
+    moves with them.
     """
     factor = Uniform(0.8, 1.22)
     return _initial_state(_wider) | {
@@ -137,8 +138,9 @@ def training_dispersions() -> dict[str, Dispersion]:
 
 @functools.cache
 def state_training_dispersions() -> dict[str, Dispersion]:
-    """For a network that reads the state alone, and flies one curve.
+    """Dispersions that train a network that reads the state alone, on one curve.
 
-    What it cannot read it can only expect: the factors are those that it will meet.
+    What the network cannot read it can only expect: the factors are those that it will
+    meet.
     """
     return _initial_state(_wider) | _factors(Normal(1.0, 0.1 / 3.0))

@@ -65,15 +65,16 @@ from .training import network_predictor, train
 
 
 TARGET_LATITUDE = 55.9067 * degree
-"""6216.538 km due north: with the paper's k1 and k2 the velocity there is its 2630 m/s"""
+"""Latitude of the target, rad, 6216.538 km due north: with the paper's k1 and k2 the
+velocity there is its 2630 m/s"""
 
 FINAL_VELOCITY = 2630.0
-"""m/s, Table 1"""
+"""Velocity at the target, m/s: Table 1"""
 
 
 def earth() -> Planet:
-    """At rest, as in the paper. The heat rate 1.0e-6 sqrt(density) velocity^3.5 W/m2 is
-    what its figure of 1.5 MW/m2 amounts to.
+    """The Earth at rest, as in the paper. The heat rate 1.0e-6 sqrt(density)
+    velocity^3.5 W/m2 is what its figure of 1.5 MW/m2 amounts to.
     """
     return Planet(
         radius=RADIUS,
@@ -85,14 +86,14 @@ def earth() -> Planet:
 
 
 def disturbed(air: AbstractAtmosphere) -> PerturbedAtmosphere:
-    """The actual air: as it is known on board until it is dispersed."""
+    """The planet with its actual air, as it is known on board until it is dispersed."""
     return PerturbedAtmosphere(
         air, (DensityWave(0.0, 25.0 * km), DensityWave(0.0, 8.0 * km))
     )
 
 
 def glider() -> Vehicle:
-    """907 kg and 0.4839 m2; a published fit to the tables of the Common Aero Vehicle.
+    """The glider: 907 kg, 0.4839 m2, a published fit to the Common Aero Vehicle's tables.
 
     Below 10 degrees, where the tables begin, the drag keeps its value: otherwise the
     range becomes 15 750 km, and the dispersions of Table 2 cannot be flown.
@@ -114,7 +115,7 @@ def glider() -> Vehicle:
 
 
 def constraints() -> Constraints:
-    """Equation (11) with the limits of Table 1, which the law keeps."""
+    """The path constraints (11) with the limits of Table 1, which the law keeps."""
     return usual_constraints() | {
         "heat_rate": HeatRate(2e6),
         "dynamic_pressure": DynamicPressure(200e3),
@@ -187,7 +188,7 @@ def stored() -> Scenario:
 
 
 def model_inversion() -> Scenario:
-    """The same with the angle of attack from the model alone, as printed."""
+    """The paper's law with the angle of attack from the model alone, as printed."""
     return glide(BezierParameters(k1=0.848, k2=0.717), acceleration_loop=False)
 
 
@@ -210,25 +211,25 @@ def adjusted(
 
 @functools.cache
 def adjusted_once() -> Scenario:
-    """At the start, with the velocity predicted by the flown model."""
+    """The law with (38) at the start, and the velocity predicted by the flown model."""
     return adjusted(FlownModel())
 
 
 @functools.cache
 def adjusted_at_epochs() -> Scenario:
-    """At every 25th guidance cycle, with the polynomial of the place."""
+    """The law with (38) at every 25th guidance cycle, by the polynomial of the place."""
     return adjusted(FlownModel(), Epochs(every=25))
 
 
 @functools.cache
 def network_once() -> Scenario:
-    """At the start, predicted by the network that reads the estimated factors."""
+    """The law with (38) at the start, by the network that reads the estimated factors."""
     return adjusted(network_predictor("stored"))
 
 
 @functools.cache
 def state_network_once() -> Scenario:
-    """At the start, predicted by the paper's network, which reads the state alone.
+    """The law with (38) at the start, by the paper's network, which reads the state alone.
 
     Two vehicles with the same state and other factors end at velocities that differ by
     hundreds of m/s: such a network cannot tell them apart.
@@ -247,19 +248,19 @@ def subdivided(
 
 
 def newton() -> Scenario:
-    """By Newton's method on the flown model, at every 25th guidance cycle."""
+    """The subdivided curve, by Newton's method on the flown model every 25th cycle."""
     return subdivided(NewtonAdjustment(FINAL_VELOCITY, FlownModel(16)))
 
 
 def newton_network() -> Scenario:
-    """By Newton's method on the network."""
+    """The subdivided curve, adjusted by Newton's method on the network."""
     return subdivided(
         NewtonAdjustment(FINAL_VELOCITY, network_predictor("subdivision"))
     )
 
 
 def us_1976() -> Scenario:
-    """`newton` through the US Standard Atmosphere, which is also on board."""
+    """The variant `newton` in the US Standard Atmosphere, which is also on board."""
     air = USStandardAtmosphere1976()
     places = lambda s: (
         s.planet.atmosphere.undisturbed,

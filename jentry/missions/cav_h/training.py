@@ -16,7 +16,7 @@ from .dispersions import state_training_dispersions, training_dispersions
 
 
 FOLDER = Path(__file__).parent / "networks"
-"""Of the weights that come with the package"""
+"""Folder of the weights that come with the package"""
 
 BETWEEN = 1600.0, 3600.0
 """m/s at the target, with which the flights end that the networks with factors learn from.
@@ -25,14 +25,14 @@ between 1860 and 3364 m/s on the stored curve, and as slow as 1776 on a subdivid
 
 
 class Purpose(NamedTuple):
-    """One network."""
+    """What a network is for, and what it reads."""
 
     anchoring: str
     inputs: Inputs
 
     @property
     def sentence(self) -> str:
-        """As in its model card."""
+        """The purpose in words, as in the model card."""
         return (
             f"CAV-H velocity at the target from {self.inputs.value}, {self.anchoring}"
         )
@@ -43,7 +43,7 @@ PURPOSES = {
     "subdivision": Purpose("subdivided curve", Inputs.ALL),
     "state-only": Purpose("stored k1 and k2", Inputs.STATE),
 }
-"""By the name of the file. The last one is the paper's, for comparison."""
+"""Purposes of the networks by the names of their files; the last one is the paper's."""
 
 
 @functools.cache

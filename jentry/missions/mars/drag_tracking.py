@@ -53,10 +53,11 @@ from ..mission import Mission, PublishedValue, standard_deviation
 
 
 END_VELOCITY = 503.0
-"""m/s, Table 1"""
+"""Velocity at the end, m/s: Table 1"""
 
 TABULATED_TO = 300.0
-"""m/s; the reference goes on past the end, so that every dispersed flight has one"""
+"""Velocity down to which there is a reference, m/s: past the end, so that every dispersed
+flight has one"""
 
 
 def mars() -> Planet:
@@ -81,7 +82,7 @@ def mars() -> Planet:
 
 
 def lander() -> Vehicle:
-    """Section 4: 992 kg, 16 m2, lift-to-drag 0.18, ballistic coefficient 115 kg/m2."""
+    """The lander of section 4: 992 kg, 16 m2, lift-to-drag 0.18 and 115 kg/m2."""
     mass, area = 992.0, 16.0
     drag_coefficient = mass / (115.0 * area)
     aerodynamics = ConstantAerodynamics(0.18 * drag_coefficient, drag_coefficient)
@@ -89,7 +90,7 @@ def lander() -> Vehicle:
 
 
 def entry() -> Scenario:
-    """Table 1, with a level bank in place of the law that is still to be planned."""
+    """The entry of Table 1, with a level bank in place of the law to be planned."""
     return Scenario(
         planet=mars(),
         vehicle=lander(),
@@ -161,22 +162,23 @@ def scenario(
 
 
 def nominal_gains() -> ErrorGains:
-    """Of figures 1 to 10."""
+    """Gains of figures 1 to 10."""
     return ErrorGains(epsilon0=5.0, a=1.982, b=3.0)
 
 
 def monte_carlo_gains() -> ErrorGains:
-    """Of figure 11 and Table 3."""
+    """Gains of figure 11 and Table 3."""
     return ErrorGains(epsilon0=20.0, a=20.0, b=5.0)
 
 
 def monte_carlo_observer() -> ObserverGains:
-    """Of figure 11 and Table 3."""
+    """Observer of figure 11 and Table 3."""
     return ObserverGains(epsilon=0.45, l1=2.0, l2=1.0)
 
 
 GATE = 4.0
-"""m/s2. A velocity index needs a gate of 3 to 5, since the velocity rises at first."""
+"""Drag from which the law tracks, m/s2. A velocity index needs a gate of 3 to 5, since
+the velocity rises at first."""
 
 
 def table_3() -> Scenario:
@@ -197,12 +199,12 @@ def time_index() -> Scenario:
 
 
 def state_feedback() -> Scenario:
-    """Figures 1 to 5: law (14), over energy."""
+    """The flight of figures 1 to 5: law (14), over energy."""
     return scenario(EnergyIndex(), nominal_gains(), None)
 
 
 def observer_feedback() -> Scenario:
-    """Figures 6 to 10: law (24) with observer (25), over energy."""
+    """The flight of figures 6 to 10: law (24) with observer (25), over energy."""
     observer = ObserverGains(epsilon=0.481, l1=2.0, l2=1.0)
     return scenario(EnergyIndex(), nominal_gains(), observer)
 

@@ -33,8 +33,8 @@ from .drag_tracking import (
 
 
 GATE = 1.0
-"""m/s2. Below this drag the lift can change little, and the range that is flown per
-energy is too steep to scale by."""
+"""Drag from which the range is tracked, m/s2. Below it the lift can change little, and
+the range that is flown per energy is too steep to scale by."""
 
 LAST_RANGE = 10.0 * km
 """The limit that `ScaleLimits` explains is 7 km at the end of the reference."""

@@ -1,0 +1,36 @@
+"""The README as the tests read it: its tables, and its numbers at their last digit."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+
+README = Path(__file__).parents[1].joinpath("README.md").read_text()
+
+
+def rows(heading):
+    """Cells of the table whose first line has a text."""
+    lines = README.splitlines()
+    begin = next(i for i, line in enumerate(lines) if heading in line)
+    found = []
+    for line in lines[begin + 2 :]:
+        if not line.startswith("|"):
+            return found
+        found.append([cell.strip() for cell in line.strip("|").split("|")])
+    return found
+
+
+def assert_prints(cell, *values):
+    """The numbers of a cell are these values, each to its last digit."""
+    numbers = re.findall(r"-?\d[\d ]*(?:\.\d+)?", cell)
+    assert len(numbers) == len(values), cell
+    for number, value in zip(numbers, values, strict=True):
+        half = 0.5 * 10.0 ** -len(number.partition(".")[2])
+        assert float(number) == pytest.approx(value, abs=half * (1 + 1e-6)), cell
+
+
+def assert_says(text, *values):
+    """A passage of the README, line breaks aside, and its numbers."""
+    assert text in " ".join(README.split()), text
+    assert_prints(text, *values)
