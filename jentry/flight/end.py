@@ -106,6 +106,7 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     landing = lane.flown, asking, *unknown
     landing, _ = lax.scan(land, landing, length=_LANDINGS)
     flown, moving, ended_by, met = landing
+    assert moving.off_a_bank is not None
     off_a_bank = ~met & (moving.off_a_bank > 0.0)
     moving = dataclasses.replace(moving, off_a_bank=None)
     flown, moving = select(met, (flown, moving), (lane.flown, lane.moving))
