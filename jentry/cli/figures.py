@@ -5,6 +5,7 @@ import math
 import numpy as np
 
 from ..addresses import leaves_by_address
+from ..campaign.batch import LANES
 from ..campaign.campaign import monte_carlo
 from ..campaign.results import dataset
 from ..flight.cycle import varies
@@ -17,8 +18,9 @@ from ..missions.mission import Mission
 _INTERVAL = 0.5
 """s; the longest guidance cycle of a law whose cycle varies"""
 
-_TRAJECTORIES = 256
-"""Runs whose trajectories make the bands, if the campaign has not kept them."""
+_TRAJECTORIES = 4 * LANES - 1
+"""Runs whose trajectories make the bands, if the campaign has not kept them. With the
+nominal flight they are whole batches."""
 
 
 def draw_figures(folder, mission: Mission, scenario: Scenario, results, solver):
@@ -62,4 +64,6 @@ def _fly(scenario: Scenario, inputs, solver: AbstractSolver):
         solver=solver,
         history=interval,
     )
-    return dataset(scenario, campaign, interval)
+    flown = dataset(scenario, campaign, interval)
+    # Up to the last end: a figure takes as long as its histories are, flying or not.
+    return flown.isel(time=np.isfinite(flown["velocity"].values).any(axis=0))

@@ -196,6 +196,7 @@ def first_measurement(scenario: Scenario) -> Measurement:
     return _measured(scenario, state, angle)
 
 
+@eqx.filter_jit
 def start(scenario: Scenario, step: float) -> Lane:
     """The flight before its first step, of which `step` is the length (s)."""
     state = scenario.initial_state
@@ -224,6 +225,7 @@ def start(scenario: Scenario, step: float) -> Lane:
     )
 
 
+@eqx.filter_jit
 def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
     """The flight after what a sampled law decides, if its guidance cycle is due."""
     law = scenario.guidance

@@ -42,6 +42,7 @@ _LANDINGS = 3
 method of the steps is exact up to the fourth."""
 
 
+@eqx.filter_jit
 def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     """Go from where the loop stopped to where the first end condition is met.
 

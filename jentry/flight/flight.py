@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
@@ -114,7 +115,7 @@ def fly(
             plan.cycle, _running, scenario, lane, plan.cycles
         )
         lanes = plan.kept(scenario, lanes)
-        kept = jax.vmap(lambda lane: _observe(scenario, plan, lane))(lanes)
+        kept = lax.map(lambda lane: _observe(scenario, plan, lane), lanes)
     end = end_of_flight(scenario, lane)
     told = caveats(scenario, end.lane.held)
     warn_of(told)

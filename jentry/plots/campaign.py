@@ -142,13 +142,17 @@ def save_figures(
     figures: Mapping[str, "matplotlib.figure.Figure"], folder: str | Path
 ) -> list[Path]:
     """Write each figure as `folder/<name>.png`, 150 dots per inch, and say where."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in figures.items():
         drawn = io.BytesIO()
         with in_style():
-            figure.savefig(drawn, format="png", dpi=150)
+            # Where `savefig` draws twice, the first time for the layout alone.
+            figure.set_dpi(150)
+            FigureCanvasAgg(figure).print_png(drawn)
         paths.append(folder / f"{name}.png")
         write_whole(paths[-1], drawn.getvalue())
     return paths

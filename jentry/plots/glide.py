@@ -7,7 +7,7 @@ import numpy as np
 
 from ..campaign.outputs import MISS_DISTANCE, error_of, peak_of
 from ..units import km
-from .style import ENDS, MUTED, NOMINAL, RUNS, in_style, legend, panelled, scaled
+from .style import ENDS, MUTED, NOMINAL, RUNS, in_style, panelled, scaled
 
 
 if TYPE_CHECKING:
@@ -49,10 +49,25 @@ def over_time(
             limit = trajectories[name].attrs.get("limit")
             if limit is not None:
                 at = limit / drawn.size
-                axes.axhline(at, color=ENDS[-1], lw=1.4, label="limit")
-                legend(axes)
+                axes.axhline(at, color=ENDS[-1], lw=1.4)
+                _name_line(axes, at, "limit", ENDS[-1])
             axes.set(xlabel=time.label, ylabel=drawn.label)
     return figure
+
+
+def _name_line(axes: "matplotlib.axes.Axes", at: float, name: str, color: str) -> None:
+    """Its name above a level line: the best place of a legend takes long to find here."""
+    axes.annotate(
+        name,
+        (1.0, at),
+        (-2.0, 1.5),
+        xycoords=("axes fraction", "data"),
+        textcoords="offset points",
+        ha="right",
+        va="bottom",
+        color=color,
+        fontsize=9.0,
+    )
 
 
 def constraints_of(trajectories: "xarray.Dataset") -> tuple[str, ...]:
