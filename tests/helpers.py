@@ -30,22 +30,28 @@ from jentry.guidance import (
     AbstractSampledLaw,
     Aim,
     AngleOfAttackProfile,
+    AttitudeBand,
     BankProfile,
+    ControlProfiles,
     CrossrangeCorridor,
     ErrorGains,
     FixedCycle,
+    GroundTrackModel,
+    GroundTrackTracking,
     ObserverDragTracking,
     ObserverGains,
     RangeTracking,
     Sampled,
     ScaleLimits,
     StateFeedbackDragTracking,
+    TrackingGains,
     TrimAngleOfAttack,
     compose,
 )
 from jentry.missions.cav_h.scenario import stored
 from jentry.motion import Controls, EntryDynamics, EntryState, EquatorialDynamics
-from jentry.onboard import OnboardModel, PolynomialProfile
+from jentry.motion.index import EnergyIndex
+from jentry.onboard import OnboardModel, PolynomialProfile, quintic_table
 from jentry.units import degree, km
 from jentry.world import (
     ConstantAerodynamics,
@@ -233,12 +239,50 @@ def range_tracking(reference) -> RangeTracking:
     )
 
 
+def gliding_vehicle() -> Vehicle:
+    """The lander with lift and drag that rise with the angle of attack."""
+    aerodynamics = PolynomialAerodynamics([-0.04, 1.5], [0.5, -0.1, 3.0])
+    return Vehicle(992.0, 16.0, aerodynamics=aerodynamics)
+
+
+def ground_track_law(reference) -> GroundTrackTracking:
+    """Near the planned flight: a straight line over the energy for each angle, 20 degrees
+    of angle of attack and 45 of bank."""
+    model = OnboardModel(mars_planet(), gliding_vehicle())
+    energies = jnp.array([10.6e6, -12.5e6])
+    columns = {
+        "downrange": (jnp.array([0.0, 0.213]), -jnp.full(2, 0.213 / 23.1e6)),
+        "crossrange": (jnp.zeros(2), jnp.full(2, 1e-9)),
+    }
+    table = quintic_table(
+        energies, {n: (*values, jnp.zeros(2)) for n, values in columns.items()}
+    )
+    return GroundTrackTracking(
+        GroundTrackModel(
+            model,
+            PolynomialProfile([20.0 * degree]),
+            PolynomialProfile([45.0 * degree]),
+            23.1e6,
+        ),
+        table,
+        TrackingGains.from_eigenvalues([18.0, 8.0, 8.0, 0.1], [30.0, 1.2, 1.2]),
+        AttitudeBand(5.0 * degree, 5.0 * degree, 25.0 * degree, 80.0 * degree),
+    )
+
+
+def control_profiles(reference) -> ControlProfiles:
+    angle, bank = PolynomialProfile([0.1, 1e-9]), PolynomialProfile([-0.6, 1e-8])
+    return ControlProfiles(EnergyIndex(), mars_planet(), angle, bank)
+
+
 all_laws = {
     "bank profile": lambda reference: bank_profile(),
     "state feedback": state_feedback,
     "observer": observer_law,
     "range tracking": range_tracking,
     "Bézier": lambda reference: stored().guidance,
+    "ground track": ground_track_law,
+    "control profiles": control_profiles,
     "sampled bank profile": lambda reference: Sampled(bank_profile(), 1.0),
     "sampled observer": lambda reference: Sampled(observer_law(reference), 1.0),
     "composition": lambda reference: compose(
