@@ -4,6 +4,7 @@ import os
 import sys
 from pathlib import Path
 
+import compiling
 import equinox as eqx
 import jax
 import pytest
@@ -21,6 +22,16 @@ jax.config.update(_DIR.lower(), os.environ.setdefault(_DIR, _COMPILED))
 jax.config.update(_SECONDS.lower(), float(os.environ.setdefault(_SECONDS, "0")))
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+def pytest_collection_modifyitems(items):
+    """What is optimized comes first, so that no program is compiled in both ways."""
+    items.sort(key=lambda item: item.get_closest_marker("optimized") is None)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    compiling.optimize(item.get_closest_marker("optimized") is not None)
 
 
 _MOST = 3 * 2**30
