@@ -53,6 +53,7 @@ def differences(problem, free, address, inputs, scale):
     return np.mean(np.median(threes, axis=0)[steadiest, np.arange(rates.shape[1])])
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("mission", "variant", "scale", "slower"),

@@ -7,6 +7,7 @@ are. Where a few of the 8000 are, three more are reckoned with.
 """
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -40,6 +41,7 @@ ALL = 16 * RUNS
 """That the bounds are taken from"""
 
 
+@functools.cache
 def flown(variant, reading="normal"):
     """500 dispersed runs and the nominal one, by the same compiled program."""
     scenario = MISSION.scenario(variant)
@@ -63,6 +65,7 @@ def as_printed():
     return flown("stored")
 
 
+@pytest.mark.optimized
 def test_nominal_velocity_at_the_target(as_printed):
     """2630 m/s with the guidance cycle of the notes, and the paper's k1 and k2."""
     _, (flight, _) = as_printed
@@ -70,6 +73,7 @@ def test_nominal_velocity_at_the_target(as_printed):
     assert float(flight.state.velocity) == pytest.approx(2630.00, abs=0.005)
 
 
+@pytest.mark.optimized
 def test_position_and_angles_at_the_target(as_printed):
     campaign, _ = as_printed
     missed = campaign.misses
@@ -84,6 +88,7 @@ def test_position_and_angles_at_the_target(as_printed):
     assert error == pytest.approx(140.8, abs=SPREADS * 5.1)
 
 
+@pytest.mark.optimized
 def test_no_limit_is_exceeded(as_printed):
     campaign, _ = as_printed
     peaks = campaign.flights.peaks
@@ -109,6 +114,7 @@ def test_continuous_law():
     assert 2.0 * fine - coarse == pytest.approx(2624.58, abs=0.05)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_adjusted_once():
     """Equation (38), with the velocity predicted by flying the model."""
@@ -163,6 +169,7 @@ def test_the_polynomial_gives_back_the_k2_that_was_flown():
         assert p0 + x * (p1 + x * p2) == pytest.approx(k2, abs=0.02)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_the_network_costs_little_and_the_papers_own_cannot_work(as_printed):
     """Reading the factors, it adds 0.5 m/s at most to exact prediction.
@@ -179,6 +186,7 @@ def test_the_network_costs_little_and_the_papers_own_cannot_work(as_printed):
     assert state_only > 0.8 * unadjusted
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_the_printed_inversion_loses_flights():
     """An unknown lift factor of 10 % loses more than a third of them: 2951 of 8000."""

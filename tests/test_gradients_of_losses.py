@@ -187,6 +187,7 @@ def test_flights_that_fail_on_one_side_are_left_out_of_both():
         assert float(found.gradient[address]) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize("forward", [True, False])
 def test_tails_of_the_mars_mission(forward):

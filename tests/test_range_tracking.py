@@ -546,6 +546,7 @@ def test_campaigns_of_64_runs_keep_the_promise():
     check_campaigns(64)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_campaigns_of_1000_runs_keep_the_promise():
     check_campaigns(1000)

@@ -627,6 +627,7 @@ def test_training_and_judgement_measure_the_same():
     assert judged["loss", ""].after.value == pytest.approx(best, rel=1e-9)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_reversals_contradict_their_gradient_and_differences_do_not_need_it():
     """Of the crossrange, which is what they are for: over 1536 flights the mean of the
@@ -666,6 +667,7 @@ def test_it_is_judged_on_draws_that_it_was_not_tuned_on():
     assert judged == pytest.approx(losses["judged on"], rel=1e-9)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "unit"), [("mars-drag-tracking", km), ("mars-range-tracking", 20.0)]
