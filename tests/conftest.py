@@ -24,14 +24,20 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
+def optimized(item) -> bool:
+    """Whether the closest mark says so: `optimized`, and not `optimized(False)`."""
+    mark = item.get_closest_marker("optimized")
+    return mark is not None and mark.args != (False,)
+
+
 def pytest_collection_modifyitems(items):
-    """What is optimized comes first, so that no program is compiled in both ways."""
-    items.sort(key=lambda item: item.get_closest_marker("optimized") is None)
+    """What is optimized comes first: between the two, all is traced anew."""
+    items.sort(key=lambda item: not optimized(item))
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item):
-    compiling.optimize(item.get_closest_marker("optimized") is not None)
+    compiling.optimize(optimized(item))
 
 
 _MOST = 3 * 2**30

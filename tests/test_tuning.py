@@ -50,6 +50,8 @@ RUNS = 32
 
 SIMULATION = Simulation(misses, cheap.SOLVER)
 
+pytestmark = pytest.mark.optimized  # of few programs each flies thousands of flights
+
 BEST = 40 * degree
 """Bank of the nominal flight that ends at the target, see `scenario`"""
 
@@ -212,6 +214,7 @@ def limit():
     return float(np.median(campaign.flights.peaks.drag))
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 @pytest.mark.parametrize("forward", [True, False])
 def test_flights_that_fail_do_not_poison_the_gradient(forward):
@@ -240,6 +243,7 @@ def test_flights_that_fail_do_not_poison_the_gradient(forward):
 ADDRESS = "guidance.bank_angle"
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
@@ -279,6 +283,7 @@ def test_it_stops_without_progress(tolerance):
     assert result.stopped == "no progress in 2 steps" and len(result.course) == 3
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_it_stops_where_no_gradient_reaches():
     """The time limit is never met: the bank of a number that nothing depends on."""
@@ -351,6 +356,7 @@ def stepped():
     return eqx.tree_at(lambda s: s.guidance, scenario(), law)
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_a_gradient_that_a_difference_contradicts_is_warned_of(tmp_path):
     record = tmp_path / "record.npz"
@@ -391,6 +397,7 @@ def test_differences_agree_with_derivatives_where_nothing_jumps():
     assert first.gradient_shares == exact.gradient_shares == {ADDRESS: 1.0}
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_a_start_next_to_a_bound_is_warned_of():
     bounds = Bounds(50 * degree - 1e-5, 60 * degree)
@@ -412,6 +419,7 @@ def three(s):
     return s.guidance.bank_angle, s.initial_state.heading, s.vehicle.nose_radius
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_several_leaves_and_one_without_effect():
     result = tuned(where=three, steps=3)
@@ -421,6 +429,7 @@ def test_several_leaves_and_one_without_effect():
     assert float(result.values[address]) == float(scenario().vehicle.nose_radius)
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_forward_and_reverse_take_the_same_steps():
     forward, reverse = (
@@ -447,6 +456,7 @@ def twice_as_far(scenario):
     )
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_a_surrogate_is_followed_and_the_exact_law_judges():
     result = tuned(
@@ -463,6 +473,7 @@ def with_peaks(scenario, flight):
     return misses(scenario, flight), flight.peaks, control_effort(flight.history)
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_path_constraints_and_control_effort_enter_the_loss():
     def loss(outputs):
@@ -576,6 +587,7 @@ def nose_first(parameters):
     return with_leaf(twice(parameters), lambda s: s.vehicle.nose_radius, radius)
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_a_point_that_cannot_be_flown_is_turned_back_from():
     """Though its flights would be finite."""
@@ -585,6 +597,7 @@ def test_a_point_that_cannot_be_flown_is_turned_back_from():
     assert float(result.values["half"]) > 0.4
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_the_gradient_goes_through_a_planner():
     """Of a curvature from which a reference is planned by flights of its own: the
@@ -617,6 +630,7 @@ def planned_anew(parameters):
     return eqx.tree_at(lambda s: s.guidance.cos_bank, mars_scenario(), profile)
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_training_and_judgement_measure_the_same():
     """On the same draws they agree; also where the entry point itself is tuned."""
@@ -627,7 +641,6 @@ def test_training_and_judgement_measure_the_same():
     assert judged["loss", ""].after.value == pytest.approx(best, rel=1e-9)
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_reversals_contradict_their_gradient_and_differences_do_not_need_it():
     """Of the crossrange, which is what they are for: over 1536 flights the mean of the
@@ -667,7 +680,6 @@ def test_it_is_judged_on_draws_that_it_was_not_tuned_on():
     assert judged == pytest.approx(losses["judged on"], rel=1e-9)
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "unit"), [("mars-drag-tracking", km), ("mars-range-tracking", 20.0)]
