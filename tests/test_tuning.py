@@ -262,6 +262,8 @@ def test_flights_that_fail_are_counted_and_left_out(name):
     assert result.judgement.not_finite_before > 0
 
 
+@pytest.mark.optimized(False)
+@pytest.mark.slow
 def test_none_that_flies_is_an_error():
     with pytest.raises(ValueError, match="32 flights of which an output is not finite"):
         tuned(start=fragile(1e-6), table=density())
@@ -551,6 +553,7 @@ def half_of(parameters):
     return twice(parameters)
 
 
+@pytest.mark.slow
 def test_bounds_hold_for_what_is_built():
     ranges = {"half": Bounds(22.5 * degree, 30 * degree)}
     result = tuned(start=HALF, where=None, build=twice, ranges=ranges)
