@@ -104,6 +104,7 @@ def test_gradient_of_a_named_loss_is_its_difference(name, forward):
         assert float(found.total[address]) == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forward", MODES)
 def test_a_flight_that_diverges_is_left_out_and_counted(forward):
     """Whatever its weight: also where that makes its gradient as small as the others'."""

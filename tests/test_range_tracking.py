@@ -552,6 +552,7 @@ def test_campaigns_of_1000_runs_keep_the_promise():
     check_campaigns(1000)
 
 
+@pytest.mark.slow
 def test_some_reversals_keep_the_crossrange():
     flown = campaign("lift-to-drag-held", 64)
     count = reversals(flown)
