@@ -84,8 +84,8 @@ def differences(loss, step=2e-6):
     return found
 
 
-MODES = [True, pytest.param(False, marks=pytest.mark.slow)]
-"""Forward, and reverse, which `test_tuning` has everyday with another loss"""
+MODES = [True, False]
+"""Forward, and reverse; `test_tuning` has a gradient every day"""
 
 
 @pytest.mark.slow
