@@ -203,6 +203,7 @@ def test_the_printed_inversion_loses_flights():
     assert least_by_chance(RUNS, share) <= lost <= most_by_chance(RUNS, share)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_any_heading_and_place_flies_the_same():
     """The whole scene turned on the globe: the same flight, to rounding."""

@@ -376,6 +376,7 @@ def dispersed():
     )
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_mirrored_scenario_flies_the_mirrored_flight():
     """Target to the left and first bank to the right; and all of it in a mirror."""
@@ -485,6 +486,7 @@ def end_of(values, scenario):
     return ground_track(varied.planet, varied.guidance.aim.origin, state)[0] / km
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_gradient_matches_differences():
     off = off_the_reference()
