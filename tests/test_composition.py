@@ -115,6 +115,7 @@ def flown(history):
 ALONE = [name for name in all_laws if name != "Bézier" and "composition" not in name]
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ALONE)
 def test_beside_the_trim_angle_a_bank_law_flies_bit_for_bit_as_alone(name):
