@@ -4,6 +4,7 @@ import os
 import sys
 from pathlib import Path
 
+import compiling
 import equinox as eqx
 import jax
 import pytest
@@ -21,6 +22,22 @@ jax.config.update(_DIR.lower(), os.environ.setdefault(_DIR, _COMPILED))
 jax.config.update(_SECONDS.lower(), float(os.environ.setdefault(_SECONDS, "0")))
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+def optimized(item) -> bool:
+    """Whether the closest mark says so: `optimized`, and not `optimized(False)`."""
+    mark = item.get_closest_marker("optimized")
+    return mark is not None and mark.args != (False,)
+
+
+def pytest_collection_modifyitems(items):
+    """What is optimized comes first: between the two, all is traced anew."""
+    items.sort(key=lambda item: not optimized(item))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    compiling.optimize(optimized(item))
 
 
 _MOST = 3 * 2**30

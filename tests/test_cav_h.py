@@ -7,6 +7,7 @@ are. Where a few of the 8000 are, three more are reckoned with.
 """
 
 import dataclasses
+import functools
 
 import equinox as eqx
 import jax
@@ -41,6 +42,7 @@ ALL = 16 * RUNS
 """That the bounds are taken from"""
 
 
+@functools.cache
 def flown(variant, reading="normal"):
     """500 dispersed runs and the nominal one, by the same compiled program."""
     scenario = MISSION.scenario(variant)
@@ -64,6 +66,7 @@ def as_printed():
     return flown("stored")
 
 
+@pytest.mark.optimized
 def test_nominal_velocity_at_the_target(as_printed):
     """2630 m/s with the guidance cycle of the notes, and the paper's k1 and k2."""
     _, (flight, _) = as_printed
@@ -71,6 +74,7 @@ def test_nominal_velocity_at_the_target(as_printed):
     assert_says("flight ends at 2630.00 m/s", float(flight.state.velocity))
 
 
+@pytest.mark.optimized
 def test_position_and_angles_at_the_target(as_printed):
     campaign, _ = as_printed
     missed = campaign.misses
@@ -85,6 +89,7 @@ def test_position_and_angles_at_the_target(as_printed):
     assert error == pytest.approx(140.8, abs=SPREADS * 5.1)
 
 
+@pytest.mark.optimized
 def test_no_limit_is_exceeded(as_printed):
     campaign, _ = as_printed
     peaks = campaign.flights.peaks
@@ -110,6 +115,7 @@ def test_continuous_law():
     assert_says("hold of a cycle, at 2624.6", 2.0 * fine - coarse)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_adjusted_once():
     """Equation (38), with the velocity predicted by flying the model."""
@@ -123,6 +129,8 @@ def test_adjusted_once():
     assert float(flight.state.velocity) == pytest.approx(2630.0, abs=0.2)
 
 
+@pytest.mark.optimized
+@pytest.mark.slow
 def test_the_variants_differ_in_their_epochs():
     """The paper's adjusts at the first cycle alone; the tables are the same."""
     once, at_epochs = (
@@ -140,6 +148,8 @@ def test_the_variants_differ_in_their_epochs():
     assert np.all(np.diff(once.to_go) > 0.0)
 
 
+@pytest.mark.optimized
+@pytest.mark.slow
 def test_the_polynomial_gives_back_the_k2_that_was_flown():
     """At the entry: of the velocity that the model reaches with a k2, that k2."""
     law = MISSION.scenario("adjusted-once").guidance
@@ -164,6 +174,7 @@ def test_the_polynomial_gives_back_the_k2_that_was_flown():
         assert p0 + x * (p1 + x * p2) == pytest.approx(k2, abs=0.02)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_the_network_costs_little_and_the_papers_own_cannot_work(as_printed):
     """Reading the factors, it adds 0.5 m/s at most to exact prediction.
@@ -180,6 +191,7 @@ def test_the_network_costs_little_and_the_papers_own_cannot_work(as_printed):
     assert state_only > 0.8 * unadjusted
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_the_printed_inversion_loses_flights():
     """An unknown lift factor of 10 % loses more than a third of them: 2951 of 8000."""
@@ -192,6 +204,7 @@ def test_the_printed_inversion_loses_flights():
     assert least_by_chance(RUNS, share) <= lost <= most_by_chance(RUNS, share)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_any_heading_and_place_flies_the_same():
     """The whole scene turned on the globe: the same flight, to rounding."""

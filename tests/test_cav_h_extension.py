@@ -19,7 +19,10 @@ from jentry.units import degree
 
 MISSION = find_mission("cav-h")
 RUNS = 500
+
 ALL = 16 * RUNS
+
+pytestmark = pytest.mark.optimized  # published
 
 
 def few(off, found):

@@ -116,6 +116,7 @@ CHOOSES_ITS_ANGLE = {"Bézier", "ground track", "control profiles"}
 ALONE = [n for n in all_laws if n not in CHOOSES_ITS_ANGLE and "composition" not in n]
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ALONE)
 def test_beside_the_trim_angle_a_bank_law_flies_bit_for_bit_as_alone(name):

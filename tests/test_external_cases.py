@@ -292,6 +292,7 @@ def peak_and_gradient(numbers):
     return jax.value_and_grad(peak, argnums=(0, 1, 2))(*numbers)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_gradient_of_peak_deceleration():
     numbers = tuple(jnp.asarray(EARTH[i]) for i in (2, 3, 4))

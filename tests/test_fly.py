@@ -379,6 +379,7 @@ def test_history_does_not_change_the_flight(interval, sampled_flight):
     assert history.states.velocity[0] == 6750.0
 
 
+@pytest.mark.optimized
 def test_history_shows_what_was_commanded_and_met():
     flight = fly_compiled(sampled_scenario(), FixedStep(0.25), 0.5)
     history = flight.history

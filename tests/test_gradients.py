@@ -145,6 +145,7 @@ def given(planned):
     return lambda law: scenario_of(law, planned)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "law",

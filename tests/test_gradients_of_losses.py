@@ -84,8 +84,8 @@ def differences(loss, step=2e-6):
     return found
 
 
-MODES = [True, pytest.param(False, marks=pytest.mark.slow)]
-"""Forward, and reverse, which `test_tuning` has everyday with another loss"""
+MODES = [True, False]
+"""Forward, and reverse; `test_tuning` has a gradient every day"""
 
 
 @pytest.mark.slow
@@ -104,6 +104,7 @@ def test_gradient_of_a_named_loss_is_its_difference(name, forward):
         assert float(found.total[address]) == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("forward", MODES)
 def test_a_flight_that_diverges_is_left_out_and_counted(forward):
     """Whatever its weight: also where that makes its gradient as small as the others'."""
@@ -187,6 +188,7 @@ def test_flights_that_fail_on_one_side_are_left_out_of_both():
         assert float(found.gradient[address]) == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize("forward", [True, False])
 def test_tails_of_the_mars_mission(forward):

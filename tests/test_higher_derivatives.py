@@ -90,6 +90,7 @@ def test_the_toy_stops_within_its_cycles():
     assert 7 <= int(path.running.sum()) <= 9
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize("outer", MODES)
 @pytest.mark.parametrize("inner", MODES)
@@ -105,6 +106,7 @@ def test_second_derivatives_of_the_loop(loop, inner, outer):
     )
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_third_derivatives_of_the_loop():
     third = lambda f: jax.jit(jax.jacfwd(jax.jacrev(jax.jacfwd(f))))
@@ -114,6 +116,7 @@ def test_third_derivatives_of_the_loop():
     )
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_second_derivatives_of_a_batch_of_loops():
     """Loops that stop after different numbers of cycles, side by side."""

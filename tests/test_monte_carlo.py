@@ -34,6 +34,9 @@ from jentry.tuning.draws import held_out
 from jentry.tuning.losses import MeanSquare
 
 
+pytestmark = pytest.mark.optimized  # lanes are compared bit by bit
+
+
 def fly(key, runs, **options):
     return monte_carlo(
         cheap.scenario(), cheap.dispersions(), key, runs, solver=cheap.SOLVER, **options

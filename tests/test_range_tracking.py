@@ -376,6 +376,7 @@ def dispersed():
     )
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_mirrored_scenario_flies_the_mirrored_flight():
     """Target to the left and first bank to the right; and all of it in a mirror."""
@@ -485,6 +486,7 @@ def end_of(values, scenario):
     return ground_track(varied.planet, varied.guidance.aim.origin, state)[0] / km
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_gradient_matches_differences():
     off = off_the_reference()
@@ -546,11 +548,13 @@ def test_campaigns_of_64_runs_keep_the_promise():
     check_campaigns(64)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_campaigns_of_1000_runs_keep_the_promise():
     check_campaigns(1000)
 
 
+@pytest.mark.slow
 def test_some_reversals_keep_the_crossrange():
     flown = campaign("lift-to-drag-held", 64)
     count = reversals(flown)

@@ -70,6 +70,7 @@ def test_first_sets_of_the_two_indices():
     )
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_first_set_of_the_mars_mission():
     mission = find_mission("mars-drag-tracking")
@@ -79,6 +80,7 @@ def test_first_set_of_the_mars_mission():
     assert_first_set(*row, scenario, campaign)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_nominal_downrange_errors_of_the_mars_mission():
     mission, paper = find_mission("mars-drag-tracking"), truths("yan_he.csv")

@@ -204,6 +204,7 @@ def test_reverse_mode_is_finite_in_flights_that_reached(shallow):
     assert np.all(np.isfinite(np.asarray(of_drop)[reached]))
 
 
+@pytest.mark.slow
 def test_reverse_mode_of_shallow_ends_is_that_of_the_descent(shallow):
     """A longer drop goes on by the ground speed over the rate of descent, at the end."""
     (_, of_drop), flight = shallow

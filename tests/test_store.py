@@ -26,6 +26,8 @@ from jentry.flight import Outcome
 
 RUNS = 3 * LANES + 8
 
+pytestmark = pytest.mark.optimized  # what is stored is compared bit by bit
+
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):

@@ -50,6 +50,8 @@ RUNS = 32
 
 SIMULATION = Simulation(misses, cheap.SOLVER)
 
+pytestmark = pytest.mark.optimized  # of few programs each flies thousands of flights
+
 BEST = 40 * degree
 """Bank of the nominal flight that ends at the target, see `scenario`"""
 
@@ -212,6 +214,7 @@ def limit():
     return float(np.median(campaign.flights.peaks.drag))
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 @pytest.mark.parametrize("forward", [True, False])
 def test_flights_that_fail_do_not_poison_the_gradient(forward):
@@ -240,6 +243,7 @@ def test_flights_that_fail_do_not_poison_the_gradient(forward):
 ADDRESS = "guidance.bank_angle"
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
@@ -258,6 +262,8 @@ def test_flights_that_fail_are_counted_and_left_out(name):
     assert result.judgement.not_finite_before > 0
 
 
+@pytest.mark.optimized(False)
+@pytest.mark.slow
 def test_none_that_flies_is_an_error():
     with pytest.raises(ValueError, match="32 flights of which an output is not finite"):
         tuned(start=fragile(1e-6), table=density())
@@ -279,6 +285,7 @@ def test_it_stops_without_progress(tolerance):
     assert result.stopped == "no progress in 2 steps" and len(result.course) == 3
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_it_stops_where_no_gradient_reaches():
     """The time limit is never met: the bank of a number that nothing depends on."""
@@ -351,6 +358,7 @@ def stepped():
     return eqx.tree_at(lambda s: s.guidance, scenario(), law)
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_a_gradient_that_a_difference_contradicts_is_warned_of(tmp_path):
     record = tmp_path / "record.npz"
@@ -391,6 +399,7 @@ def test_differences_agree_with_derivatives_where_nothing_jumps():
     assert first.gradient_shares == exact.gradient_shares == {ADDRESS: 1.0}
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_a_start_next_to_a_bound_is_warned_of():
     bounds = Bounds(50 * degree - 1e-5, 60 * degree)
@@ -412,6 +421,7 @@ def three(s):
     return s.guidance.bank_angle, s.initial_state.heading, s.vehicle.nose_radius
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_several_leaves_and_one_without_effect():
     result = tuned(where=three, steps=3)
@@ -421,6 +431,7 @@ def test_several_leaves_and_one_without_effect():
     assert float(result.values[address]) == float(scenario().vehicle.nose_radius)
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_forward_and_reverse_take_the_same_steps():
     forward, reverse = (
@@ -447,6 +458,7 @@ def twice_as_far(scenario):
     )
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_a_surrogate_is_followed_and_the_exact_law_judges():
     result = tuned(
@@ -463,6 +475,7 @@ def with_peaks(scenario, flight):
     return misses(scenario, flight), flight.peaks, control_effort(flight.history)
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_path_constraints_and_control_effort_enter_the_loss():
     def loss(outputs):
@@ -540,6 +553,7 @@ def half_of(parameters):
     return twice(parameters)
 
 
+@pytest.mark.slow
 def test_bounds_hold_for_what_is_built():
     ranges = {"half": Bounds(22.5 * degree, 30 * degree)}
     result = tuned(start=HALF, where=None, build=twice, ranges=ranges)
@@ -576,6 +590,7 @@ def nose_first(parameters):
     return with_leaf(twice(parameters), lambda s: s.vehicle.nose_radius, radius)
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_a_point_that_cannot_be_flown_is_turned_back_from():
     """Though its flights would be finite."""
@@ -585,6 +600,7 @@ def test_a_point_that_cannot_be_flown_is_turned_back_from():
     assert float(result.values["half"]) > 0.4
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_the_gradient_goes_through_a_planner():
     """Of a curvature from which a reference is planned by flights of its own: the
@@ -617,6 +633,7 @@ def planned_anew(parameters):
     return eqx.tree_at(lambda s: s.guidance.cos_bank, mars_scenario(), profile)
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_training_and_judgement_measure_the_same():
     """On the same draws they agree; also where the entry point itself is tuned."""

@@ -1,0 +1,54 @@
+"""Tests are compiled with little optimization, or as users have it, and fly the same."""
+
+import os
+
+import cheap
+import compiling
+import jax
+import numpy as np
+import pytest
+from helpers import fly_compiled
+from jax._src import compiler
+
+
+LEVEL = "--xla_backend_optimization_level=0"
+
+
+def test_what_is_not_marked_is_compiled_with_little_optimization():
+    """And so is what the commands compile that tests start."""
+    options = compiler.get_compile_options(1, 1).env_option_overrides
+    assert {name for name, _ in options} == set(compiling.little())
+    assert (LEVEL in os.environ.get("XLA_FLAGS", "")) == bool(compiling.little())
+
+
+@pytest.mark.optimized(False)
+def test_what_is_marked_not_to_be_is_not():
+    test_what_is_not_marked_is_compiled_with_little_optimization()
+
+
+@pytest.mark.optimized
+def test_what_is_marked_is_compiled_as_users_have_it():
+    assert not compiler.get_compile_options(1, 1).env_option_overrides
+    assert LEVEL not in os.environ.get("XLA_FLAGS", "")
+
+
+@pytest.mark.skipif("not compiling.little()", reason="XLA does not know the options")
+def test_a_flight_is_the_same_but_for_rounding(monkeypatch):
+    """Compiled anew, each time."""
+    ends = []
+    compiling.optimize(False)
+    for much in (True, False):
+        compiling.optimize(much)
+        asked, options = [], compiler.get_compile_options
+        with monkeypatch.context() as patched:
+            count = lambda *a, **k: asked.append(1) or options(*a, **k)  # noqa: B023
+            patched.setattr(compiler, "get_compile_options", count)
+            flight = fly_compiled(cheap.scenario(), cheap.SOLVER)
+        assert asked
+        ends.append(jax.tree.map(np.asarray, (flight.time, flight.state)))
+    assert LEVEL in os.environ["XLA_FLAGS"]
+    compiling.optimize(True)
+    assert LEVEL not in os.environ["XLA_FLAGS"]
+    # Over 300 steps, in a flight that does not amplify it.
+    close = lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-13)
+    jax.tree.map(close, *ends)
