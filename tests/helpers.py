@@ -249,14 +249,18 @@ def ground_track_law(reference) -> GroundTrackTracking:
     """Near the planned flight: a straight line over the energy for each angle, 20 degrees
     of angle of attack and 45 of bank."""
     model = OnboardModel(mars_planet(), gliding_vehicle())
-    energies = jnp.array([10.6e6, -12.5e6])
-    columns = {
-        "downrange": (jnp.array([0.0, 0.213]), -jnp.full(2, 0.213 / 23.1e6)),
-        "crossrange": (jnp.zeros(2), jnp.full(2, 1e-9)),
+    values = {
+        "downrange": (0.0, 0.213),
+        "downrange_first": (-0.213, -0.213),
+        "downrange_second": (0.1, 0.2),
+        "downrange_third": (1.0, 2.0),
+        "crossrange": (0.0, 0.02),
+        "crossrange_first": (-0.02, -0.02),
+        "crossrange_second": (0.1, 0.2),
     }
-    table = quintic_table(
-        energies, {n: (*values, jnp.zeros(2)) for n, values in columns.items()}
-    )
+    nothing = jnp.zeros(2)
+    columns = {name: (jnp.array(x), nothing, nothing) for name, x in values.items()}
+    table = quintic_table(jnp.array([10.6e6, -12.5e6]), columns)
     return GroundTrackTracking(
         GroundTrackModel(
             model,

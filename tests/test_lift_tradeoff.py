@@ -109,7 +109,9 @@ def test_by_hand(above, right, lift, bank):
 
 def test_derivatives_are_those_of_differences():
     """Where nothing changes its kind within the difference."""
-    above, right, eta, least, largest, bank = (jnp.asarray(x[4000:4300]) for x in cases())
+    above, right, eta, least, largest, bank = (
+        jnp.asarray(x[4000:4300]) for x in cases()
+    )
 
     def said(above, right, eta, *bounds):
         found = WeightedTradeoff(eta).nearest(above, right, LiftBounds(*bounds))

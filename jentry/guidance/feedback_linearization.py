@@ -8,6 +8,7 @@ east to the left and its bank is positive to the left; here both are positive to
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -74,16 +75,18 @@ class TrackingGains(eqx.Module):
 
     @classmethod
     def from_eigenvalues(
-        cls, downrange: Sequence[Scalar], crossrange: Sequence[Scalar]
+        cls, downrange: Sequence[Any], crossrange: Sequence[Any]
     ) -> "TrackingGains":
         """Gains by the real eigenvalues of (50), four, and (51), three, per energy span.
 
         Differentiable in them. Positive eigenvalues are stable.
+
+        **Raises:** `ValueError` for another number of eigenvalues.
         """
         return cls(_polynomial(downrange), _polynomial(crossrange))
 
 
-def _polynomial(roots: Sequence[Scalar]) -> Vector:
+def _polynomial(roots: Sequence[Any]) -> Vector:
     """Coefficients of the polynomial with given roots, without the leading one."""
     coefficients = [jnp.asarray(1.0)]
     for root in roots:
@@ -191,15 +194,6 @@ class OutputDynamics(eqx.Module):
         ) * per_determinant
 
 
-class WantedOutputs(eqx.Module):
-    """The outputs of the reference at an energy, and their derivatives over the energy."""
-
-    downrange: tuple[Scalar, Scalar, Scalar, Scalar]
-    """y1 and its first three derivatives, rad"""
-    crossrange: tuple[Scalar, Scalar, Scalar]
-    """y2 and its first two derivatives, rad"""
-
-
 class AbstractLinearization(eqx.Module):
     """How the outputs are differentiated until the controls appear."""
 
@@ -208,20 +202,6 @@ class AbstractLinearization(eqx.Module):
         self, model: GroundTrackModel, state: EntryState, factors: Factors
     ) -> OutputDynamics:
         """The outputs in a state, with what the lift does to them."""
-
-    @abstractmethod
-    def columns(self, model: GroundTrackModel, state: EntryState) -> dict[str, Scalar]:
-        """What is tabulated of a state of the reference, by name."""
-
-    @abstractmethod
-    def wanted(
-        self, model: GroundTrackModel, reference: QuinticTable, here: Scalar
-    ) -> WantedOutputs:
-        """What the reference has at an energy (J/kg).
-
-        The derivatives are those of the expressions of this linearization, so that on the
-        reference it asks for the reference controls.
-        """
 
 
 class FullLinearization(AbstractLinearization):
@@ -264,29 +244,6 @@ class FullLinearization(AbstractLinearization):
                 (by_lift[0][0], by_lift[1][0]),
                 (by_lift[0][1], by_lift[1][1]),
             ),
-        )
-
-    def columns(self, model: GroundTrackModel, state: EntryState) -> dict[str, Scalar]:
-        downrange, crossrange = model.outputs(state)
-        return {"downrange": downrange, "crossrange": crossrange}
-
-    def wanted(
-        self, model: GroundTrackModel, reference: QuinticTable, here: Scalar
-    ) -> WantedOutputs:
-        """The derivatives are those of the table: there the drag is the actual one."""
-
-        def read(here: Scalar):
-            values = reference.with_derivatives(here)
-            downrange, crossrange = values["downrange"], values["crossrange"]
-            return downrange[2], downrange + crossrange
-
-        _, third, (y1, y1_1, y1_2, y2, y2_1, y2_2) = jax.jvp(
-            read, (here,), (jnp.ones_like(here),), has_aux=True
-        )
-        span = model.energy_span
-        return WantedOutputs(
-            downrange=(y1, span * y1_1, span**2 * y1_2, span**3 * third),
-            crossrange=(y2, span * y2_1, span**2 * y2_2),
         )
 
 
@@ -334,35 +291,6 @@ class SmallAngleLinearization(AbstractLinearization):
             drift=(span**3 * a, span**2 * l),
             effect=((span**3 * b, nothing), (nothing, -(span**2) * m)),
         )
-
-    def columns(self, model: GroundTrackModel, state: EntryState) -> dict[str, Scalar]:
-        one = jnp.ones_like(state.velocity)
-        factors = Factors(one, one)
-        seen = self.dynamics(model, state, factors)
-        above, right, _ = model.reference_forces(state, factors)
-        third, second = seen.under(above, right)
-        values = *seen.downrange, third, *seen.crossrange, second
-        return dict(zip(_PRINTED_COLUMNS, values, strict=True))
-
-    def wanted(
-        self, model: GroundTrackModel, reference: QuinticTable, here: Scalar
-    ) -> WantedOutputs:
-        values = reference.with_derivatives(here)
-        y1, y1_1, y1_2, y1_3, *crossrange = (values[n][0] for n in _PRINTED_COLUMNS)
-        y2, y2_1, y2_2 = crossrange
-        return WantedOutputs((y1, y1_1, y1_2, y1_3), (y2, y2_1, y2_2))
-
-
-_PRINTED_COLUMNS = (
-    "downrange",
-    "downrange_first",
-    "downrange_second",
-    "downrange_third",
-    "crossrange",
-    "crossrange_first",
-    "crossrange_second",
-)
-"""Derivatives over the energy in units of its span, which are approximate ones"""
 
 
 def _course(model: GroundTrackModel, state: EntryState) -> Scalar:
@@ -417,6 +345,34 @@ class TrackErrors(eqx.Module):
     """rad"""
 
 
+_COLUMNS = (
+    "downrange",
+    "downrange_first",
+    "downrange_second",
+    "downrange_third",
+    "crossrange",
+    "crossrange_first",
+    "crossrange_second",
+)
+
+
+def along_reference(
+    linearization: AbstractLinearization, model: GroundTrackModel, state: EntryState
+) -> dict[str, Scalar]:
+    """The outputs in a state of the reference and their derivatives, by name.
+
+    In rad, over the energy in units of its span, by the expressions of the law: so that
+    on the reference it commands the reference controls.
+    """
+    one = jnp.ones_like(state.velocity)
+    factors = Factors(one, one)
+    seen = linearization.dynamics(model, state, factors)
+    above, right, _ = model.reference_forces(state, factors)
+    third, second = seen.under(above, right)
+    values = *seen.downrange, third, *seen.crossrange, second
+    return dict(zip(_COLUMNS, values, strict=True))
+
+
 class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
     """Feedback linearization of downrange and crossrange, equations (48) to (54).
 
@@ -425,12 +381,20 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
 
     model: GroundTrackModel
     reference: QuinticTable
-    """Columns of the linearization over the energy (J/kg), by `plan_ground_track`"""
+    """What `along_reference` gives, over the energy (J/kg): by `plan_ground_track`"""
     gains: TrackingGains
     band: AttitudeBand
     linearization: AbstractLinearization = FullLinearization()
     tradeoff: AbstractTradeoff = EqualTradeoff()
     force_knowledge: AbstractForceKnowledge = ModelledForces()
+
+    def __check_init__(self):
+        missing = [name for name in _COLUMNS if name not in self.reference.coefficients]
+        if missing:
+            raise ValueError(
+                f"the reference has no {', '.join(missing)}: plan_ground_track makes one "
+                "that has"
+            )
 
     def init(self, measurement: Measurement) -> TrackErrors:
         nothing = 0.0 * measurement.drag
@@ -443,12 +407,11 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
         here = model.energy(state)
         factors = self.force_knowledge.factors(model, measurement)
         seen = self.linearization.dynamics(model, state, factors)
-        wanted = self.linearization.wanted(model, self.reference, here)
+        read = self.reference.with_derivatives(here)
+        r1, r1_1, r1_2, r1_3, r2, r2_1, r2_2 = (read[name][0] for name in _COLUMNS)
 
         y1, y1_1, y1_2 = seen.downrange
         y2, y2_1 = seen.crossrange
-        r1, r1_1, r1_2, r1_3 = wanted.downrange
-        r2, r2_1, r2_2 = wanted.crossrange
         k11, k12, k13, k14 = self.gains.downrange
         k21, k22, k23 = self.gains.crossrange
         errors = TrackErrors(y1 - r1, y2 - r2)

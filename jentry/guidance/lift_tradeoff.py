@@ -155,6 +155,10 @@ def _stationary(
         step = value / slope
         m = m - (step - lax.stop_gradient(step))
         first, second = up + m, across + m
+        # A search that found nothing may have gone anywhere.
+        size = jnp.maximum(jnp.abs(first), jnp.abs(second))
+        size = jnp.where(size == 0.0, 1.0, size)
+        first, second = first / size, second / size
         side = jnp.where(first * second < 0.0, -1.0, 1.0)
         cosine, sine = side * up * above * second, side * across * right * first
         return _polar(cosine, sine)[1:]

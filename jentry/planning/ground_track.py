@@ -11,6 +11,7 @@ from ..guidance.feedback_linearization import (
     AbstractLinearization,
     FullLinearization,
     GroundTrackModel,
+    along_reference,
 )
 from ..guidance.open_loop import ControlProfiles
 from ..motion.dynamics import with_respect_to
@@ -74,7 +75,7 @@ def plan_ground_track(
     flight: ReferenceFlight,
     model: GroundTrackModel,
     linearization: AbstractLinearization = FullLinearization(),
-    intervals: int = 2000,
+    intervals: int = 4000,
 ) -> QuinticTable:
     """Outputs of a flown reference and their derivatives over the energy, for the law.
 
@@ -82,6 +83,6 @@ def plan_ground_track(
     """
 
     def columns(time: Scalar, state: EntryState) -> dict[str, Scalar]:
-        return linearization.columns(model, state)
+        return along_reference(linearization, model, state)
 
-    return flight.tabulate(columns, EnergyIndex(), intervals)
+    return flight.sample(columns, EnergyIndex(), intervals)

@@ -265,5 +265,5 @@ def small_angle() -> Scenario:
 
 
 def measured() -> Scenario:
-    """No small angles, with lift and drag measured on board at a guidance cycle of 1 s."""
-    return tracking(force_knowledge=MeasuredForces(), period=1.0)
+    """No small angles; lift and drag are measured on board, in guidance cycles of 0.1 s."""
+    return tracking(force_knowledge=MeasuredForces(), period=0.1)

@@ -1,0 +1,317 @@
+"""Tracking a ground track by feedback linearization, against equations written again."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import sx_2_by_hand as hand
+from sx_2_by_hand import along, differences
+
+from jentry.flight import fly
+from jentry.guidance import (
+    AttitudeBand,
+    FullLinearization,
+    GroundTrackTracking,
+    MeasuredForces,
+    ReferencePlaneAngles,
+    SmallAngleLinearization,
+    TrackErrors,
+    TrackingGains,
+)
+from jentry.guidance.feedback_linearization import along_reference
+from jentry.missions.sx_2.scenario import (
+    band,
+    entry,
+    gains,
+    reference_controls,
+    track_model,
+)
+from jentry.motion import EntryState
+from jentry.onboard import Factors, Measurement, PolynomialProfile, quintic_table
+from jentry.units import degree
+
+
+POINTS = {
+    "early": (0.97, 60.0e3, 0.02, 0.01, -0.5, 3.0),
+    "high": (0.75, 57.0e3, 0.10, 0.02, -1.0, 12.0),
+    "at the reversal": (0.352, 44.0e3, 0.22, 0.03, -1.5, 25.0),
+    "behind it": (0.30, 42.0e3, 0.25, 0.035, 0.7, -20.0),
+    "late": (0.04, 27.0e3, 0.31, 0.045, -6.0, -40.0),
+}
+"""Share of the energy, altitude (m), longitude and latitude (rad), path angle and heading
+from east to the left (deg): none of them on the reference"""
+
+
+def by_hand(name):
+    e, altitude, theta, phi, gamma, chi = POINTS[name]
+    r = hand.R0 + altitude
+    v = np.sqrt(2.0 * (hand.LAST + e * hand.SPAN + hand.MU / r))
+    return np.array([r, theta, phi, v, np.radians(gamma), np.radians(chi)])
+
+
+def as_state(x) -> EntryState:
+    r, theta, phi, v, gamma, chi = x
+    return EntryState(r - hand.R0, theta, phi, v, gamma, 0.5 * np.pi - chi)
+
+
+NOMINAL = Factors(jnp.asarray(1.0), jnp.asarray(1.0))
+
+
+@eqx.filter_jit
+def dynamics(linearization, model, state, factors):
+    return linearization.dynamics(model, state, factors)
+
+
+def under(found, above, left):
+    """y1''' and y2'' of what was found, under a lift."""
+    third, second = found.under(jnp.asarray(above), jnp.asarray(-left))
+    return float(third), float(second)
+
+
+@pytest.mark.parametrize("name", POINTS)
+def test_full_derivatives_are_those_of_the_flow(name):
+    x = by_hand(name)
+
+    def modelled_drag(x):
+        r, v = x[0], x[3]
+        return hand.drag(r, v, hand.reference_angle(hand.share(r, v)))
+
+    def reference_flow(x):
+        r, v = x[0], x[3]
+        e = hand.share(r, v)
+        size, bank = hand.lift(r, v, hand.reference_angle(e)), hand.reference_bank(e)
+        return hand.flow(x, size * np.cos(bank), size * np.sin(bank), modelled_drag(x))
+
+    def slope(output):
+        return lambda x: hand.flow(x, 0.0, 0.0, modelled_drag(x))[output]
+
+    def curvature(x):
+        return along(slope(1), x, reference_flow(x))
+
+    model = track_model()
+    found = dynamics(FullLinearization(), model, as_state(x), NOMINAL)
+    y1, y1_1, y1_2 = found.downrange
+    y2, y2_1 = found.crossrange
+    assert (y1, y2) == pytest.approx((x[1], x[2]), rel=1e-14)
+    slopes = slope(1)(x), slope(2)(x)
+    assert (y1_1, y2_1) == pytest.approx(slopes, rel=1e-11)
+    assert float(y1_2) == pytest.approx(curvature(x), rel=1e-10)
+    for above, left in ((0.0, 0.0), (5.0, 0.0), (0.0, 5.0), (-3.0, 4.0)):
+        flow = hand.flow(x, above, left, modelled_drag(x))
+        third, second = under(found, above, left)
+        assert second == pytest.approx(along(slope(2), x, flow), rel=1e-9)
+        # Fourth-order differences over 2e-5 of the energy; the bank turns over 0.014 of it.
+        assert third == pytest.approx(differences(curvature, x, flow), rel=1e-7)
+
+
+@pytest.mark.parametrize("name", POINTS)
+def test_printed_derivatives_are_those_of_the_small_angle_flow(name):
+    """With a constant drag coefficient, as (44) has it."""
+    x = by_hand(name)
+    angle = 15.0 * degree
+
+    def modelled_drag(x):
+        return hand.drag(x[0], x[3], angle)
+
+    def slope(output):
+        return lambda x: hand.small_flow(x, 0.0, 0.0, modelled_drag(x))[output]
+
+    def curvature(x):
+        return along(slope(1), x, hand.small_flow(x, 0.0, 0.0, modelled_drag(x)))
+
+    steady = dataclasses.replace(
+        track_model(), angle_of_attack=PolynomialProfile([angle])
+    )
+    found = dynamics(SmallAngleLinearization(), steady, as_state(x), NOMINAL)
+    assert float(found.downrange[1]) == pytest.approx(slope(1)(x), rel=1e-12)
+    assert float(found.crossrange[1]) == pytest.approx(slope(2)(x), rel=1e-12)
+    assert float(found.downrange[2]) == pytest.approx(curvature(x), rel=1e-10)
+    for above, left in ((0.0, 0.0), (5.0, 0.0), (0.0, 5.0), (-3.0, 4.0)):
+        flow = hand.small_flow(x, above, left, modelled_drag(x))
+        third, second = under(found, above, left)
+        assert second == pytest.approx(along(slope(2), x, flow), rel=1e-10)
+        assert third == pytest.approx(differences(curvature, x, flow), rel=1e-7)
+
+
+def test_reference_controls_are_those_of_the_notes():
+    angle, bank = reference_controls()
+    e = np.linspace(0.0, 1.02, 103)
+    energies = jnp.asarray(hand.LAST + e * hand.SPAN)
+    angles, banks = (jax.jit(jax.vmap(p))(energies) for p in (angle, bank))
+    wanted = [hand.reference_angle(x) for x in e], [-hand.reference_bank(x) for x in e]
+    np.testing.assert_allclose(angles, wanted[0], rtol=1e-12)
+    np.testing.assert_allclose(banks, wanted[1], rtol=1e-10)
+
+
+def test_gains_are_the_polynomials_of_their_eigenvalues():
+    gains = TrackingGains.from_eigenvalues((18.0, 8.0, 8.0, 0.1), (30.0, 1.2, 1.2))
+    np.testing.assert_allclose(gains.downrange, [-34.1, 355.4, -1187.2, 115.2])
+    np.testing.assert_allclose(gains.crossrange, [-32.4, 73.44, -43.2])
+    with pytest.raises(ValueError, match="expected 4 gains"):
+        TrackingGains.from_eigenvalues((1.0, 2.0), (30.0, 1.2, 1.2))
+
+
+def test_angles_of_a_turned_plane():
+    """A great circle elsewhere is the equator of its own frame."""
+    model = track_model()
+    origin = EntryState(60e3, 0.4, -0.3, 5000.0, 0.0, 70.0 * degree)
+    turned = dataclasses.replace(model, track_angles=ReferencePlaneAngles(origin))
+    x = by_hand("high")
+    flat = as_state(x)
+    # The same flight, seen from the pole of the other great circle.
+    there = moved_to(origin, flat)
+    for linearization in (FullLinearization(), SmallAngleLinearization()):
+        one = dynamics(linearization, model, flat, NOMINAL)
+        other = dynamics(linearization, turned, there, NOMINAL)
+        for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
+            size = np.max(np.abs(jax.tree.leaves(one)))
+            np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-13 * size)
+
+
+def moved_to(origin: EntryState, state: EntryState) -> EntryState:
+    """The rotation that takes the equator due east from (0, 0) to a great circle."""
+
+    def frame(longitude, latitude):
+        up = np.array(
+            [
+                np.cos(latitude) * np.cos(longitude),
+                np.cos(latitude) * np.sin(longitude),
+                np.sin(latitude),
+            ]
+        )
+        east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
+        return up, east, np.cross(up, east)
+
+    up, east, north = frame(float(origin.longitude), float(origin.latitude))
+    heading = float(origin.heading)
+    ahead = np.sin(heading) * east + np.cos(heading) * north
+    turn = np.stack([up, ahead, np.cross(up, ahead)], axis=1)
+    here, there_east, there_north = frame(float(state.longitude), float(state.latitude))
+    heading = float(state.heading)
+    velocity = np.sin(heading) * there_east + np.cos(heading) * there_north
+    here, velocity = turn @ here, turn @ velocity
+    longitude, latitude = np.arctan2(here[1], here[0]), np.arcsin(here[2])
+    _, east, north = frame(longitude, latitude)
+    heading = np.arctan2(velocity @ east, velocity @ north)
+    return EntryState(
+        state.altitude,
+        longitude,
+        latitude,
+        state.velocity,
+        state.flight_path_angle,
+        heading,
+    )
+
+
+def test_measured_factors_are_those_of_the_forces():
+    model, state = track_model(), as_state(by_hand("high"))
+    angle = jnp.asarray(17.0 * degree)
+    lift, drag = model.forces(state, angle, NOMINAL)
+    seen = Measurement(state, 1.3 * lift, 0.8 * drag, angle, 0.0 * angle)
+    factors = MeasuredForces().factors(model, seen)
+    assert float(factors.lift) == pytest.approx(1.3, rel=1e-14)
+    assert float(factors.drag) == pytest.approx(0.8, rel=1e-14)
+    # Drag that is so much larger shortens the way over the energy by so much.
+    one = dynamics(FullLinearization(), model, state, NOMINAL)
+    other = dynamics(FullLinearization(), model, state, factors)
+    ratio = float(other.downrange[1] / one.downrange[1])
+    assert ratio == pytest.approx(1.0 / 0.8, rel=1e-12)
+
+
+def law_at(state, linearization, **changes) -> GroundTrackTracking:
+    """The law with a reference that is the state itself, at every energy."""
+    model = track_model()
+    here = along_reference(linearization, model, state)
+    nothing = jnp.zeros(2)
+    columns = {n: (jnp.full(2, x), nothing, nothing) for n, x in here.items()}
+    table = quintic_table(jnp.array([hand.FIRST, hand.LAST]), columns)
+    return GroundTrackTracking(
+        model, table, gains(), band(), linearization=linearization, **changes
+    )
+
+
+def commanded(law, state, memory=None, forces=(5.0, 4.0)):
+    angle = jnp.asarray(17.0 * degree)
+    seen = Measurement(state, *(jnp.asarray(f) for f in forces), angle, angle)
+    memory = law.init(seen) if memory is None else memory
+    return law(jnp.asarray(0.0), seen, memory)
+
+
+@pytest.mark.parametrize("name", ["early", "late"])
+@pytest.mark.parametrize(
+    "linearization", [FullLinearization(), SmallAngleLinearization()]
+)
+def test_on_the_reference_the_controls_are_the_reference_controls(linearization, name):
+    x = by_hand(name)
+    e = hand.share(x[0], x[3])
+    controls, rate = commanded(law_at(as_state(x), linearization), as_state(x))
+    wanted = hand.reference_angle(e), -hand.reference_bank(e)
+    assert float(controls.angle_of_attack) == pytest.approx(wanted[0], rel=1e-9)
+    assert float(controls.bank_angle) == pytest.approx(wanted[1], rel=1e-9)
+    assert float(rate.downrange) == float(rate.crossrange) == 0.0
+
+
+def test_errors_are_fed_back_by_the_gains():
+    """Equation (49) by hand: too far along, and to the left, by little."""
+    x = by_hand("late")
+    state = as_state(x)
+    loose = AttitudeBand(1.0, -1.0, 1.5, 3.0)
+    law = dataclasses.replace(law_at(state, FullLinearization()), band=loose)
+    model, off = law.model, (3e-6, -2e-6)
+    moved = as_state(x + np.array([0.0, *off, 0.0, 0.0, 0.0]))
+    memory = TrackErrors(jnp.asarray(4e-7), jnp.asarray(-3e-7))
+    controls, rate = commanded(law, moved, memory)
+    there = dynamics(FullLinearization(), model, moved, NOMINAL)
+    here = along_reference(FullLinearization(), model, state)
+    k1, k2 = np.poly([18.0, 8.0, 8.0, 0.1])[1:], np.poly([30.0, 1.2, 1.2])[1:]
+    w1 = here["downrange_third"] - k1 @ np.array(
+        [
+            there.downrange[2] - here["downrange_second"],
+            there.downrange[1] - here["downrange_first"],
+            off[0],
+            4e-7,
+        ]
+    )
+    w2 = here["crossrange_second"] - k2 @ np.array(
+        [there.crossrange[1] - here["crossrange_first"], off[1], -3e-7]
+    )
+    lift, _ = model.forces(moved, controls.angle_of_attack, NOMINAL)
+    third, second = there.under(lift * controls.cos_bank, lift * controls.sin_bank)
+    assert float(third) == pytest.approx(float(w1), rel=1e-9)
+    assert float(second) == pytest.approx(float(w2), rel=1e-9)
+    # The integrals run over the energy, which falls by V D: 4 m/s2 are sensed.
+    falls = -x[3] * 4.0 / hand.SPAN
+    assert float(rate.downrange) == pytest.approx(off[0] * falls, rel=1e-6)
+    assert float(rate.crossrange) == pytest.approx(off[1] * falls, rel=1e-6)
+
+
+def test_commands_keep_to_their_band():
+    x = by_hand("late")
+    law = law_at(as_state(x), FullLinearization())
+    e = hand.share(x[0], x[3])
+    for off in (1e-2, -1e-2):
+        moved = as_state(x + np.array([0.0, off, off, 0.0, 0.0, 0.0]))
+        controls, _ = commanded(law, moved)
+        deviation = float(controls.angle_of_attack) - hand.reference_angle(e)
+        assert abs(deviation) <= 5.0 * degree * (1.0 + 1e-12)
+        assert abs(float(controls.bank_angle)) <= 80.0 * degree * (1.0 + 1e-12)
+
+
+def test_a_reference_of_other_columns_is_refused():
+    law = law_at(as_state(by_hand("late")), FullLinearization())
+    nothing = (jnp.zeros(2), jnp.zeros(2), jnp.zeros(2))
+    other = quintic_table(jnp.array([2.0, 1.0]), {"downrange": nothing})
+    with pytest.raises(ValueError, match="no downrange_first, .*plan_ground_track"):
+        dataclasses.replace(law, reference=other)
+
+
+def test_measured_forces_under_an_ideal_attitude_are_refused():
+    """The command would depend on forces that depend on the command."""
+    nominal = entry()
+    law = law_at(as_state(by_hand("late")), FullLinearization())
+    law = dataclasses.replace(law, force_knowledge=MeasuredForces())
+    with pytest.raises(ValueError, match="GroundTrackTracking commands an angle"):
+        jax.eval_shape(fly, dataclasses.replace(nominal, guidance=law))
