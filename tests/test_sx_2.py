@@ -81,7 +81,6 @@ def test_combined_initial_errors():
         assert np.all(np.asarray(found.flights.outcome) == Outcome.REACHED)
         miss = np.hypot(found.misses.downrange, found.misses.crossrange) / nautical_mile
         median, ninety, ninety_nine = np.percentile(miss, [50, 90, 99])
-        print(seed, median, ninety, ninety_nine, np.max(miss))
         assert 0.3 < median < 0.5
         assert 1.0 < ninety < 1.4
         assert 2.0 < ninety_nine < 3.5
