@@ -48,7 +48,15 @@ CASES = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [
+        "drag tracking",
+        "range tracking",
+        # With little optimization the flights round by 2e-11, over steps of 1e-5.
+        pytest.param("bezier", marks=pytest.mark.optimized),
+    ],
+)
 def test_second_derivatives_of_a_miss(case):
     """To 1e-5 of the largest: what a difference of gradients has of rounding and order."""
     mission, variant, where, density, what, step = CASES[case]

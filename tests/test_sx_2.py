@@ -68,6 +68,19 @@ def test_over_the_energy_the_closed_loop_flies_the_same():
     assert float(over.time) == pytest.approx(float(flight.time), abs=1e-5)
 
 
+def test_away_from_the_end_of_an_index_there_is_no_flight():
+    scenario = MISSION.scenario("full")
+    law = scenario.termination.conditions["energy"]
+    first = scenario.guidance.model.energy(scenario.initial_state)
+    behind = eqx.filter_jit(fly_over)(scenario, EnergyIndex(), first + 1e4, 4000)
+    assert np.isnan(float(behind.state.altitude))
+    assert float(first) > float(law.energy)
+    with pytest.raises(ValueError, match="steps is 0"):
+        fly_over(scenario, EnergyIndex(), law.energy, 0)
+    with pytest.raises(ValueError, match="Sampled decides at guidance cycles"):
+        fly_over(MISSION.scenario("measured"), EnergyIndex(), law.energy, 10)
+
+
 def test_combined_initial_errors():
     """Of three sets of 2000 runs, each: the percentiles of the radial miss."""
     scenario = MISSION.scenario("full")

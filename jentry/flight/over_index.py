@@ -1,6 +1,8 @@
 """The closed loop with another independent variable than time, such as the energy."""
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 
 from .._integrate import runge_kutta
 from .._setup import needs_float64
@@ -32,11 +34,14 @@ def fly_over(
     The index takes the place of the time as the independent variable, in equal steps of
     the classical Runge-Kutta method: equations (10) to (15) of Bharadwaj, Rao and Mease
     for the energy. The end conditions of the scenario are not used. For comparison with
-    `fly`, and for indices that rise or fall throughout: where the index stands still the
-    numbers are not finite, and where it turns they are wrong.
+    `fly`, and for indices that rise or fall throughout: where the index stands still, or
+    goes away from the end at a stage of any step, the numbers are NaN.
 
-    **Raises:** `ValueError` for a law that decides at guidance cycles.
+    **Raises:** `ValueError` for a law that decides at guidance cycles, and for a number of
+    steps that is not positive.
     """
+    if steps < 1:
+        raise ValueError(f"steps is {steps}: it must be 1 or more")
     scenario = checked(scenario)
     law = scenario.guidance
     if not isinstance(law, AbstractContinuousLaw):
@@ -55,6 +60,13 @@ def fly_over(
         return index.value(scenario.planet, point[0], point[1].state)
 
     over = with_respect_to(flow, value)
-    first = lane.flown, lane.moving
-    time, moving = runge_kutta(lambda _, y: over(y), value(first), end, first, steps)
+    begin = lane.flown, lane.moving
+    first = value(begin)
+
+    def slope(_: Scalar, point: tuple[Scalar, Moving]) -> tuple[Scalar, Moving]:
+        rates = over(point)
+        forwards = rates[0] * (end - first) > 0.0
+        return jax.tree.map(lambda x: jnp.where(forwards, x, jnp.nan), rates)
+
+    time, moving = runge_kutta(slope, first, end, begin, steps)
     return IndexedEnd(time, moving.state, moving.memory)

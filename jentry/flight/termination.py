@@ -9,10 +9,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..fields import Scalar, scalar
-from ..motion.quantities import energy
 from ..motion.state import EntryState
 from ..onboard.track import Track
-from ..world.planet import Planet
+from ..world.gravity import AbstractGravity
 
 
 class Outcome(enum.IntEnum):
@@ -131,12 +130,15 @@ class EnergyBelow(AbstractEndCondition):
     """Ends when the energy has fallen to a value: V^2/2 and the potential of a planet."""
 
     energy: Scalar = scalar(unit="J/kg")
-    planet: Planet = eqx.field(kw_only=True)
-    """Of which radius and gravity count"""
+    radius: Scalar = scalar(unit="m", positive=True)
+    """Radius of the planet"""
+    gravity: AbstractGravity = eqx.field(kw_only=True)
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
     def margin(self, state: EntryState) -> Scalar:
-        return energy(self.planet, state) - self.energy
+        kinetic = 0.5 * state.velocity * state.velocity
+        potential = self.gravity.potential(self.radius + state.altitude)
+        return kinetic + potential - self.energy
 
 
 class Apoapsis(AbstractEndCondition):

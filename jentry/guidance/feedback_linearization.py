@@ -117,7 +117,7 @@ class GroundTrackModel(eqx.Module):
     the drag, not the angle of attack.
     """
 
-    model: OnboardModel
+    onboard: OnboardModel
     angle_of_attack: AbstractProfile
     """Reference angle of attack (rad) over the energy (J/kg)"""
     bank: AbstractProfile
@@ -128,17 +128,17 @@ class GroundTrackModel(eqx.Module):
 
     def energy(self, state: EntryState) -> Scalar:
         """J/kg."""
-        return energy(self.model.planet, state)
+        return energy(self.onboard.planet, state)
 
     def outputs(self, state: EntryState) -> tuple[Scalar, Scalar]:
         """Downrange and crossrange angle, rad."""
-        return self.track_angles.angles(self.model.planet, state)
+        return self.track_angles.angles(self.onboard.planet, state)
 
     def forces(
         self, state: EntryState, angle_of_attack: Scalar, factors: Factors
     ) -> tuple[Scalar, Scalar]:
         """Specific lift and drag as modelled (m/s2), by the factors on them."""
-        air = measure(self.model.planet, self.model.vehicle, state, angle_of_attack)
+        air = measure(self.onboard.planet, self.onboard.vehicle, state, angle_of_attack)
         return factors.lift * air.lift, factors.drag * air.drag
 
     def reference_forces(
@@ -158,7 +158,7 @@ class GroundTrackModel(eqx.Module):
         right: Scalar | None = None,
     ) -> EntryState:
         """Rates over the energy, equations (10) to (15), under given forces (m/s2)."""
-        rates = rates_under(self.model.planet, state, -drag, above, right)
+        rates = rates_under(self.onboard.planet, state, -drag, above, right)
         per_rate = -self.energy_span / (state.velocity * drag)
         return jax.tree.map(lambda x: x * per_rate, rates)
 
@@ -257,13 +257,13 @@ class SmallAngleLinearization(AbstractLinearization):
     def dynamics(
         self, model: GroundTrackModel, state: EntryState, factors: Factors
     ) -> OutputDynamics:
-        planet, span = model.model.planet, model.energy_span
+        planet, span = model.onboard.planet, model.energy_span
         _, _, D = model.reference_forces(state, factors)
         theta, phi = model.outputs(state)
         V, gamma, chi = state.velocity, state.flight_path_angle, _course(model, state)
         r = planet.radius + state.altitude
         g = planet.gravity.acceleration(r)
-        H = model.model.scale_height(state.altitude)
+        H = model.onboard.scale_height(state.altitude)
 
         K = 1.0 / H - 1.0 / r + 2.0 * g / V**2
         D_rate = gamma / H + 2.0 * D / V**2 + 2.0 * g * gamma / V**2  # (44)
@@ -452,5 +452,5 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
         )
         best = self.tradeoff.nearest(above, right, bounds)
         lift = best.lift / factors.lift
-        angle = model.model.angle_of_attack_for(state, lift, least, largest)
+        angle = model.onboard.angle_of_attack_for(state, lift, least, largest)
         return Controls(angle, best.cos_bank, best.sin_bank)

@@ -61,7 +61,11 @@ def fly_reference_controls(
         start = runge_kutta(
             lambda _, state: back(state), here, first_energy, start, steps
         )
-    ends = {"energy": EnergyBelow(energy=end_energy, planet=planet)}
+    ends = {
+        "energy": EnergyBelow(
+            energy=end_energy, radius=planet.radius, gravity=planet.gravity
+        )
+    }
     flown = eqx.tree_at(
         lambda s: (s.initial_state, s.guidance, s.termination),
         scenario,

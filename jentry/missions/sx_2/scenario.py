@@ -187,7 +187,9 @@ def entry() -> Scenario:
         guidance=controls,
         termination=Termination(
             {
-                "energy": EnergyBelow(energy=last, planet=planet),
+                "energy": EnergyBelow(
+                    energy=last, radius=planet.radius, gravity=planet.gravity
+                ),
                 "ground": AltitudeBelow(altitude=0.0),
                 "skip_out": AltitudeAbove(altitude=400_000 * foot),
             },
