@@ -300,6 +300,40 @@ def test_commands_keep_to_their_band():
         assert abs(float(controls.bank_angle)) <= 80.0 * degree * (1.0 + 1e-12)
 
 
+def test_the_smallest_and_the_largest_angle_are_kept_as_well():
+    x = by_hand("late")
+    state = as_state(x)
+    narrow = AttitudeBand(5.0 * degree, 11.0 * degree, 13.0 * degree, 1.4)
+    law = dataclasses.replace(law_at(state, FullLinearization()), band=narrow)
+    angles = set()
+    for off in (1e-2, -1e-2):
+        moved = as_state(x + np.array([0.0, off, off, 0.0, 0.0, 0.0]))
+        angles.add(round(float(commanded(law, moved)[0].angle_of_attack) / degree, 9))
+    assert angles <= {11.0, 13.0} and angles
+
+
+def test_measured_lift_is_what_is_flown():
+    """With 1.3 times the lift of the model the angle of attack is so much smaller."""
+    x = by_hand("late")
+    state = as_state(x)
+    loose = AttitudeBand(1.0, -1.0, 1.5, 3.0)
+    law = dataclasses.replace(
+        law_at(state, FullLinearization()), band=loose, force_knowledge=MeasuredForces()
+    )
+    model, sensed_at = law.model, jnp.asarray(17.0 * degree)
+    lift, drag = model.forces(state, sensed_at, NOMINAL)
+    controls, _ = commanded(law, state, forces=(1.3 * lift, drag))
+    factors = Factors(jnp.asarray(1.3), jnp.asarray(1.0))
+    there = dynamics(FullLinearization(), model, state, factors)
+    here = along_reference(FullLinearization(), model, state)
+    k1 = np.poly([18.0, 8.0, 8.0, 0.1])[1]
+    w1 = here["downrange_third"] - k1 * (there.downrange[2] - here["downrange_second"])
+    flown = 1.3 * model.forces(state, controls.angle_of_attack, NOMINAL)[0]
+    third, second = there.under(flown * controls.cos_bank, flown * controls.sin_bank)
+    assert float(third) == pytest.approx(float(w1), rel=1e-9)
+    assert float(second) == pytest.approx(float(here["crossrange_second"]), rel=1e-9)
+
+
 def test_a_reference_of_other_columns_is_refused():
     law = law_at(as_state(by_hand("late")), FullLinearization())
     nothing = (jnp.zeros(2), jnp.zeros(2), jnp.zeros(2))
