@@ -214,6 +214,9 @@ def test_measured_factors_are_those_of_the_forces():
     factors = MeasuredForces().factors(model, seen)
     assert float(factors.lift) == pytest.approx(1.3, rel=1e-14)
     assert float(factors.drag) == pytest.approx(0.8, rel=1e-14)
+    found = model.forces(state, angle, factors)
+    assert float(found[0] / lift) == pytest.approx(1.3, rel=1e-14)
+    assert float(found[1] / drag) == pytest.approx(0.8, rel=1e-14)
     # Drag that is so much larger shortens the way over the energy by so much.
     one = dynamics(FullLinearization(), model, state, NOMINAL)
     other = dynamics(FullLinearization(), model, state, factors)
