@@ -21,6 +21,7 @@ def cases():
     largest = least + random.uniform(0.0, 2.0, COUNT)
     bank = random.uniform(0.2, 3.1, COUNT)
     eta[:2000] = 0.5
+    eta[6000:6500], eta[6500:7000] = 0.001, 0.999
     above[2000:2200], right[2200:2400] = 0.0, 0.0
     bank[2400:4000] = 80.0 * degree
     return above, right, eta, least, largest, bank

@@ -75,8 +75,9 @@ class EqualTradeoff(AbstractTradeoff):
 class WeightedTradeoff(AbstractTradeoff):
     """The vertical component counts eta and the horizontal one 1 - eta."""
 
-    eta: Scalar = scalar(range=(0.0, 1.0))
-    """Weight of the component in the vertical plane, above 0 and below 1"""
+    eta: Scalar = scalar(range=(0.001, 0.999))
+    """Weight of the component in the vertical plane. At 0 and at 1 one of the components
+    would not count at all, and there would be no nearest lift"""
 
     def nearest(self, above: Scalar, right: Scalar, bounds: LiftBounds) -> Lift:
         least, largest = bounds.least, bounds.largest
