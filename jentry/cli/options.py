@@ -46,8 +46,9 @@ Config = Annotated[
 Step = Annotated[
     float | None,
     typer.Option(
-        help="Largest step of the solver, s; 0.1 if not given, and for a law with a "
-        "guidance cycle that varies one step a cycle."
+        help="Largest step of the solver, s; if not given that of the scenario, which is "
+        "0.1 where it has none, or for a law with a guidance cycle that varies one step a "
+        "cycle."
     ),
 ]
 Dispersions = Annotated[

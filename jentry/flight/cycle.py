@@ -41,7 +41,7 @@ _FREE_STEPS = 3
 
 
 _STEP = 0.1
-"""s, of a solver that is given none."""
+"""s, of a solver and a scenario that are given none."""
 
 _SAME_TIME = 1e-6
 """s; times differ by the rounding of some thousand cycles."""
@@ -83,7 +83,8 @@ class Plan(eqx.Module):
             )
         law, period = scenario.guidance, guidance_period(scenario)
         if isinstance(solver, FixedStep):
-            solver = solver.or_step(period if period and varies(law) else _STEP)
+            usual = period if period and varies(law) else _STEP
+            solver = solver.or_step(scenario.step or usual)
             assert solver.step is not None
         limit = scenario.termination.time_limit
         if history is not None and not 0.0 < history < math.inf:

@@ -1,5 +1,6 @@
 """What flies: planet, vehicle, initial state, guidance and end conditions in one pytree."""
 
+import math
 import warnings
 from collections.abc import Mapping
 
@@ -76,6 +77,14 @@ class Scenario(eqx.Module):
     """Path constraints that are looked at on the way, by name: see `Flight.peaks`"""
     located_peaks: tuple[str, ...] = eqx.field(default=(), static=True)
     """Names of the path constraints whose peaks are located: see `Flight.at_peaks`"""
+    step: float | None = eqx.field(default=None, static=True)
+    """Length of the steps of a `FixedStep` that is given none, s. Where there is none
+    here either it is 0.1, or for a law with a guidance cycle that varies, which holds its
+    command, one step a cycle"""
+
+    def __check_init__(self):
+        if self.step is not None and not 0.0 < self.step < math.inf:
+            raise ValueError(f"step is {self.step} s: it must be positive and finite")
 
 
 def check(scenario: Scenario) -> None:

@@ -65,8 +65,7 @@ class FixedStep(AbstractSolver):
     """
 
     step: float | None = eqx.field(default=None, static=True)
-    """Length of a step, s; if none is given, 0.1, or for a law with a guidance cycle
-    that varies, which holds its command, one step a cycle"""
+    """Length of a step, s; that of the scenario, `Scenario.step`, if none is given"""
     method: diffrax.AbstractSolver = RungeKutta4()
 
     def __check_init__(self):

@@ -141,6 +141,7 @@ class GroundTrackModel(eqx.Module):
         air = measure(self.onboard.planet, self.onboard.vehicle, state, angle_of_attack)
         return factors.lift * air.lift, factors.drag * air.drag
 
+    @eqx.filter_jit
     def reference_forces(
         self, state: EntryState, factors: Factors
     ) -> tuple[Scalar, Scalar, Scalar]:
@@ -150,6 +151,7 @@ class GroundTrackModel(eqx.Module):
         sine, cosine = sincos(self.bank(here))
         return lift * cosine, lift * sine, drag
 
+    @eqx.filter_jit
     def over_energy(
         self,
         state: EntryState,

@@ -157,13 +157,16 @@ class ReferenceFlight(eqx.Module):
     times: Float[Array, " n"]
     states: EntryState
     """States at `times`, each of shape (n,); NaN past the end"""
+    end: EntryState
+    """Where it ends"""
 
     @classmethod
     def of(cls, scenario: Scenario, interval: float = 0.1) -> "ReferenceFlight":
         """Fly a scenario whose law has no memory, such as a bank profile."""
-        history = fly(scenario, FixedStep(interval), history=interval).history
+        flight = fly(scenario, FixedStep(interval), history=interval)
+        history = flight.history
         assert history is not None
-        return cls(scenario, interval, history.time, history.states)
+        return cls(scenario, interval, history.time, history.states, flight.state)
 
     def tabulate(
         self,
