@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, Float
 
 from .._math import sincos
 from ..fields import Scalar, Vector, scalar, table
@@ -54,8 +55,19 @@ class ReferencePlaneAngles(AbstractTrackAngles):
         return downrange / planet.radius, crossrange / planet.radius
 
 
-class TrackingGains(eqx.Module):
-    """Gains of equation (49), over the energy in units of `GroundTrackModel.energy_span`.
+class AbstractTrackingGains(eqx.Module):
+    """Gains of equation (49), which may depend on the energy.
+
+    The energy counts in units of `GroundTrackModel.energy_span`.
+    """
+
+    @abstractmethod
+    def at(self, energy: Scalar) -> tuple[Vector, Vector]:
+        """k11 to k14 and k21 to k23 at an energy (J/kg): shapes (4,) and (3,)."""
+
+
+class TrackingGains(AbstractTrackingGains):
+    """Gains of equation (49) that are constant.
 
     The energy falls, so that errors die out with eigenvalues in the right half plane:
     the signs alternate, beginning with a negative one.
@@ -72,6 +84,9 @@ class TrackingGains(eqx.Module):
             shape = getattr(self, name).shape
             if shape != (count,):
                 raise ValueError(f"{name} has shape {shape}: expected {count} gains")
+
+    def at(self, energy: Scalar) -> tuple[Vector, Vector]:
+        return self.downrange, self.crossrange
 
     @classmethod
     def from_eigenvalues(
@@ -94,6 +109,40 @@ def _polynomial(roots: Sequence[Any]) -> Vector:
         below = [jnp.zeros(()), *coefficients]
         coefficients = [a - root * b for a, b in zip(shifted, below, strict=True)]
     return jnp.stack(coefficients[1:])
+
+
+class ScheduledEigenvalues(AbstractTrackingGains):
+    """Gains by the real eigenvalues of (50) and (51), which go with the energy.
+
+    They are straight lines between the energies at which they are given, and constant
+    beyond. In units of one over the energy span, as those of
+    `TrackingGains.from_eigenvalues`: positive eigenvalues are stable where they are
+    frozen.
+    """
+
+    energy: Vector = table(unit="J/kg", increasing=True)
+    """Shape (n,)"""
+    downrange: Float[Array, "n 4"] = table()
+    """Of (50) at these energies"""
+    crossrange: Float[Array, "n 3"] = table()
+    """Of (51) at these energies"""
+
+    def __check_init__(self):
+        for name, count in (("downrange", 4), ("crossrange", 3)):
+            shape = getattr(self, name).shape
+            wanted = (*self.energy.shape, count)
+            if shape != wanted or len(shape) != 2:
+                raise ValueError(
+                    f"{name} has shape {shape}: expected {count} eigenvalues at each of "
+                    f"the energies, of which the shape is {self.energy.shape}"
+                )
+
+    def at(self, energy: Scalar) -> tuple[Vector, Vector]:
+        def between(values):
+            return [jnp.interp(energy, self.energy, column) for column in values.T]
+
+        down, cross = between(self.downrange), between(self.crossrange)
+        return _polynomial(down), _polynomial(cross)
 
 
 class AttitudeBand(eqx.Module):
@@ -384,7 +433,7 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
     model: GroundTrackModel
     reference: QuinticTable
     """What `along_reference` gives, over the energy (J/kg): by `plan_ground_track`"""
-    gains: TrackingGains
+    gains: AbstractTrackingGains
     band: AttitudeBand
     linearization: AbstractLinearization = FullLinearization()
     tradeoff: AbstractTradeoff = EqualTradeoff()
@@ -414,8 +463,7 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
 
         y1, y1_1, y1_2 = seen.downrange
         y2, y2_1 = seen.crossrange
-        k11, k12, k13, k14 = self.gains.downrange
-        k21, k22, k23 = self.gains.crossrange
+        (k11, k12, k13, k14), (k21, k22, k23) = self.gains.at(here)
         errors = TrackErrors(y1 - r1, y2 - r2)
         w1 = (  # (49), with the second derivative in its first term
             r1_3
