@@ -16,6 +16,7 @@ from .campaign import (
     Constant as Constant,
     Dispersion as Dispersion,
     Normal as Normal,
+    OneOfSeveral as OneOfSeveral,
     TruncatedNormal as TruncatedNormal,
     Uniform as Uniform,
     add as add,

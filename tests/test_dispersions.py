@@ -16,6 +16,7 @@ from jentry.addresses import leaves_by_address
 from jentry.campaign import (
     Dispersion,
     Normal,
+    OneOfSeveral,
     TruncatedNormal,
     Uniform,
     add,
@@ -24,6 +25,7 @@ from jentry.campaign import (
     monte_carlo,
     multiply,
 )
+from jentry.campaign.description import describe
 from jentry.campaign.dispersions import (
     Constant,
     check_dispersions,
@@ -285,8 +287,10 @@ def test_every_declared_dispersion_changes_the_flight_when_it_alone_is_drawn_ane
     names, rows = [], []
     for reading in mission.dispersions:
         table = mission.dispersion_table(reading)
-        base = draw(table, key, jnp.asarray(0))
-        other = draw(table, key, jnp.asarray(1))
+        # Of a distribution that is often zero, the first draw that is another one.
+        many = jax.vmap(lambda run: draw(table, key, run))(jnp.arange(64))
+        base = {name: x[0] for name, x in many.items()}
+        other = {name: x[np.argmax(x != x[0])] for name, x in many.items()}
         drawn = [
             n for n, d in table.items() if not isinstance(d.distribution, Constant)
         ]
@@ -567,6 +571,67 @@ def test_each_draw_of_a_scaled_distribution_is_as_much_nearer_to_the_mean(name, 
         atol=1e-12,
         rtol=0.0,
     )
+
+
+def one_of_three(stream="which") -> dict[str, Dispersion]:
+    return {
+        f"{place}": Dispersion(
+            mass, OneOfSeveral(place, 3, 10.0 ** (place + 1)), apply=add, stream=stream
+        )
+        for place in range(3)
+    }
+
+
+def test_one_of_several_is_drawn_at_a_time(key):
+    runs = jnp.arange(3000)
+    drawn = jax.vmap(lambda run: draw(one_of_three(), key, run))(runs)
+    drawn = np.stack(list(drawn.values()))
+    assert np.all(np.sum(drawn != 0.0, axis=0) == 1)
+    for place, values in enumerate(drawn):
+        chosen = values[values != 0.0]
+        # Five standard deviations of a binomial.
+        assert abs(len(chosen) - 1000) < 5.0 * math.sqrt(3000 * 2 / 9)
+        most = 10.0 ** (place + 1)
+        assert stats.kstest(chosen, stats.uniform(-most, 2 * most).cdf).pvalue > 1e-4
+
+
+def test_one_of_several_by_itself():
+    many = OneOfSeveral(2, 4, 6.0)
+    mean, deviation = many.moments()
+    # A quarter of the variance of a uniform distribution, a^2 / 3.
+    assert mean == 0.0
+    assert deviation == pytest.approx(math.sqrt(36.0 / 3.0 / 4.0))
+    assert many.scaled(0.5).moments()[1] == pytest.approx(0.5 * deviation)
+    assert (many.scaled(0.5).place, many.scaled(0.5).count) == (2, 4)
+    for place in (-1, 4):
+        with pytest.raises(ValueError, match=f"place is {place}: it must be from 0 to"):
+            OneOfSeveral(place, 4, 6.0)
+
+
+def test_dispersions_of_one_stream_go_together(key):
+    narrow, wide = Uniform(0.0, 1.0), Uniform(-2.0, 2.0)
+    apart = {"a": Dispersion(mass, narrow), "b": Dispersion(mass, wide)}
+    together = {
+        name: Dispersion(each.where, each.distribution, stream="s")
+        for name, each in apart.items()
+    }
+    drawn = draw(together, key, jnp.asarray(5))
+    assert drawn["b"] == pytest.approx(4.0 * drawn["a"] - 2.0)
+    # By the name of the stream alone, beside others or not.
+    again = draw({"other": apart["a"]} | together, key, jnp.asarray(5))
+    assert again["a"] == drawn["a"]
+    assert drawn["a"] == draw({"s": apart["a"]}, key, jnp.asarray(5))["s"]
+    assert drawn["a"] != draw(apart, key, jnp.asarray(5))["a"]
+
+
+def test_a_description_tells_streams_and_places():
+    def told(table):
+        return describe(cheap.scenario(), table, 0, cheap.SOLVER, None)["dispersions"]
+
+    one = told(one_of_three())["1"]
+    assert (one["place"], one["count"], one["most"]) == (1, 3, 100.0)
+    assert one["stream"] == "which"
+    assert "stream" not in told(one_of_three(None))["1"]
 
 
 def test_a_scaled_table_keeps_all_but_the_widths():

@@ -11,7 +11,7 @@ import pytest
 from jentry import find_mission, fly, fly_over, ground_track, misses, monte_carlo
 from jentry.flight import Outcome
 from jentry.missions.sx_2.dispersions import off_by
-from jentry.missions.sx_2.mission import figure_case, one_at_a_time
+from jentry.missions.sx_2.mission import cases, figure_case
 from jentry.motion.index import EnergyIndex
 from jentry.units import nautical_mile
 
@@ -32,8 +32,8 @@ def fly_cases(scenario):
     """Errors at the end in n mile, downrange and crossrange: the twelve cases, that of the
     figures, and the nominal one."""
     figures = {"altitude": 1.0, "longitude": 1.0, "latitude": 1.0}
-    cases = [*one_at_a_time().values(), figures, {}]
-    starts = [off_by(scenario.initial_state, **errors) for errors in cases]
+    every = [*cases().values(), figures, {}]
+    starts = [off_by(scenario.initial_state, **errors) for errors in every]
     starts = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(y) for y in x]), *starts)
     outcome, missed = from_here(scenario, starts)
     assert np.all(np.asarray(outcome) == Outcome.REACHED)

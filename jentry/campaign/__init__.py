@@ -6,6 +6,7 @@ from .dispersions import (
     Constant as Constant,
     Dispersion as Dispersion,
     Normal as Normal,
+    OneOfSeveral as OneOfSeveral,
     TruncatedNormal as TruncatedNormal,
     Uniform as Uniform,
     add as add,

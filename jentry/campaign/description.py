@@ -10,7 +10,7 @@ from .._setup import fast_options_are_on
 from ..addresses import addresses_of, leaves_by_address, unit_of, with_leaves
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
-from .dispersions import Dispersion
+from .dispersions import Dispersion, static_fields
 
 
 _PACKAGES = ("jentry", "jax", "equinox", "diffrax", "numpy")
@@ -39,6 +39,7 @@ def describe(
                 "order": place,
                 "addresses": addresses_of(scenario, dispersion.where),
                 "distribution": type(dispersion.distribution).__name__,
+                **static_fields(dispersion.distribution),
                 **{
                     field: float(value)
                     for field, value in leaves_by_address(
@@ -46,6 +47,7 @@ def describe(
                     ).items()
                 },
                 "apply": _name(dispersion.apply),
+                **({} if dispersion.stream is None else {"stream": dispersion.stream}),
             }
             for place, (name, dispersion) in enumerate((dispersions or {}).items())
         },

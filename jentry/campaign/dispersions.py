@@ -96,6 +96,38 @@ class Constant(AbstractDistribution):
         return self
 
 
+class OneOfSeveral(AbstractDistribution):
+    """Uniform about zero in a share of the runs, and zero in the others.
+
+    Dispersions with places 0 to `count` - 1 and one stream are drawn one at a time: in
+    each run one of them, which is as likely as any other.
+    """
+
+    place: int = eqx.field(static=True)
+    count: int = eqx.field(static=True)
+    most: Scalar = scalar(positive=True)
+    """Largest size of what is drawn"""
+
+    def __check_init__(self):
+        if not 0 <= self.place < self.count:
+            raise ValueError(
+                f"place is {self.place}: it must be from 0 to count - 1, and count is "
+                f"{self.count}"
+            )
+
+    def sample(self, key: Key[Array, ""]) -> Scalar:
+        number = self.count * jax.random.uniform(key, dtype=float)
+        chosen = jnp.floor(number) == self.place
+        share = 2.0 * (number - self.place) - 1.0
+        return jnp.where(chosen, self.most * share, 0.0)
+
+    def moments(self) -> tuple[Scalar, Scalar]:
+        return 0.0 * self.most, self.most / math.sqrt(3.0 * self.count)
+
+    def scaled(self, factor: Scalar | float) -> "OneOfSeveral":
+        return OneOfSeveral(self.place, self.count, factor * self.most)
+
+
 _FARTHEST = 37.0
 """Standard deviations: beyond it the probability is below the least number there is."""
 
@@ -167,6 +199,16 @@ def multiply(nominal: Scalar, draw: Scalar) -> Scalar:
     return nominal * draw
 
 
+def static_fields(distribution: AbstractDistribution) -> dict[str, Any]:
+    """What a distribution has besides numbers that JAX sees, by name."""
+    fields = dataclasses.fields(distribution)
+    return {
+        f.name: getattr(distribution, f.name)
+        for f in fields
+        if f.metadata.get("static")
+    }
+
+
 class Dispersion(eqx.Module):
     """One uncertain number, and the leaves that it moves.
 
@@ -181,6 +223,9 @@ class Dispersion(eqx.Module):
     where: Callable[[Any], Any] = eqx.field(static=True)
     distribution: AbstractDistribution
     apply: Callable[[Scalar, Scalar], Scalar] = eqx.field(default=replace, static=True)
+    stream: str | None = eqx.field(default=None, static=True)
+    """Dispersions of one stream are drawn by the same random number, each from its own
+    distribution; None for a stream of its own"""
 
 
 def scaled_dispersions(
@@ -240,11 +285,14 @@ def draw(
 ) -> dict[str, Scalar]:
     """The draws of one run, by the names of the dispersions.
 
-    They depend on the key, the name and the run alone, not on what else is drawn.
+    They depend on the key, the name (or the stream) and the run alone, not on what else
+    is drawn.
     """
+    streams = {name: each.stream or name for name, each in dispersions.items()}
+    codes = _codes(dict.fromkeys(streams.values()))
     draws = {}
-    for name, code in _codes(dispersions).items():
-        run_key = jax.random.fold_in(jax.random.fold_in(key, code), run)
+    for name, stream in streams.items():
+        run_key = jax.random.fold_in(jax.random.fold_in(key, codes[stream]), run)
         draws[name] = dispersions[name].distribution.sample(run_key)
     return draws
 
@@ -333,7 +381,7 @@ def check_dispersions(
     """
     draws = {name: jnp.zeros(()) for name in dispersions}
     jax.eval_shape(lambda draws: disperse(scenario, dispersions, draws), draws)
-    _codes(dispersions)
+    _codes(dict.fromkeys(each.stream or n for n, each in dispersions.items()))
     leaves = leaves_by_address(scenario)
     moved: set[str] = set()
     for name, dispersion in dispersions.items():

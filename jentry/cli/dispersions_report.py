@@ -11,6 +11,7 @@ from ..campaign.dispersions import (
     addresses_of_dispersion,
     multiply,
     replace,
+    static_fields,
     unit_of_draw,
 )
 from ..flight.scenario import Scenario
@@ -78,7 +79,7 @@ def print_what_is_flown(
 
 
 def _in_words(distribution: AbstractDistribution) -> str:
-    numbers = leaves_by_address(distribution).items()
+    numbers = {**static_fields(distribution), **leaves_by_address(distribution)}.items()
     words = [f"{name.replace('_', ' ')} {float(x):.6g}" for name, x in numbers]
     kind = type(distribution).__name__
     spaced = "".join(f" {c.lower()}" if c.isupper() else c for c in kind).strip()

@@ -132,6 +132,7 @@ def print_campaign(mission: Mission, results, as_published: bool) -> None:
     console = new_console()
     flown = finite_flights(results)
     _print_outcomes(console, results, flown)
+    _print_limits(console, flown)
     for name, shares in results.data_vars.items():
         if shares.attrs.get("caveat") and np.any(shares > 0.0):
             console.print(f"caveat: {caveat_sentence(str(name), shares)}")
@@ -167,6 +168,18 @@ def _print_outcomes(console: Console, results, flown) -> None:
         if left_out:
             line += f"; {left_out} of them left out of the statistics"
         console.print(line)
+
+
+def _print_limits(console: Console, flown) -> None:
+    """How many of the flights keep each path constraint below its limit."""
+    for name, peaks in flown.data_vars.items():
+        limit = peaks.attrs.get("limit")
+        if limit is None:
+            continue
+        beyond = int(np.sum(peaks.values > limit))
+        number, unit = at_edge(limit, peaks.attrs["units"])
+        words = f"the limit of the {in_words(str(name))}, {float(number):g} {unit}"
+        console.print(f"{beyond} of {peaks.size} flights exceed {words}")
 
 
 def _print_statistics(console: Console, mission: Mission, results) -> None:

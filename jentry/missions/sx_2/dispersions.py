@@ -2,7 +2,13 @@
 
 import functools
 
-from ...campaign.dispersions import Dispersion, Uniform, add
+from ...campaign.dispersions import (
+    AbstractDistribution,
+    Dispersion,
+    OneOfSeveral,
+    Uniform,
+    add,
+)
 from ...motion.state import EntryState
 from ...units import degree, foot
 
@@ -27,16 +33,32 @@ def off_by(state: EntryState, **errors: float) -> EntryState:
     return EntryState(**{**vars(state), **moved})
 
 
+def _moved(
+    name: str, errors: AbstractDistribution, stream: str | None = None
+) -> Dispersion:
+    where = lambda s: getattr(s.initial_state, name)
+    return Dispersion(where, errors, apply=add, stream=stream)
+
+
 @functools.cache
 def initial_errors() -> dict[str, Dispersion]:
-    """All errors of the initial state at once, uniform; the paper has one at a time."""
+    """All errors of the initial state at once, uniform."""
+    return {
+        name.replace("_", " "): _moved(name, Uniform(-most, most))
+        for name, most in INITIAL_ERRORS.items()
+    }
 
-    def moved(name: str) -> Dispersion:
-        most = INITIAL_ERRORS[name]
-        where = lambda s: getattr(s.initial_state, name)
-        return Dispersion(where, Uniform(-most, most), apply=add)
 
-    return {name.replace("_", " "): moved(name) for name in INITIAL_ERRORS}
+@functools.cache
+def one_at_a_time() -> dict[str, Dispersion]:
+    """An error of one component of the initial state, uniform, as the paper has them."""
+    count = len(INITIAL_ERRORS)
+    return {
+        name.replace("_", " "): _moved(
+            name, OneOfSeveral(place, count, most), stream="which"
+        )
+        for place, (name, most) in enumerate(INITIAL_ERRORS.items())
+    }
 
 
 @functools.cache

@@ -2,14 +2,18 @@
 
 import dataclasses
 
+import numpy as np
+
 from ...flight.scenario import Scenario
-from ..mission import Mission
+from ...units import nautical_mile
+from ..mission import Mission, PublishedValue
 from .dispersions import (
     INITIAL_ERRORS,
     air_and_vehicle,
     everything,
     initial_errors,
     off_by,
+    one_at_a_time,
 )
 from .scenario import full, measured, small_angle
 
@@ -26,8 +30,8 @@ def figure_case() -> Scenario:
     return case(altitude=1.0, longitude=1.0, latitude=1.0)
 
 
-def one_at_a_time() -> dict[str, dict[str, float]]:
-    """The twelve cases of the paper, by name: errors in units of the largest ones."""
+def cases() -> dict[str, dict[str, float]]:
+    """The twelve largest errors one at a time, by name, in units of the largest ones."""
     return {
         f"{name.replace('_', '-')}-{side}": {name: sign}
         for name in INITIAL_ERRORS
@@ -37,6 +41,15 @@ def one_at_a_time() -> dict[str, dict[str, float]]:
 
 def _builder(errors: dict[str, float]):
     return lambda: case(**errors)
+
+
+def _largest(name: str, variable: str) -> PublishedValue:
+    return PublishedValue(
+        f"largest {name} error",
+        1.0,
+        "n mile",
+        lambda v: np.max(np.abs(v[variable])) / nautical_mile,
+    )
 
 
 MISSION = Mission(
@@ -50,12 +63,21 @@ MISSION = Mission(
         "small-angle": small_angle,
         "measured": measured,
         "figures": figure_case,
-        **{name: _builder(errors) for name, errors in one_at_a_time().items()},
+        **{name: _builder(errors) for name, errors in cases().items()},
     },
     dispersions={
         "initial-errors": initial_errors,
+        "one-at-a-time": one_at_a_time,
         "air-and-vehicle": air_and_vehicle,
         "everything": everything,
     },
     gains=("guidance.gains",),
+    published=(
+        _largest("downrange", "downrange_error"),
+        _largest("crossrange", "crossrange_error"),
+    ),
+    published_note="the bound of its text for errors one at a time",
+    published_variant="full",
+    published_dispersions="one-at-a-time",
+    published_runs=1000,
 )

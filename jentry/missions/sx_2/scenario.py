@@ -29,6 +29,14 @@ from ...guidance.feedback_linearization import (
 )
 from ...guidance.law import Sampled
 from ...guidance.open_loop import ControlProfiles
+from ...motion.constraints import (
+    Constraints,
+    DynamicPressure,
+    EquilibriumGlide,
+    HeatRate,
+    NormalLoadFactor,
+    usual_constraints,
+)
 from ...motion.index import EnergyIndex
 from ...motion.quantities import energy, ground_track
 from ...motion.state import EntryState
@@ -178,6 +186,21 @@ def track_model(angles: AbstractTrackAngles = EarthFixedAngles()) -> GroundTrack
     )
 
 
+def constraints() -> Constraints:
+    """The corridor of figure 6: heating, normal load, dynamic pressure, equilibrium glide.
+
+    The paper prints no limits. These are chosen, such as an airframe of this class may
+    have: 60 W/cm2 at a nose radius of 1 m, 2.5 g, 20 kPa. The flight begins above the
+    equilibrium glide of zero bank, where 0.07 g lack; 0.1 may.
+    """
+    return usual_constraints() | {
+        "heat_rate": HeatRate(600e3),
+        "normal_load_factor": NormalLoadFactor(2.5),
+        "dynamic_pressure": DynamicPressure(20e3),
+        "equilibrium_glide": EquilibriumGlide(limit=0.1),
+    }
+
+
 def entry() -> Scenario:
     """The flight under the reference controls, without feedback, to the final energy."""
     planet, (_, last) = earth(), energies()
@@ -198,6 +221,7 @@ def entry() -> Scenario:
             time_limit=3000.0,
         ),
         target=Target(0.0, 0.0, 0.0),
+        constraints=constraints(),
         step=STEP,
     )
 
