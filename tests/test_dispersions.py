@@ -1,5 +1,6 @@
 """Draws have their distribution, depend on key, name and run alone, and reach leaves."""
 
+import functools
 import math
 import types
 import zlib
@@ -288,7 +289,7 @@ def test_every_declared_dispersion_changes_the_flight_when_it_alone_is_drawn_ane
     for reading in mission.dispersions:
         table = mission.dispersion_table(reading)
         # Of a distribution that is often zero, the first draw that is another one.
-        many = jax.vmap(lambda run: draw(table, key, run))(jnp.arange(64))
+        many = jax.vmap(functools.partial(draw, table, key))(jnp.arange(64))
         base = {name: x[0] for name, x in many.items()}
         other = {name: x[np.argmax(x != x[0])] for name, x in many.items()}
         drawn = [

@@ -17,6 +17,7 @@ from jentry.tuning.losses import (
     control_effort,
     excess,
     mean_square,
+    power_mean,
     probability_outside,
     smooth_maximum,
 )
@@ -55,6 +56,16 @@ def misses_of(downrange, crossrange):
 def test_mean_square():
     found = mean_square(jnp.asarray(VALUES))
     np.testing.assert_allclose(found, np.dot(VALUES, VALUES) / 37, rtol=CLOSE)
+
+
+@pytest.mark.parametrize("power", [1.0, 2.0, 4.0, 7.5])
+def test_power_mean(power):
+    found = power_mean(jnp.asarray(VALUES), power)
+    expected = np.mean(np.abs(VALUES) ** power) ** (1.0 / power)
+    np.testing.assert_allclose(found, expected, rtol=CLOSE)
+    assert power_mean(jnp.zeros(3), power) == 0.0
+    with pytest.raises(ValueError, match="power is 0.5: it must be at least 1"):
+        power_mean(jnp.asarray(VALUES), 0.5)
 
 
 @pytest.mark.parametrize("width", [1e-6, 0.01, 0.3, 5.0])
@@ -233,6 +244,7 @@ def test_statistic_of_the_distance():
 
 EXPECTED = {
     "mean-square": np.mean(DISTANCE**2),
+    "power-mean": np.mean(DISTANCE**4) ** 0.25,
     "cvar": cvar(DISTANCE),
     "worst-case": 0.1 * np.log(np.sum(np.exp(DISTANCE / 0.1))),
     "outside": outside([DISTANCE], [1.0]),
@@ -251,6 +263,7 @@ def test_losses_by_name(name):
 DIFFERENTIABLE = {
     "mean square": mean_square,
     "smooth maximum": lambda x: smooth_maximum(x, 0.3),
+    "power mean": power_mean,
     "cvar": lambda x: conditional_value_at_risk(x, 0.1),
     "cvar of the magnitude": lambda x: conditional_value_at_risk(jnp.abs(x), 0.42),
     "outside": lambda x: probability_outside(x, 1.1, 0.3),

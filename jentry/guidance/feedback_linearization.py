@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._interpolation import clamp, interval
 from .._math import sincos
 from ..fields import Scalar, Vector, scalar, table
 from ..motion.dynamics import rates_under
@@ -116,15 +117,14 @@ class ScheduledEigenvalues(AbstractTrackingGains):
 
     They are straight lines between the energies at which they are given, and constant
     beyond. In units of one over the energy span, as those of
-    `TrackingGains.from_eigenvalues`: positive eigenvalues are stable where they are
-    frozen.
+    `TrackingGains.from_eigenvalues`: those of a frozen energy are stable.
     """
 
     energy: Vector = table(unit="J/kg", increasing=True)
     """Shape (n,)"""
-    downrange: Float[Array, "n 4"] = table()
+    downrange: Float[Array, "n 4"] = table(positive=True)
     """Of (50) at these energies"""
-    crossrange: Float[Array, "n 3"] = table()
+    crossrange: Float[Array, "n 3"] = table(positive=True)
     """Of (51) at these energies"""
 
     def __check_init__(self):
@@ -138,11 +138,15 @@ class ScheduledEigenvalues(AbstractTrackingGains):
                 )
 
     def at(self, energy: Scalar) -> tuple[Vector, Vector]:
+        before = interval(self.energy, energy)
+        low, high = self.energy[before], self.energy[before + 1]
+        share = clamp((energy - low) / (high - low), 0.0, 1.0)
+
         def between(values):
-            return [jnp.interp(energy, self.energy, column) for column in values.T]
+            return values[before] + share * (values[before + 1] - values[before])
 
         down, cross = between(self.downrange), between(self.crossrange)
-        return _polynomial(down), _polynomial(cross)
+        return _polynomial(list(down)), _polynomial(list(cross))
 
 
 class AttitudeBand(eqx.Module):

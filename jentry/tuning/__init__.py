@@ -13,6 +13,7 @@ from .losses import (
     control_effort as control_effort,
     excess as excess,
     mean_square as mean_square,
+    power_mean as power_mean,
     probability_outside as probability_outside,
     smooth_maximum as smooth_maximum,
 )

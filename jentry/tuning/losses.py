@@ -31,6 +31,19 @@ def mean_square(values: Values) -> Scalar:
     return jnp.mean(values**2)
 
 
+def power_mean(values: Values, power: float = 4.0) -> Scalar:
+    """The root of the mean power of the magnitudes, in the unit of the values.
+
+    Between the root mean square, of power 2, and the largest: the higher the power, the
+    more the tail counts, and yet each flight does.
+    """
+    if not power >= 1.0:
+        raise ValueError(f"power is {power}: it must be at least 1")
+    mean = jnp.mean(jnp.abs(values) ** power)
+    off = mean > 0.0
+    return jnp.where(off, jnp.where(off, mean, 1.0) ** (1.0 / power), 0.0)
+
+
 def smooth_maximum(values: Values, width: Scalar | float) -> Scalar:
     """Worst case: the largest value, rounded over a width in the same unit.
 
@@ -185,9 +198,11 @@ def _outside(distance: Values) -> Scalar:
 
 BY_NAME: Mapping[str, Callable[[ScaledMisses], Callable[[Any], Scalar]]] = {
     "mean-square": MeanSquare,
+    "power-mean": functools.partial(OfDistance, power_mean),
     "cvar": functools.partial(OfDistance, conditional_value_at_risk),
     "worst-case": functools.partial(OfDistance, _worst),
     "outside": functools.partial(OfDistance, _outside),
 }
-"""Of scaled misses, for the command line: mean square, mean of the worst twentieth, worst
-case, and soft probability of a distance above one"""
+"""Of scaled misses, for the command line: mean square, root of the mean fourth power of
+the distance, mean of the worst twentieth, worst case, and soft probability of a distance
+above one"""

@@ -15,7 +15,7 @@ from .dispersions import (
     off_by,
     one_at_a_time,
 )
-from .scenario import full, measured, small_angle
+from .scenario import full, measured, scheduled, small_angle
 
 
 def case(**errors: float) -> Scenario:
@@ -62,6 +62,7 @@ MISSION = Mission(
         "full": full,
         "small-angle": small_angle,
         "measured": measured,
+        "scheduled": scheduled,
         "figures": figure_case,
         **{name: _builder(errors) for name, errors in cases().items()},
     },

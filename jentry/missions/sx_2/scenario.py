@@ -24,6 +24,7 @@ from ...guidance.feedback_linearization import (
     GroundTrackTracking,
     MeasuredForces,
     ModelledForces,
+    ScheduledEigenvalues,
     SmallAngleLinearization,
     TrackingGains,
 )
@@ -168,9 +169,24 @@ def reference_controls() -> tuple[SmoothRise, ReversedBank]:
     return angle, ReversedBank(size, last + 0.345 * span, 0.014 * span)
 
 
+DOWNRANGE_EIGENVALUES = 18.0, 8.0, 8.0, 0.1
+CROSSRANGE_EIGENVALUES = 30.0, 1.2, 1.2
+"""Of (50) and (51), over the energy in units of its span"""
+
+
 def gains() -> TrackingGains:
     """The paper prints none; these were found by search."""
-    return TrackingGains.from_eigenvalues((18.0, 8.0, 8.0, 0.1), (30.0, 1.2, 1.2))
+    return TrackingGains.from_eigenvalues(DOWNRANGE_EIGENVALUES, CROSSRANGE_EIGENVALUES)
+
+
+def schedule() -> ScheduledEigenvalues:
+    """The eigenvalues of `gains` at six energies: a start for tuning."""
+    first, last = energies()
+    return ScheduledEigenvalues(
+        last + (first - last) * jnp.linspace(0.0, 1.0, 6),
+        jnp.tile(jnp.array(DOWNRANGE_EIGENVALUES), (6, 1)),
+        jnp.tile(jnp.array(CROSSRANGE_EIGENVALUES), (6, 1)),
+    )
 
 
 def band() -> AttitudeBand:
@@ -286,6 +302,11 @@ def tracking(
 def full() -> Scenario:
     """What the paper flew: no small angles, continuous."""
     return tracking()
+
+
+def scheduled() -> Scenario:
+    """The full law with eigenvalues that go with the energy: for `jentry tune`."""
+    return eqx.tree_at(lambda s: s.guidance.gains, full(), schedule())
 
 
 def small_angle() -> Scenario:
