@@ -11,7 +11,7 @@ from .dispersions import (
     initial_errors,
     off_by,
 )
-from .scenario import full, measured, small_angle
+from .scenario import full, measured, replanned, small_angle
 
 
 def case(**errors: float) -> Scenario:
@@ -49,6 +49,7 @@ MISSION = Mission(
         "full": full,
         "small-angle": small_angle,
         "measured": measured,
+        "replanned": replanned,
         "figures": figure_case,
         **{name: _builder(errors) for name, errors in one_at_a_time().items()},
     },

@@ -30,6 +30,7 @@ from ...guidance.feedback_linearization import (
 )
 from ...guidance.law import Sampled
 from ...guidance.open_loop import ControlProfiles
+from ...guidance.replanning import Adjustment, ReplannedTracking
 from ...motion.index import EnergyIndex
 from ...motion.quantities import energy, ground_track
 from ...motion.state import EntryState
@@ -269,3 +270,15 @@ def small_angle() -> Scenario:
 def measured() -> Scenario:
     """No small angles; lift and drag are measured on board, in guidance cycles of 0.1 s."""
     return tracking(force_knowledge=MeasuredForces(), period=0.1)
+
+
+def replanned() -> Scenario:
+    """The reference is planned again every 10 s, under the lift and drag measured then.
+
+    Source: re-planning, left to others by the paper. The limits leave 2 degrees of the
+    angle of attack to the tracking, within the band of the paper.
+    """
+    scenario = tracking()
+    limits = Adjustment(3.0 * degree, 0.3, 6.0 * degree)
+    law = ReplannedTracking(scenario.guidance, limits, energies()[1])
+    return eqx.tree_at(lambda s: s.guidance, scenario, law)
