@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from .._interpolation import clamp
 from .._newton import solve
-from ..fields import Count, Flag, Scalar, Vector, scalar
+from ..fields import NOT_NEGATIVE, Count, Flag, Scalar, scalar
 from ..motion.state import Controls, EntryState
 from ..onboard.estimation import FactorEstimate, FactorEstimator, Factors
 from ..onboard.navigation import Measurement
@@ -31,6 +31,12 @@ from .feedback_linearization import (
     along_reference,
 )
 from .law import AbstractSampledLaw
+
+
+Shares = Float[Array, " 3"]
+"""The coefficients of an adjustment in units of their limits"""
+Miss = Float[Array, " 2"]
+"""Downrange and crossrange of the end from that of the reference, m"""
 
 
 class AdjustedProfile(AbstractProfile):
@@ -129,7 +135,10 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
     least_effect: Scalar = scalar(20.0, unit="m", positive=True)
     """Where a coefficient, changed by its limit, moves the end by less than this, it is
     left as it is: damping of Levenberg's"""
-    estimator: FactorEstimator = FactorEstimator()
+    least_share: Scalar = scalar(0.3, range=NOT_NEGATIVE)
+    """Likewise for less than this share of the miss: near the end, where what is missed
+    cannot be reached any more"""
+    estimator: FactorEstimator = eqx.field(default_factory=FactorEstimator)
     cycle: FixedCycle = FixedCycle(10.0)
     steps: int = eqx.field(default=100, static=True)
     """Of a prediction. At the start one is to be shorter over the energy than a reversal
@@ -247,7 +256,7 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
         limits, structure = jax.tree.flatten(self.limits)
         limits = jnp.stack(limits)
 
-        def missed(shares: Vector) -> tuple[Vector, Count]:
+        def missed(shares: Shares) -> tuple[Miss, Count]:
             adjustment = jax.tree.unflatten(structure, list(shares * limits))
             end = self.predicted(state, factors, adjustment)
             reached = jnp.stack(model.outputs(end.state))
@@ -255,7 +264,8 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
 
         shares = jnp.stack(jax.tree.leaves(before)) / limits
         miss, effects, ended_by = _with_effects(missed, shares)
-        damped = effects.T @ effects + self.least_effect**2 * jnp.eye(2)
+        damping = self.least_effect**2 + self.least_share**2 * jnp.sum(miss * miss)
+        damped = effects.T @ effects + damping * jnp.eye(2)
         step = -effects @ solve(damped, miss)
         step = clamp(step, -self.largest_step, self.largest_step)
         moved = clamp(shares + step, -1.0, 1.0)
@@ -265,11 +275,11 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
 
 
 def _with_effects(
-    missed: Callable[[Vector], tuple[Vector, Count]], shares: Vector
-) -> tuple[Vector, Float[Array, "coefficients 2"], Count]:
+    missed: Callable[[Shares], tuple[Miss, Count]], shares: Shares
+) -> tuple[Miss, Float[Array, "3 2"], Count]:
     """The miss and how each coefficient changes it: the motion itself is flown once."""
 
-    def along(direction: Vector) -> tuple[Vector, Vector, Count]:
+    def along(direction: Shares) -> tuple[Miss, Miss, Count]:
         return jax.jvp(missed, (shares,), (direction,), has_aux=True)
 
     every = jnp.eye(shares.shape[0])

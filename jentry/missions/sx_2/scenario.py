@@ -275,10 +275,11 @@ def measured() -> Scenario:
 def replanned() -> Scenario:
     """The reference is planned again every 10 s, under the lift and drag measured then.
 
-    Source: re-planning, left to others by the paper. The limits leave 2 degrees of the
-    angle of attack to the tracking, within the band of the paper.
+    Source: re-planning, left to others by the paper. Within the limits the changed controls
+    are always allowed: they leave 2 degrees of the angle of attack to the tracking, and
+    the bank is below 80 degrees.
     """
     scenario = tracking()
-    limits = Adjustment(3.0 * degree, 0.3, 6.0 * degree)
+    limits = Adjustment(3.0 * degree, 0.4, 15.0 * degree)
     law = ReplannedTracking(scenario.guidance, limits, energies()[1])
     return eqx.tree_at(lambda s: s.guidance, scenario, law)
