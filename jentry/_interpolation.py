@@ -34,7 +34,7 @@ def check_grid(name: str, grid: Array) -> None:
         )
 
 
-def clamp(x: Array, low: Array | float, high: Array | float) -> Array:
+def clamp(x: Scalar, low: Scalar | float, high: Scalar | float) -> Scalar:
     """x held between two ends, with derivative one at the ends and zero beyond.
 
     `jnp.clip` has derivative one half where x is at an end.

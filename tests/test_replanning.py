@@ -262,6 +262,31 @@ def test_the_band_stays_about_the_reference_of_the_law(law):
     assert np.all(np.abs(deviations) <= 5.0 * degree * (1.0 + 1e-9))
 
 
+def test_a_decision_has_the_derivatives_of_differences(law):
+    """In the state and in the forces, through the prediction and its own derivatives."""
+    free = dataclasses.replace(law, largest_step=9.0)
+    measurement = sensed(on_the_way(), 0.95, 1.02)
+    memory, held = law.init(measurement)
+    direction = jax.tree.map(lambda x: 0.01 * x, measurement)
+
+    @eqx.filter_jit
+    def pushed(h):
+        def found(h):
+            moved = jax.tree.map(lambda x, d: x + h * d, measurement, direction)
+            after = free.update(h, moved, memory, held)[1].adjustment
+            return jnp.stack(jax.tree.leaves(after)) / LIMITS
+
+        return jax.jvp(found, (h,), (jnp.ones_like(h),))
+
+    one = jnp.ones(())
+    step = 1e-3 * one
+    difference = (pushed(step)[0] - pushed(-step)[0]) / (2.0 * step)
+    _, rate = pushed(0.0 * one)
+    assert np.max(np.abs(rate)) > 0.1
+    # Central differences with a share of 1e-5.
+    np.testing.assert_allclose(rate, difference, rtol=1e-4, atol=1e-4)
+
+
 def test_an_adjusted_profile():
     profile = AdjustedProfile(PolynomialProfile([1.0, 2.0, 3.0]), 1.5, -0.25)
     found = [float(x) for x in profile.with_derivatives(jnp.asarray(2.0))]

@@ -121,7 +121,8 @@ def populated(scenario, table, seed):
     given = {name: np.full(RUNS, float(x)) for name, x in nominal.items()}
     drawn = MISSION.dispersion_table(table)
     key = jax.random.key(seed)
-    return given | drawn_inputs(scenario, drawn, key, np.arange(RUNS))
+    given |= drawn_inputs(scenario, drawn, key, np.arange(RUNS))
+    return {address: np.array(values) for address, values in given.items()}
 
 
 def miss_of(scenario, inputs):
@@ -143,15 +144,18 @@ def test_replanned_flights_all_arrive(table):
         assert np.max(unpredicted) == 0.0
 
 
-@pytest.mark.parametrize("variant", ["small-angle", "full", "measured"])
+LOST = {"small-angle": (68.5, 70.5)}
+"""%, in each set, as the README rounds it"""
+
+
+@pytest.mark.parametrize("variant", LOST)
 def test_without_replanning_many_flights_diverge(variant):
-    """More than 25 n mile off, or nowhere: what the README says of the other variants."""
+    """More than 25 n mile off, or nowhere: what the README says of the printed law."""
     scenario = MISSION.scenario(variant)
-    shares, medians = [], []
+    shares = []
     for seed in range(3):
         miss, _ = miss_of(scenario, populated(scenario, "air-and-vehicle", seed))
         shares.append(np.mean(miss > 25.0))
-        medians.append(np.median(miss))
     least, most = LOST[variant]
     assert least <= 100.0 * min(shares) and 100.0 * max(shares) <= most
 
@@ -169,7 +173,7 @@ def test_replanned_where_the_air_is_not_a_factor_off():
         rise = np.exp(same_at / other - same_at / height)
         inputs["planet.atmosphere.surface_density"] = surface * rise
         miss, _ = miss_of(scenario, inputs)
-        assert np.percentile(miss, 99) < 0.02 and np.max(miss) < 1.0
+        assert np.percentile(miss, 99) < 0.01 and np.max(miss) < 0.2
 
 
 def test_replanned_cases_of_the_paper():

@@ -14,7 +14,6 @@ import jax.numpy as jnp
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from .._interpolation import clamp
 from .._newton import solve
 from ..fields import NOT_NEGATIVE, Count, Flag, Scalar, scalar
 from ..motion.state import Controls, EntryState
@@ -119,8 +118,9 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
     end leaves the coefficients as they are.
 
     Memory is the motion that is tracked, and the integrals of the errors from it. Both
-    begin again at each decision: a reference that goes on from where it was misses by a
-    hundred times as much where the ratios change along the flight.
+    begin again at each decision: a reference that goes on from where it was misses by
+    ninety times as much (1.0 in place of 0.011 n mile, 99 % of 500 flights of SX-2) where
+    a scale height off by 5 % changes the ratios along the flight.
 
     Source: re-planning, left to others by the paper.
     """
@@ -267,8 +267,8 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
         damping = self.least_effect**2 + self.least_share**2 * jnp.sum(miss * miss)
         damped = effects.T @ effects + damping * jnp.eye(2)
         step = -effects @ solve(damped, miss)
-        step = clamp(step, -self.largest_step, self.largest_step)
-        moved = clamp(shares + step, -1.0, 1.0)
+        step = jnp.clip(step, -self.largest_step, self.largest_step)
+        moved = jnp.clip(shares + step, -1.0, 1.0)
         found = (ended_by >= 0) & jnp.isfinite(jnp.sum(moved))
         moved = jnp.where(found, moved, shares)
         return jax.tree.unflatten(structure, list(moved * limits)), found

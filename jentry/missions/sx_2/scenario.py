@@ -281,5 +281,7 @@ def replanned() -> Scenario:
     """
     scenario = tracking()
     limits = Adjustment(3.0 * degree, 0.4, 15.0 * degree)
-    law = ReplannedTracking(scenario.guidance, limits, energies()[1])
+    tracked = scenario.guidance
+    assert isinstance(tracked, GroundTrackTracking)
+    law = ReplannedTracking(law=tracked, limits=limits, end=energies()[1])
     return eqx.tree_at(lambda s: s.guidance, scenario, law)
