@@ -28,6 +28,7 @@ from jentry.flight import (
 from jentry.guidance import (
     AbstractContinuousLaw,
     AbstractSampledLaw,
+    Adjustment,
     Aim,
     AngleOfAttackProfile,
     AttitudeBand,
@@ -41,6 +42,7 @@ from jentry.guidance import (
     ObserverDragTracking,
     ObserverGains,
     RangeTracking,
+    ReplannedTracking,
     Sampled,
     ScaleLimits,
     StateFeedbackDragTracking,
@@ -274,6 +276,12 @@ def ground_track_law(reference) -> GroundTrackTracking:
     )
 
 
+def replanning_law(reference) -> ReplannedTracking:
+    """The same track, planned again."""
+    limits = Adjustment(3.0 * degree, 0.4, 15.0 * degree)
+    return ReplannedTracking(ground_track_law(reference), limits, -12.4e6)
+
+
 def control_profiles(reference) -> ControlProfiles:
     angle, bank = PolynomialProfile([0.1, 1e-9]), PolynomialProfile([-0.6, 1e-8])
     return ControlProfiles(EnergyIndex(), mars_planet(), angle, bank)
@@ -286,6 +294,7 @@ all_laws = {
     "range tracking": range_tracking,
     "Bézier": lambda reference: stored().guidance,
     "ground track": ground_track_law,
+    "replanning": replanning_law,
     "control profiles": control_profiles,
     "sampled bank profile": lambda reference: Sampled(bank_profile(), 1.0),
     "sampled observer": lambda reference: Sampled(observer_law(reference), 1.0),

@@ -112,7 +112,7 @@ def flown(history):
 # The identity.
 
 
-CHOOSES_ITS_ANGLE = {"Bézier", "ground track", "control profiles"}
+CHOOSES_ITS_ANGLE = {"Bézier", "ground track", "replanning", "control profiles"}
 ALONE = [n for n in all_laws if n not in CHOOSES_ITS_ANGLE and "composition" not in n]
 
 

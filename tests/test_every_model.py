@@ -13,7 +13,12 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 import jentry
-from jentry.guidance import AbstractLaw, AbstractSampledLaw, BezierGuidance
+from jentry.guidance import (
+    AbstractLaw,
+    AbstractSampledLaw,
+    BezierGuidance,
+    ReplannedTracking,
+)
 from jentry.motion import EntryState
 from jentry.onboard import measure
 from jentry.units import degree, km
@@ -119,6 +124,13 @@ def measured(law, state, drag=1.002, lift=0.97):
         state = EntryState(39 * km, *(jnp.asarray(x) for x in numbers))
     else:
         planet, vehicle = helpers.mars_planet(), helpers.mars_vehicle()
+    if isinstance(law, ReplannedTracking):
+        # Its prediction is that of a glider.
+        vehicle = eqx.tree_at(
+            lambda v: v.trim_angle_of_attack,
+            law.law.model.onboard.vehicle,
+            jnp.asarray(20.0 * degree),
+        )
     truth = measure(planet, vehicle, state, vehicle.trim_angle_of_attack)
     return dataclasses.replace(
         truth, state=state, lift=lift * truth.lift, drag=drag * truth.drag

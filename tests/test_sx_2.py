@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from jentry import find_mission, fly, fly_over, ground_track, misses, monte_carlo
-from jentry.flight import Outcome
-from jentry.missions.sx_2.dispersions import off_by
+from jentry.campaign.campaign import drawn_inputs
+from jentry.flight import FixedStep, Outcome
+from jentry.missions.sx_2.dispersions import INITIAL_ERRORS, off_by
 from jentry.missions.sx_2.mission import cases, figure_case
 from jentry.motion.index import EnergyIndex
 from jentry.units import nautical_mile
@@ -99,3 +100,111 @@ def test_combined_initial_errors():
         assert 0.3 < median < 0.5
         assert 1.0 < ninety < 1.4
         assert 2.0 < ninety_nine < 3.5
+
+
+RUNS = 2000
+STEP = FixedStep(0.5)
+
+
+def populated(scenario, table, seed):
+    """Inputs of one set of runs. All that any table moves, so that a law is compiled once
+    for all of them."""
+    start, air = scenario.initial_state, scenario.planet.atmosphere
+    nominal = {f"initial_state.{name}": getattr(start, name) for name in INITIAL_ERRORS}
+    nominal |= {
+        "planet.density_scale": 1.0,
+        "vehicle.lift_scale": 1.0,
+        "vehicle.drag_scale": 1.0,
+        "planet.atmosphere.scale_height": air.scale_height,
+        "planet.atmosphere.surface_density": air.surface_density,
+    }
+    given = {name: np.full(RUNS, float(x)) for name, x in nominal.items()}
+    drawn = MISSION.dispersion_table(table)
+    key = jax.random.key(seed)
+    given |= drawn_inputs(scenario, drawn, key, np.arange(RUNS))
+    return {address: np.array(values) for address, values in given.items()}
+
+
+def miss_of(scenario, inputs):
+    """Radial, in n mile; infinite where the flight does not reach the final energy."""
+    found = monte_carlo(scenario, inputs=inputs, solver=STEP)
+    miss = np.hypot(found.misses.downrange, found.misses.crossrange) / nautical_mile
+    return np.where(found.flights.outcome == Outcome.REACHED, miss, np.inf), found
+
+
+@pytest.mark.parametrize("table", MISSION.dispersions)
+def test_replanned_flights_all_arrive(table):
+    """Three sets of 2000 runs, without an exception."""
+    scenario = MISSION.scenario("replanned")
+    for seed in range(3):
+        miss, found = miss_of(scenario, populated(scenario, table, seed))
+        assert np.max(miss) < 0.1
+        assert np.percentile(miss, 99) < 1e-6
+        unpredicted = found.flights.caveats["decisions_without_prediction"]
+        assert np.max(unpredicted) == 0.0
+
+
+LOST = {"small-angle": (68.5, 70.5)}
+"""%, in each set, as the README rounds it"""
+
+
+@pytest.mark.parametrize("variant", LOST)
+def test_without_replanning_many_flights_diverge(variant):
+    """More than 25 n mile off, or nowhere: what the README says of the printed law."""
+    scenario = MISSION.scenario(variant)
+    shares = []
+    for seed in range(3):
+        miss, _ = miss_of(scenario, populated(scenario, "air-and-vehicle", seed))
+        shares.append(np.mean(miss > 25.0))
+    least, most = LOST[variant]
+    assert least <= 100.0 * min(shares) and 100.0 * max(shares) <= most
+
+
+def test_replanned_where_the_air_is_not_a_factor_off():
+    """A scale height off by 5 % turns the density by 4 to 9 % between 60 and 25 km."""
+    scenario = MISSION.scenario("replanned")
+    height = float(scenario.planet.atmosphere.scale_height)
+    surface = float(scenario.planet.atmosphere.surface_density)
+    for seed in range(3):
+        inputs = populated(scenario, "air-and-vehicle", seed)
+        other = height * np.random.default_rng(seed).uniform(0.95, 1.05, RUNS)
+        inputs["planet.atmosphere.scale_height"] = other
+        same_at = 50e3
+        rise = np.exp(same_at / other - same_at / height)
+        inputs["planet.atmosphere.surface_density"] = surface * rise
+        miss, _ = miss_of(scenario, inputs)
+        assert np.percentile(miss, 99) < 0.01 and np.max(miss) < 0.2
+
+
+def test_replanned_cases_of_the_paper():
+    """Nominal below 1e-3 n mile is what is asked for."""
+    scenario = MISSION.scenario("replanned")
+    figures = {"altitude": 1.0, "longitude": 1.0, "latitude": 1.0}
+    every = [*cases().values(), figures, {}]
+    inputs = populated(scenario, "air-and-vehicle", 0)
+    for name in ("planet.density_scale", "vehicle.lift_scale", "vehicle.drag_scale"):
+        inputs[name][:] = 1.0
+    for run, errors in enumerate(every):
+        state = off_by(scenario.initial_state, **errors)
+        for name in INITIAL_ERRORS:
+            inputs[f"initial_state.{name}"][run] = getattr(state, name)
+    miss, _ = miss_of(scenario, inputs)
+    assert np.all(miss[: len(every)] < 1e-6)
+
+
+def test_replanned_derivatives_are_those_of_the_flight():
+    """Through all decisions; of what a change of the density does to the end."""
+    scenario = MISSION.scenario("replanned")
+
+    def end(density):
+        moved = eqx.tree_at(lambda s: s.planet.density_scale, scenario, density)
+        flight = fly(moved, STEP)
+        return jnp.stack([flight.time, flight.state.altitude, flight.state.heading])
+
+    density, h = jnp.asarray(1.03), 1e-4
+    both = eqx.filter_jit(lambda d: jax.jvp(end, (d,), (jnp.ones_like(d),)))
+    _, pushed = both(density)
+    difference = (both(density + h)[0] - both(density - h)[0]) / (2.0 * h)
+    assert np.all(np.abs(pushed) > 1e-3)
+    # What a central difference with this step leaves.
+    np.testing.assert_allclose(pushed, difference, rtol=1e-4)

@@ -86,6 +86,13 @@ from .range_tracking import (
     RangeTracking as RangeTracking,
     ScaleLimits as ScaleLimits,
 )
+from .replanning import (
+    AdjustedProfile as AdjustedProfile,
+    Adjustment as Adjustment,
+    OwnReference as OwnReference,
+    Replanned as Replanned,
+    ReplannedTracking as ReplannedTracking,
+)
 from .switching import (
     AbstractSwitching as AbstractSwitching,
     Sharp as Sharp,

@@ -412,15 +412,19 @@ _COLUMNS = (
 
 
 def along_reference(
-    linearization: AbstractLinearization, model: GroundTrackModel, state: EntryState
+    linearization: AbstractLinearization,
+    model: GroundTrackModel,
+    state: EntryState,
+    factors: Factors | None = None,
 ) -> dict[str, Scalar]:
     """The outputs in a state of the reference and their derivatives, by name.
 
     In rad, over the energy in units of its span, by the expressions of the law: so that
-    on the reference it commands the reference controls.
+    on the reference it commands the reference controls. The reference is flown under the
+    forces of the model by `factors`; none if not given.
     """
     one = jnp.ones_like(state.velocity)
-    factors = Factors(one, one)
+    factors = Factors(one, one) if factors is None else factors
     seen = linearization.dynamics(model, state, factors)
     above, right, _ = model.reference_forces(state, factors)
     third, second = seen.under(above, right)
@@ -458,12 +462,34 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
     def __call__(
         self, time: Scalar, measurement: Measurement, memory: TrackErrors
     ) -> tuple[Controls, TrackErrors]:
-        model, state = self.model, measurement.state
-        here = model.energy(state)
-        factors = self.force_knowledge.factors(model, measurement)
-        seen = self.linearization.dynamics(model, state, factors)
+        here = self.model.energy(measurement.state)
+        factors = self.force_knowledge.factors(self.model, measurement)
         read = self.reference.with_derivatives(here)
-        r1, r1_1, r1_2, r1_3, r2, r2_1, r2_2 = (read[name][0] for name in _COLUMNS)
+        wanted = {name: read[name][0] for name in _COLUMNS}
+        return self.towards(wanted, self.model, factors, measurement, memory)
+
+    def towards(
+        self,
+        wanted: dict[str, Scalar],
+        model: GroundTrackModel,
+        factors: Factors,
+        measurement: Measurement,
+        memory: TrackErrors,
+    ) -> tuple[Controls, TrackErrors]:
+        """Command towards a reference, and the rate of the memory.
+
+        **Arguments:**
+
+        - `wanted`: what `along_reference` gives where the reference has the energy of the
+          vehicle.
+        - `model`: with the controls of that reference. The bounds of the angle of attack
+          stay about the reference of the law.
+        - `factors`: on lift and drag of the model.
+        """
+        state = measurement.state
+        here = model.energy(state)
+        seen = self.linearization.dynamics(model, state, factors)
+        r1, r1_1, r1_2, r1_3, r2, r2_1, r2_2 = (wanted[name] for name in _COLUMNS)
 
         y1, y1_1, y1_2 = seen.downrange
         y2, y2_1 = seen.crossrange

@@ -15,7 +15,7 @@ from .dispersions import (
     off_by,
     one_at_a_time,
 )
-from .scenario import full, measured, scheduled, small_angle
+from .scenario import full, measured, replanned, scheduled, small_angle
 
 
 def case(**errors: float) -> Scenario:
@@ -63,6 +63,7 @@ MISSION = Mission(
         "small-angle": small_angle,
         "measured": measured,
         "scheduled": scheduled,
+        "replanned": replanned,
         "figures": figure_case,
         **{name: _builder(errors) for name, errors in cases().items()},
     },

@@ -30,6 +30,7 @@ from ...guidance.feedback_linearization import (
 )
 from ...guidance.law import Sampled
 from ...guidance.open_loop import ControlProfiles
+from ...guidance.replanning import Adjustment, ReplannedTracking
 from ...motion.constraints import (
     Constraints,
     DynamicPressure,
@@ -317,3 +318,18 @@ def small_angle() -> Scenario:
 def measured() -> Scenario:
     """No small angles; lift and drag are measured on board, in guidance cycles of 0.1 s."""
     return tracking(force_knowledge=MeasuredForces(), period=0.1)
+
+
+def replanned() -> Scenario:
+    """The reference is planned again every 10 s, under the lift and drag measured then.
+
+    Source: re-planning, left to others by the paper. Within the limits the changed controls
+    are always allowed: they leave 2 degrees of the angle of attack to the tracking, and
+    the bank is below 80 degrees.
+    """
+    scenario = tracking()
+    limits = Adjustment(3.0 * degree, 0.4, 15.0 * degree)
+    tracked = scenario.guidance
+    assert isinstance(tracked, GroundTrackTracking)
+    law = ReplannedTracking(law=tracked, limits=limits, end=energies()[1])
+    return eqx.tree_at(lambda s: s.guidance, scenario, law)
