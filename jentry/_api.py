@@ -79,6 +79,7 @@ from .guidance import (
     HeadingCorridor as HeadingCorridor,
     Sampled as Sampled,
     ShorteningCycle as ShorteningCycle,
+    Tracked as Tracked,
     TrimAngleOfAttack as TrimAngleOfAttack,
     VelocityReversals as VelocityReversals,
     compose as compose,

@@ -17,6 +17,7 @@ from .law import (
     AbstractLaw,
     AbstractSampledLaw,
     AngleOfAttackCommand,
+    Tracked,
     begun,
     commanded,
     decided,
@@ -105,6 +106,9 @@ class ContinuousComposition(AbstractContinuousLaw[Parts]):
     ) -> tuple[Controls, Parts]:
         return _commanded(self, time, measurement, memory, Parts(None, None))
 
+    def tracked(self, measurement: Measurement) -> Tracked | None:
+        return _tracked(self, measurement)
+
 
 class SampledComposition(AbstractSampledLaw[Parts, Parts]):
     """Two laws as one, of which at least one is sampled; see `compose`."""
@@ -145,6 +149,9 @@ class SampledComposition(AbstractSampledLaw[Parts, Parts]):
     ) -> tuple[Controls, Parts]:
         return _commanded(self, time, measurement, memory, held)
 
+    def tracked(self, measurement: Measurement) -> Tracked | None:
+        return _tracked(self, measurement)
+
 
 Composition = ContinuousComposition | SampledComposition
 
@@ -154,6 +161,16 @@ def _at(measurement: Measurement, wish: AngleOfAttackCommand) -> Measurement:
     return eqx.tree_at(
         lambda m: m.trim_angle_of_attack, measurement, wish.angle_of_attack
     )
+
+
+def _tracked(law: Composition, measurement: Measurement) -> Tracked | None:
+    """The outputs of both laws; an angle-of-attack law moves no bank, and vice versa."""
+    both = law.angle_of_attack.tracked(measurement), law.bank.tracked(measurement)
+    found = [each for each in both if each is not None]
+    if not found:
+        return None
+    outputs = (output for each in found for output in each.outputs)
+    return Tracked(tuple(outputs), tuple(name for each in found for name in each.by))
 
 
 def _begun(law: Composition, measurement: Measurement) -> tuple[Parts, Parts]:

@@ -18,7 +18,7 @@ from ..world.aerodynamics import ConstantAerodynamics, PolynomialAerodynamics
 from ..world.atmosphere import ExponentialAtmosphere
 from ..world.gravity import InverseSquareGravity
 from .lateral import AbstractLateralLogic, FixedSide
-from .law import AbstractBankLaw
+from .law import AbstractBankLaw, Tracked
 from .open_loop import vertical_lift_command
 from .switching import AbstractSwitching, Sharp
 
@@ -200,6 +200,9 @@ class StateFeedbackDragTracking(AbstractBankLaw[None]):
     def init(self, measurement: Measurement) -> None:
         return None
 
+    def tracked(self, measurement: Measurement) -> Tracked:
+        return Tracked((measurement.drag,), ("bank_angle",))
+
     def to_the_right(
         self, time: Scalar, measurement: Measurement, memory: None
     ) -> tuple[Controls, None]:
@@ -233,6 +236,9 @@ class ObserverDragTracking(AbstractBankLaw[ObserverState]):
         zero = 0.0 * measurement.drag
         tracking = self._track(zero, measurement, None)
         return ObserverState(tracking.x1, zero)
+
+    def tracked(self, measurement: Measurement) -> Tracked:
+        return Tracked((measurement.drag,), ("bank_angle",))
 
     def to_the_right(
         self, time: Scalar, measurement: Measurement, memory: ObserverState

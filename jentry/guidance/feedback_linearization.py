@@ -25,7 +25,7 @@ from ..onboard.model import OnboardModel
 from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile, QuinticTable
 from ..world.planet import Planet
-from .law import AbstractContinuousLaw
+from .law import AbstractContinuousLaw, Tracked
 from .lift_tradeoff import AbstractTradeoff, EqualTradeoff, LiftBounds
 
 
@@ -399,6 +399,10 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
     def init(self, measurement: Measurement) -> TrackErrors:
         nothing = 0.0 * measurement.drag
         return TrackErrors(nothing, nothing)
+
+    def tracked(self, measurement: Measurement) -> Tracked:
+        outputs = self.model.outputs(measurement.state)
+        return Tracked(outputs, ("angle_of_attack", "bank_angle"))
 
     def __call__(
         self, time: Scalar, measurement: Measurement, memory: TrackErrors
