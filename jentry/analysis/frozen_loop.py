@@ -16,9 +16,9 @@ from .._printed import quantity_in_words
 from .._setup import needs_float64
 from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
-from ..guidance.law import AbstractSampledLaw
+from ..guidance.law import AbstractSampledLaw, Tracked
 from ..motion.index import AbstractIndex, TimeIndex
-from ..motion.state import EntryState
+from .coordinates import in_errors, lift, without
 from .local_derivatives import (
     FlownPoints,
     LoopDerivatives,
@@ -92,11 +92,18 @@ class FrozenLoop:
     """Name of the end condition of the flight"""
 
     @property
+    def per_span(self) -> Complex[np.ndarray, "points n"]:
+        """The eigenvalues per span of the index: a deadbeat one stays minus infinity."""
+        deadbeat = np.isinf(self.eigenvalues)
+        scaled = np.where(deadbeat, 0.0, self.eigenvalues) * self.span
+        return np.where(deadbeat, -np.inf, scaled)
+
+    @property
     def damping(self) -> Float[np.ndarray, "points n"]:
         """Damping ratios of the eigenvalues: from 1, aperiodic, to -1, divergent so."""
         size = np.abs(self.eigenvalues)
         finite = np.isfinite(size) & (size > 0.0)
-        ratio = -self.eigenvalues.real / np.where(finite, size, 1.0)
+        ratio = -np.real(self.eigenvalues) / np.where(finite, size, 1.0)
         return np.where(np.isinf(size), 1.0, np.where(size > 0.0, ratio, 0.0))
 
     @property
@@ -107,7 +114,8 @@ class FrozenLoop:
     @property
     def largest_real_part(self) -> Worst:
         """The largest real part of all points: positive where errors grow."""
-        return self._worst(self.eigenvalues.real, self.eigenvalues.real)
+        real = np.real(self.eigenvalues)
+        return self._worst(real, real)
 
     def _worst(self, badness: np.ndarray, value: np.ndarray) -> Worst:
         if not badness.size:
@@ -183,28 +191,32 @@ def linearize(
     _require_finite(found, flown)
     out = _steepest(found)
     others = np.arange(len(flown.coordinates)) != out
-    matrices = (found.derivative @ _lift(found.gradient, out))[:, others]
-
-    sampled = isinstance(scenario.guidance, AbstractSampledLaw)
+    matrices = (found.derivative @ lift(found.gradient, out))[:, others]
     names = np.array(flown.coordinates)[others]
-    same = np.eye(len(names)) if sampled else np.zeros_like(matrices[0])
-    kept, ignorable = _without(matrices, same, np.arange(len(names)))
-    kept, forgotten = _without(matrices, 0.0 * same, kept) if sampled else (kept, [])
-    matrices = matrices[:, kept[:, None], kept]
+    sampled = isinstance(scenario.guidance, AbstractSampledLaw)
+    same = np.eye(len(names)) if sampled else np.zeros((len(names), len(names)))
+    kept, ignorable = without(matrices, same, np.arange(len(names)))
+    kept, forgotten = without(matrices, 0.0 * same, kept) if sampled else (kept, [])
+    matrices, coordinates = matrices[:, kept[:, None], kept], list(names[kept])
+    tracked = what_is_tracked(scenario, flown.lanes)
+    if tracked is not None:
+        matrices, coordinates = in_errors(
+            matrices, coordinates, kept, tracked, found, out, sampled
+        )
     eigenvalues = _followed(np.linalg.eigvals(matrices).astype(complex))
     multipliers = eigenvalues if sampled else None
     if multipliers is not None:
         deadbeat = np.abs(multipliers) < _DEADBEAT
         rates = np.log(np.where(deadbeat, 1.0, multipliers)) / found.way[:, None]
         eigenvalues = np.where(deadbeat, -np.inf, rates)
-    zeros, why_none = _zeros(scenario, index, flown, flown.coordinates[out])
+    zeros, why_none = _zeros(scenario, index, flown, tracked, flown.coordinates[out])
     return FrozenLoop(
         over=type(index).__name__.removesuffix("Index").lower(),
         unit=index.unit,
         index=flown.index,
         time=flown.time,
         span=flown.span,
-        coordinates=tuple(map(str, names[kept])),
+        coordinates=tuple(map(str, coordinates)),
         eliminated=flown.coordinates[out],
         ignorable=tuple(map(str, names[ignorable])),
         forgotten=tuple(map(str, names[forgotten])),
@@ -223,9 +235,9 @@ def _require_finite(found: LoopDerivatives, flown: FlownPoints) -> None:
     if lost.any():
         point, place = np.argwhere(lost)[0]
         raise ValueError(
-            f"the derivative of the closed loop to {flown.coordinates[place]} is not finite "
-            f"{flown.time[point]:g} s after the start: the law may have none there, as a "
-            "root has not at zero"
+            f"the derivative of the closed loop to {flown.coordinates[place]} is not "
+            f"finite {flown.time[point]:g} s after the start: the law may have none "
+            "there, as a root has not at zero"
         )
 
 
@@ -241,35 +253,9 @@ def _steepest(found: LoopDerivatives) -> int:
     return int(np.argmax(least))
 
 
-def _lift(gradient: np.ndarray, out: int) -> np.ndarray:
-    """From deviations at equal index to all deviations, (points, n, n - 1)."""
-    points, n = gradient.shape
-    lift = np.tile(np.eye(n), (points, 1, 1))
-    lift[:, out] = -gradient / gradient[:, [out]]
-    return np.delete(lift, out, axis=2)
-
-
-def _without(
-    matrices: np.ndarray, alone: np.ndarray, kept: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Places that are left, and those whose column is exactly as if they were alone.
-
-    What is left may not depend on them: the matrices are block triangular.
-    """
-    gone: list[int] = []
-    while True:
-        rest = kept[~np.isin(kept, gone)]
-        differs = (matrices - alone)[:, rest[:, None], rest] != 0.0
-        more = rest[~differs.any(axis=(0, 1))]
-        if not more.size:
-            return rest, np.array(gone, int)
-        gone += list(more)
-
-
 def _followed(eigenvalues: np.ndarray) -> np.ndarray:
     """Each in the column of the one that is closest to it at the point before."""
-    first = eigenvalues[0]
-    found = [first[np.lexsort((first.imag, first.real))]]
+    found = [np.sort_complex(eigenvalues[0])]
     for new in eigenvalues[1:]:
         away = np.abs(found[-1][:, None] - new[None, :])
         ordered = np.empty_like(new)
@@ -282,13 +268,17 @@ def _followed(eigenvalues: np.ndarray) -> np.ndarray:
 
 
 def _zeros(
-    scenario: Scenario, index: AbstractIndex, flown: FlownPoints, eliminated: str
+    scenario: Scenario,
+    index: AbstractIndex,
+    flown: FlownPoints,
+    tracked: Tracked | None,
+    eliminated: str,
 ) -> tuple[np.ndarray | None, str]:
     """Transmission zeros at all points, or why there are none."""
-    tracked, law = what_is_tracked(scenario), type(scenario.guidance).__name__
+    law = type(scenario.guidance).__name__
     if tracked is None:
         return None, f"{law} does not say what it tracks"
-    count = len(tracked.outputs)
+    count = len(tracked.errors)
     if count != len(tracked.by):
         return None, f"{law} tracks {count} outputs by {len(tracked.by)} controls"
     plant = plant_derivatives(scenario, index, flown.plan, flown.lanes)
@@ -298,22 +288,23 @@ def _zeros(
     states = list(vars(scenario.initial_state))
     if eliminated in states:
         out = states.index(eliminated)
-        lift = _lift(plant.gradient, out)
-        a, b, c = np.delete(a @ lift, out, 1), np.delete(b, out, 1), c @ lift
+        equal = lift(plant.gradient, out)
+        a, b, c = np.delete(a @ equal, out, 1), np.delete(b, out, 1), c @ equal
     seen = np.any(c != 0.0, axis=(0, 1))
     for _ in seen:  # what the outputs depend on, and what that depends on
         seen |= np.any(a[:, seen] != 0.0, axis=(0, 1))
     a, b, c = a[:, seen][..., seen], b[:, seen], c[..., seen]
     span = flown.span
-    found = [transmission_zeros(span * a, span * b, c, d) for a, b, c, d in zip(a, b, c, d)]
+    found = [
+        transmission_zeros(span * a, span * b, c, d)
+        for a, b, c, d in zip(a, b, c, d, strict=True)
+    ]
     known = [x for x in found if x is not None]
     if not known:
         return None, f"what {law} tracks is not moved by {' and '.join(tracked.by)}"
     most = max(map(len, known))
     padded = np.full((len(found), most), complex(np.nan, np.nan))
-    for row, x in zip(padded, found):
+    for row, x in zip(padded, found, strict=True):
         if x is not None:
-            row[: len(x)] = x[np.lexsort((x.imag, x.real))] / span
-    if not most:
-        return padded, ""
+            row[: len(x)] = np.sort_complex(x) / span
     return padded, ""

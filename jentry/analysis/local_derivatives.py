@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ..addresses import leaves_by_address
 from ..fields import Count, Scalar, Vector
-from ..flight.closed_loop import Lane, command, start, vector_field
+from ..flight.closed_loop import Lane, command, sense, start, vector_field
 from ..flight.cycle import Plan
 from ..flight.end import end_of_flight
 from ..flight.loop import while_running_with_history
@@ -24,6 +24,13 @@ from ..guidance.law import AbstractSampledLaw, Tracked
 from ..motion.index import AbstractIndex
 from ..motion.state import Controls
 from ..onboard.navigation import measure
+
+
+_QUICKLY = {
+    "xla_backend_optimization_level": 0,
+    "xla_llvm_disable_expensive_passes": True,
+}
+"""Options of XLA for what is computed at a few points only: compiling is all its time"""
 
 
 class FlownPoints(NamedTuple):
@@ -103,7 +110,8 @@ def _flown(
     def value(lane: Lane) -> Scalar:
         return index.value(scenario.planet, lane.flown, lane.state)
 
-    return lanes, jax.vmap(value)(lanes), value(end.lane), end.outcome, end.ended_by
+    values = jnp.asarray(jax.vmap(value)(lanes))
+    return lanes, values, value(end.lane), end.outcome, end.ended_by
 
 
 def _carried(lane: Lane):
@@ -139,9 +147,15 @@ class LoopDerivatives(eqx.Module):
     one cycle, up to the same index"""
     way: Float[Array, " points"]
     """How far the index goes in the cycle"""
+    errors: Float[Array, "points k n"]
+    """Of the errors that the law feeds back"""
+    gradient_then: Float[Array, "points n"]
+    """The gradient after the cycle; without cycles its rate per unit of the index"""
+    errors_then: Float[Array, "points k n"]
+    """Likewise for the errors"""
 
 
-@eqx.filter_jit
+@eqx.filter_jit(compiler_options=_QUICKLY)
 def loop_derivatives(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> LoopDerivatives:
@@ -168,13 +182,21 @@ def loop_derivatives(
     def slope(lane: Lane) -> Vector:
         return jax.jacfwd(lambda flat: value(put(flat, lane)))(_flat(lane))
 
-    def speed(lane: Lane) -> Scalar:
+    def over_index(flat: Vector, lane: Lane) -> tuple[Vector, tuple[Vector, Vector]]:
+        rate = flow(put(flat, lane))
         along = lambda flat: value(put(flat, lane))
-        return jax.jvp(along, (_flat(lane),), (flow(lane),))[1]
+        over = rate / jnp.abs(jax.jvp(along, (flat,), (rate,))[1])
+        return over, (over, rate)
 
-    def over_index(flat: Vector, lane: Lane) -> Vector:
-        there = put(flat, lane)
-        return flow(there) / jnp.abs(speed(there))
+    def errors(lane: Lane) -> Array:
+        def fed_back(flat: Vector) -> Vector:
+            there = put(flat, lane)
+            sensed = sense(scenario, there.flown, there.moving, there.held)
+            tracked = scenario.guidance.tracked(there.flown, sensed, there.held)
+            numbers = [] if tracked is None else sum(tracked.errors, ())
+            return jnp.stack(numbers) if numbers else jnp.zeros(0)
+
+        return jax.jacfwd(fed_back)(_flat(lane))
 
     def cycle(flat: Vector, lane: Lane) -> tuple[Vector, Lane]:
         after = plan.cycle(scenario, put(flat, lane))
@@ -182,16 +204,23 @@ def loop_derivatives(
 
     def at(lane: Lane) -> LoopDerivatives:
         flat, gradient = _flat(lane), slope(lane)
-        shares = gradient * flow(lane)
         if not isinstance(scenario.guidance, AbstractSampledLaw):
-            derivative = jax.jacfwd(over_index)(flat, lane)
-            return LoopDerivatives(gradient, shares, derivative, jnp.ones_like(lane.flown))
+            derivative, (over, rate) = jax.jacfwd(over_index, has_aux=True)(flat, lane)
+            both = lambda flat: (slope(put(flat, lane)), errors(put(flat, lane)))
+            (_, error), then = jax.jvp(both, (flat,), (over,))
+            way = jnp.ones_like(lane.flown)
+            return LoopDerivatives(
+                gradient, gradient * rate, derivative, way, error, *then
+            )
         pushed, after = jax.jacfwd(cycle, has_aux=True)(flat, lane)
         # Who arrives ahead is brought back along the flow, to the same index.
-        ahead = (slope(after) @ pushed) / speed(after)
-        derivative = pushed - flow(after)[:, None] * ahead[None, :]
-        way = value(after) - value(lane)
-        return LoopDerivatives(gradient, shares, derivative, jnp.abs(way))
+        there, rate = slope(after), flow(after)
+        ahead = (there @ pushed) / (there @ rate)
+        derivative = pushed - rate[:, None] * ahead[None, :]
+        way = jnp.abs(value(after) - value(lane))
+        return LoopDerivatives(
+            gradient, there * rate, derivative, way, errors(lane), there, errors(after)
+        )
 
     return lax.map(at, lanes)
 
@@ -206,12 +235,12 @@ class PlantDerivatives(eqx.Module):
     b: Float[Array, "points n 2"]
     """Of these rates, over angle of attack and bank"""
     c: Float[Array, "points m n"]
-    """Of the outputs that the law tracks, over the state"""
+    """Of the errors of the outputs that the law tracks, over the state"""
     d: Float[Array, "points m 2"]
-    """Of these outputs, over angle of attack and bank"""
+    """Of these errors, over angle of attack and bank"""
 
 
-@eqx.filter_jit
+@eqx.filter_jit(compiler_options=_QUICKLY)
 def plant_derivatives(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> PlantDerivatives:
@@ -240,19 +269,18 @@ def plant_derivatives(
 
         def outputs(x: Vector, u: Vector) -> Vector:
             angle, _ = u
-            tracked = law.tracked(
-                measure(
-                    planet,
-                    vehicle,
-                    unravel(x),
-                    angle,
-                    scenario.accelerometers,
-                    None,
-                    scenario.constraints,
-                )
+            sensed = measure(
+                planet,
+                vehicle,
+                unravel(x),
+                angle,
+                scenario.accelerometers,
+                None,
+                scenario.constraints,
             )
+            tracked = law.tracked(lane.flown, sensed, lane.held)
             assert tracked is not None
-            return jnp.stack(tracked.outputs)
+            return jnp.stack([error for error, *_ in tracked.errors])
 
         a, b = jax.jacfwd(over_index, (0, 1))(x, u)
         c, d = jax.jacfwd(outputs, (0, 1))(x, u)
@@ -261,12 +289,12 @@ def plant_derivatives(
     return lax.map(at, lanes)
 
 
-def what_is_tracked(scenario: Scenario) -> Tracked | None:
-    """What the law says that it tracks; its outputs without their values."""
-    planet, vehicle, state = scenario.planet, scenario.vehicle, scenario.initial_state
+def what_is_tracked(scenario: Scenario, lanes: Lane) -> Tracked | None:
+    """What the law says that it tracks, without the values."""
 
-    def tracked() -> Tracked | None:
-        angle = vehicle.trim_angle_of_attack
-        return scenario.guidance.tracked(measure(planet, vehicle, state, angle))
+    def tracked(lanes: Lane) -> Tracked | None:
+        lane = jax.tree.map(lambda x: x[0], lanes)
+        sensed = sense(scenario, lane.flown, lane.moving, lane.held)
+        return scenario.guidance.tracked(lane.flown, sensed, lane.held)
 
-    return eqx.filter_eval_shape(tracked)
+    return eqx.filter_eval_shape(tracked, lanes)

@@ -16,10 +16,10 @@ def transmission_zeros(
 ) -> Complex[np.ndarray, " zeros"] | None:
     """Finite zeros of x' = a x + b u, y = c x + d u, with as many outputs as inputs.
 
-    The numbers s at which the matrix of Rosenbrock, [[a - s I, b], [c, d]], is singular. They
-    are the eigenvalues of the motion that is left when the inputs hold all outputs at zero.
-    High gains drive the eigenvalues of a closed loop into them: with a positive real part
-    it then diverges. States that no output depends on count as zeros too.
+    The numbers s at which the matrix of Rosenbrock, [[a - s I, b], [c, d]], is singular.
+    They are the eigenvalues of the motion that is left when the inputs hold all outputs at
+    zero. High gains drive the eigenvalues of a closed loop into them: with a positive real
+    part it then diverges. States that no output depends on count as zeros too.
 
     Each output is differentiated until the inputs appear, which leaves no infinite zeros
     to be told from large ones: A. Emami-Naeini and P. Van Dooren, "Computation of Zeros of
@@ -33,9 +33,9 @@ def transmission_zeros(
     shapes = [np.shape(x) for x in (a, c, d)]
     if shapes != [(n, n), (m, n), (m, m)]:
         raise ValueError(
-            f"a, b, c and d have shapes {shapes[0]}, {(n, m)}, {shapes[1]} and {shapes[2]}: "
-            "for n states and m inputs and outputs they must be (n, n), (n, m), (m, n) and "
-            "(m, m)"
+            f"a, b, c and d have shapes {shapes[0]}, {(n, m)}, {shapes[1]} and "
+            f"{shapes[2]}: for n states and m inputs and outputs they must be (n, n), "
+            "(n, m), (m, n) and (m, m)"
         )
     system = np.block([[a, b], [c, d]])
     if not np.all(np.isfinite(system)):

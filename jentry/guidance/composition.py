@@ -106,8 +106,10 @@ class ContinuousComposition(AbstractContinuousLaw[Parts]):
     ) -> tuple[Controls, Parts]:
         return _commanded(self, time, measurement, memory, Parts(None, None))
 
-    def tracked(self, measurement: Measurement) -> Tracked | None:
-        return _tracked(self, measurement)
+    def tracked(
+        self, time: Scalar, measurement: Measurement, held: None
+    ) -> Tracked | None:
+        return _tracked(self, time, measurement, Parts(None, None))
 
 
 class SampledComposition(AbstractSampledLaw[Parts, Parts]):
@@ -149,8 +151,10 @@ class SampledComposition(AbstractSampledLaw[Parts, Parts]):
     ) -> tuple[Controls, Parts]:
         return _commanded(self, time, measurement, memory, held)
 
-    def tracked(self, measurement: Measurement) -> Tracked | None:
-        return _tracked(self, measurement)
+    def tracked(
+        self, time: Scalar, measurement: Measurement, held: Parts
+    ) -> Tracked | None:
+        return _tracked(self, time, measurement, held)
 
 
 Composition = ContinuousComposition | SampledComposition
@@ -163,14 +167,19 @@ def _at(measurement: Measurement, wish: AngleOfAttackCommand) -> Measurement:
     )
 
 
-def _tracked(law: Composition, measurement: Measurement) -> Tracked | None:
-    """The outputs of both laws; an angle-of-attack law moves no bank, and vice versa."""
-    both = law.angle_of_attack.tracked(measurement), law.bank.tracked(measurement)
+def _tracked(
+    law: Composition, time: Scalar, measurement: Measurement, held: Parts
+) -> Tracked | None:
+    """What both laws track; an angle-of-attack law moves no bank, and vice versa."""
+    both = (
+        law.angle_of_attack.tracked(time, measurement, held.angle_of_attack),
+        law.bank.tracked(time, measurement, held.bank),
+    )
     found = [each for each in both if each is not None]
     if not found:
         return None
-    outputs = (output for each in found for output in each.outputs)
-    return Tracked(tuple(outputs), tuple(name for each in found for name in each.by))
+    errors = (error for each in found for error in each.errors)
+    return Tracked(tuple(errors), tuple(name for each in found for name in each.by))
 
 
 def _begun(law: Composition, measurement: Measurement) -> tuple[Parts, Parts]:

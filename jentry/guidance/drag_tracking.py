@@ -200,8 +200,11 @@ class StateFeedbackDragTracking(AbstractBankLaw[None]):
     def init(self, measurement: Measurement) -> None:
         return None
 
-    def tracked(self, measurement: Measurement) -> Tracked:
-        return Tracked((measurement.drag,), ("bank_angle",))
+    def tracked(self, time: Scalar, measurement: Measurement, held: None) -> Tracked:
+        tracking = track(
+            self.gains, self.reference, self.model, time, measurement, None, Sharp()
+        )
+        return Tracked(((tracking.x1, tracking.x2),), ("bank_angle",))
 
     def to_the_right(
         self, time: Scalar, measurement: Measurement, memory: None
@@ -237,8 +240,9 @@ class ObserverDragTracking(AbstractBankLaw[ObserverState]):
         tracking = self._track(zero, measurement, None)
         return ObserverState(tracking.x1, zero)
 
-    def tracked(self, measurement: Measurement) -> Tracked:
-        return Tracked((measurement.drag,), ("bank_angle",))
+    def tracked(self, time: Scalar, measurement: Measurement, held: None) -> Tracked:
+        tracking = self._track(time, measurement, None)
+        return Tracked(((tracking.x1, tracking.x2),), ("bank_angle",))
 
     def to_the_right(
         self, time: Scalar, measurement: Measurement, memory: ObserverState

@@ -194,8 +194,11 @@ class RangeTracking(AbstractSampledLaw[ObserverState, HeldScale]):
         tracking = self._track(zero, measurement, None, held)
         return ObserverState(tracking.x1, zero), held
 
-    def tracked(self, measurement: Measurement) -> Tracked:
-        return Tracked((measurement.drag,), ("bank_angle",))
+    def tracked(
+        self, time: Scalar, measurement: Measurement, held: HeldScale
+    ) -> Tracked:
+        tracking = self._track(time, measurement, None, held)
+        return Tracked(((tracking.x1, tracking.x2),), ("bank_angle",))
 
     def update(
         self,
