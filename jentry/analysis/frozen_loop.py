@@ -230,14 +230,15 @@ def linearize(
 
 
 def _require_finite(found: LoopDerivatives, flown: FlownPoints) -> None:
-    numbers = found.derivative, found.gradient[:, None]
-    lost = ~np.isfinite(np.concatenate(numbers, axis=1)).all(axis=1)
-    if lost.any():
-        point, place = np.argwhere(lost)[0]
+    known = [
+        np.isfinite(x).reshape(len(x), -1).all(axis=1)
+        for x in map(np.asarray, jax.tree.leaves(found))
+    ]
+    lost = np.flatnonzero(~np.all(known, axis=0))
+    if lost.size:
         raise ValueError(
-            f"the derivative of the closed loop to {flown.coordinates[place]} is not "
-            f"finite {flown.time[point]:g} s after the start: the law may have none "
-            "there, as a root has not at zero"
+            f"the derivative of the closed loop {flown.time[lost[0]]:g} s after the start "
+            "is not finite: the law may have none there, as a root has not at zero"
         )
 
 

@@ -58,14 +58,14 @@ def fly_points(
     plan = Plan.of(scenario, solver, None)
     if not sampled:
         plan = Plan.of(scenario, solver, plan.step)
-    lanes, values, end, outcome, ended_by = _flown(scenario, plan, index)
+    lanes, flying, values, end, outcome, ended_by = _flown(scenario, plan, index)
     if not has_end(int(outcome)):
         raise ValueError(
             f"the flight {Outcome(int(outcome)).message}: it has no linearization; fly it "
             "with a history and see where it fails"
         )
     # The cycle that holds the end is not flown to its own.
-    whole = int(np.sum(lanes.on_schedule)) - sampled
+    whole = int(flying) - sampled
     if whole < 1:
         raise ValueError(
             "the flight ends within its first step, or guidance cycle: there is nothing to "
@@ -100,7 +100,7 @@ def fly_points(
 @eqx.filter_jit
 def _flown(
     scenario: Scenario, plan: Plan, index: AbstractIndex
-) -> tuple[Lane, Vector, Scalar, Count, Count]:
+) -> tuple[Lane, Count, Vector, Scalar, Count, Count]:
     lane = start(scenario, plan.step)
     lane, lanes = while_running_with_history(
         plan.cycle, lambda lane: lane.running, scenario, lane, plan.cycles
@@ -110,8 +110,9 @@ def _flown(
     def value(lane: Lane) -> Scalar:
         return index.value(scenario.planet, lane.flown, lane.state)
 
+    flying = jnp.sum(jax.vmap(lambda lane: lane.on_schedule)(lanes))
     values = jnp.asarray(jax.vmap(value)(lanes))
-    return lanes, values, value(end.lane), end.outcome, end.ended_by
+    return lanes, flying, values, value(end.lane), end.outcome, end.ended_by
 
 
 def _carried(lane: Lane):
@@ -138,20 +139,20 @@ def _coordinates(lanes: Lane) -> tuple[str, ...]:
 class LoopDerivatives(eqx.Module):
     """Derivatives of a closed loop at points, over all that deviates."""
 
-    gradient: Float[Array, "points n"]
+    gradient: Float[Array, "*points n"]
     """Of the index"""
-    shares: Float[Array, "points n"]
+    shares: Float[Array, "*points n"]
     """Parts of the rate of the index that the rates of the coordinates make"""
-    derivative: Float[Array, "points n n"]
+    derivative: Float[Array, "*points n n"]
     """Of the rates per unit of the index that passes; for a law with a guidance cycle of
     one cycle, up to the same index"""
-    way: Float[Array, " points"]
+    way: Float[Array, "*points"]
     """How far the index goes in the cycle"""
-    errors: Float[Array, "points k n"]
+    errors: Float[Array, "*points k n"]
     """Of the errors that the law feeds back"""
-    gradient_then: Float[Array, "points n"]
+    gradient_then: Float[Array, "*points n"]
     """The gradient after the cycle; without cycles its rate per unit of the index"""
-    errors_then: Float[Array, "points k n"]
+    errors_then: Float[Array, "*points k n"]
     """Likewise for the errors"""
 
 
@@ -189,7 +190,7 @@ def loop_derivatives(
         return over, (over, rate)
 
     def errors(lane: Lane) -> Array:
-        def fed_back(flat: Vector) -> Vector:
+        def fed_back(flat: Vector) -> Array:
             there = put(flat, lane)
             sensed = sense(scenario, there.flown, there.moving, there.held)
             tracked = scenario.guidance.tracked(there.flown, sensed, there.held)
@@ -228,15 +229,15 @@ def loop_derivatives(
 class PlantDerivatives(eqx.Module):
     """Derivatives of the motion under the flown controls, at points: at equal time."""
 
-    gradient: Float[Array, "points n"]
+    gradient: Float[Array, "*points n"]
     """Of the index, over the state"""
-    a: Float[Array, "points n n"]
+    a: Float[Array, "*points n n"]
     """Of the rates per unit of the index that passes, over the state"""
-    b: Float[Array, "points n 2"]
+    b: Float[Array, "*points n 2"]
     """Of these rates, over angle of attack and bank"""
-    c: Float[Array, "points m n"]
+    c: Float[Array, "*points m n"]
     """Of the errors of the outputs that the law tracks, over the state"""
-    d: Float[Array, "points m 2"]
+    d: Float[Array, "*points m 2"]
     """Of these errors, over angle of attack and bank"""
 
 
@@ -259,7 +260,7 @@ def plant_derivatives(
         def value(time: Scalar, x: Vector) -> Scalar:
             return index.value(planet, time, unravel(x))
 
-        def over_index(x: Vector, u: Vector) -> Vector:
+        def over_index(x: Vector, u: Array) -> Array:
             angle, bank = u
             controls = Controls.from_bank(bank, angle)
             rates = scenario.dynamics.rates(planet, vehicle, unravel(x), controls)
@@ -267,7 +268,7 @@ def plant_derivatives(
             at, along = (lane.flown, x), (jnp.ones_like(lane.flown), rate)
             return rate / jnp.abs(jax.jvp(value, at, along)[1])
 
-        def outputs(x: Vector, u: Vector) -> Vector:
+        def outputs(x: Vector, u: Array) -> Array:
             angle, _ = u
             sensed = measure(
                 planet,

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..analysis.frozen_loop import FrozenLoop
 from ..units import edge_unit
-from .style import MEAN, MUTED, RUNS, in_style, legend, panelled, typeset
+from .style import MEAN, MUTED, RUNS, in_style, panelled, typeset
 
 
 if TYPE_CHECKING:
@@ -33,7 +33,8 @@ def draw_eigenvalues(found: FrozenLoop, title: str = "") -> "matplotlib.figure.F
         ):
             finite = np.isfinite(found.eigenvalues)
             drawn = np.where(finite, part(found.per_span), np.nan)
-            axes.plot(at, drawn, "-", color=RUNS, lw=0.7, alpha=0.35)
+            if part is np.real:
+                axes.plot(at, drawn, "-", color=RUNS, lw=0.7, alpha=0.35)
             (dots, *_) = axes.plot(at, drawn, ".", color=RUNS, ms=6.0)
             dots.set_label("eigenvalues of the closed loop")
             if found.zeros is not None and np.isfinite(found.zeros).any():
@@ -49,7 +50,8 @@ def draw_eigenvalues(found: FrozenLoop, title: str = "") -> "matplotlib.figure.F
         deadbeat = int(np.sum(~np.isfinite(found.eigenvalues)))
         if deadbeat:
             panels[1].set_title(f"{deadbeat} deadbeat: not drawn", loc="left")
-        legend(panels[0])
+        handles = panels[0].get_legend_handles_labels()
+        figure.legend(*handles, loc="outside lower center", ncols=3)
     return figure
 
 
@@ -59,7 +61,9 @@ def _draw_zeros(
     there = np.isfinite(zeros)
     far = np.max(np.where(there, np.abs(zeros), 0.0), axis=1, initial=0.0)
     far = np.where(there.any(axis=1), far, np.nan)
-    axes.fill_between(at, -far, far, color=MEAN, alpha=0.08, lw=0.0)
+    axes.fill_between(
+        at, -far, far, color=MEAN, alpha=0.08, lw=0.0, label="as far as the zeros"
+    )
     drawn = np.where(there, part(zeros), np.nan)
     (crosses, *_) = axes.plot(at, drawn, "x", color=MEAN, ms=5.0)
     crosses.set_label("transmission zeros of the vehicle")
