@@ -13,6 +13,7 @@ from scipy import linalg
 
 from jentry import find_mission
 from jentry.analysis import linearize
+from jentry.analysis.coordinates import without
 from jentry.fields import Scalar, scalar
 from jentry.flight import AltitudeBelow, FixedStep, Scenario, Target, Termination
 from jentry.guidance import AbstractContinuousLaw, Sampled
@@ -258,6 +259,16 @@ def test_a_deadbeat_loop_says_so(capsys):
     assert "inf" not in printed and "nan" not in printed
 
 
+def test_what_only_idle_coordinates_depend_on_is_idle_too():
+    """The last depends on the second, on which only the first depends, on nothing."""
+    a = np.zeros((1, 4, 4))
+    a[0, 0, 1], a[0, 3, 0], a[0, 2, 2] = 2.0, 3.0, -1.0
+    kept, gone = without(a, np.zeros((4, 4)), np.arange(4))
+    assert kept.tolist() == [2] and sorted(gone) == [0, 1, 3]
+    kept, gone = without(a + np.eye(4), np.eye(4), np.arange(4))
+    assert kept.tolist() == [2] and sorted(gone) == [0, 1, 3]
+
+
 def test_what_cannot_be_linearized_is_refused():
     scenario, solver = level(hold()), FixedStep(1.0)
     with pytest.raises(ValueError, match="points is 0: it must be 1 or more"):
@@ -286,7 +297,6 @@ def entry_of(history, place):
     return jax.tree.map(lambda x: float(x[place]), history)
 
 
-@SLOW
 def test_at_equal_energy_the_rates_are_those_of_differences():
     """Of a fall without steady state: the neighbours have the velocity of equal energy."""
     from helpers import free_scenario
@@ -327,6 +337,33 @@ def test_at_equal_energy_the_rates_are_those_of_differences():
             np.testing.assert_allclose(
                 matrix[:, column], slope, rtol=1e-6, atol=1e-7 * np.max(size)
             )
+
+
+@SLOW
+def test_a_cycle_at_equal_energy_is_the_flow_of_the_rates():
+    """A held command that never changes: a map of one second, and rates on its way."""
+    from helpers import free_scenario
+
+    scenario = free_scenario(50 * degree, time_limit=10.0)
+    start = EntryState(45 * km, 0.1, 0.05, 4500.0, -8 * degree, 80 * degree)
+    scenario = dataclasses.replace(scenario, initial_state=start)
+    held = dataclasses.replace(scenario, guidance=Sampled(scenario.guidance, 1.0))
+    solver = FixedStep(1.0)
+    rates = linearize(scenario, EnergyIndex(), 8, solver=solver)
+    cycles = linearize(held, EnergyIndex(), 9, solver=solver)
+    assert cycles.coordinates == rates.coordinates and len(rates.coordinates) == 4
+    np.testing.assert_array_equal(cycles.time, np.arange(9.0))
+    of_a_cycle = np.flatnonzero(np.diff(rates.time) == 1.0)
+    assert len(of_a_cycle) > 3
+    for place in of_a_cycle:
+        k = int(rates.time[place])
+        middle = 0.5 * (rates.matrices[place] + rates.matrices[place + 1])
+        way = rates.index[place] - rates.index[place + 1]
+        expected = linalg.expm(middle * way)
+        unit = np.array([1e3, 1e-2, 1e-2, 1e-2])
+        moved = (cycles.matrices[k] - expected) * unit / unit[:, None]
+        whole = (expected - np.eye(4)) * unit / unit[:, None]
+        assert np.linalg.norm(moved) < 3e-3 * np.linalg.norm(whole)
 
 
 @SLOW
@@ -442,16 +479,6 @@ def test_the_zero_pair_of_sx_2_is_real_before_the_peak_of_lift_over_drag(full_lo
     # The notes: 16 to 18.
     sizes = np.max(zeros[before].real, axis=1)
     assert np.min(sizes) < 16.0 and np.max(sizes) > 18.0
-
-
-@SLOW
-def test_held_for_a_tenth_of_a_second_sx_2_has_nearly_the_same_eigenvalues(full_loop):
-    sampled = linearize(find_mission("sx-2").scenario("measured"), EnergyIndex(), 12)
-    assert sampled.multipliers is not None
-    for point in (0, 5, 10):
-        rates = sampled.per_span[point]
-        slow = rates[np.isfinite(rates) & (np.abs(rates) < 60.0)]
-        assert_same_set(slow, full_loop.per_span[point], rtol=0.1)
 
 
 @SLOW
