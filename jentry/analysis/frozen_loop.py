@@ -165,6 +165,10 @@ def linearize(
     is merely ahead. Motion, attitude and continuous memory of the law are linearized, with
     limits as they are met; integers are not differentiated. All derivatives are exact.
 
+    Where the law says what it tracks, and that tells the motion, deviations of the motion
+    are counted in the errors that the law feeds back: e1, e1', ... In these the eigenvalues
+    that it was designed for appear, which altitude and path angle would hide.
+
     A continuous law gives the matrix of the rates. A law with a guidance cycle gives the
     map of one cycle as it is flown, with its decision, attitude and the steps of the
     solver: deviations at equal index before it, to those after it, along the flow.
@@ -180,7 +184,7 @@ def linearize(
     derivative is not finite.
 
         loop = linearize(scenario, EnergyIndex())
-        loop.eigenvalues * loop.span, loop.least_damping
+        loop.per_span, loop.least_damping
     """
     if points < 1:
         raise ValueError(f"points is {points}: it must be 1 or more")

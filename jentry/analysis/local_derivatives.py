@@ -156,7 +156,7 @@ class LoopDerivatives(eqx.Module):
     """Likewise for the errors"""
 
 
-@eqx.filter_jit(compiler_options=_QUICKLY)
+@eqx.filter_jit(compiler_options=_QUICKLY)  # pyright: ignore[reportCallIssue]
 def loop_derivatives(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> LoopDerivatives:
@@ -241,7 +241,7 @@ class PlantDerivatives(eqx.Module):
     """Of these errors, over angle of attack and bank"""
 
 
-@eqx.filter_jit(compiler_options=_QUICKLY)
+@eqx.filter_jit(compiler_options=_QUICKLY)  # pyright: ignore[reportCallIssue]
 def plant_derivatives(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> PlantDerivatives:
