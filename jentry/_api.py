@@ -3,10 +3,12 @@
 from ._setup import setup as setup
 from ._warnings import ResultWarning as ResultWarning
 from .analysis import (
+    FrozenLoop as FrozenLoop,
     LinearCovariance as LinearCovariance,
     Sensitivity as Sensitivity,
     clairvoyant_floor as clairvoyant_floor,
     linear_covariance as linear_covariance,
+    linearize as linearize,
     sensitivity as sensitivity,
 )
 from .campaign import (
@@ -80,6 +82,7 @@ from .guidance import (
     HeadingCorridor as HeadingCorridor,
     Sampled as Sampled,
     ShorteningCycle as ShorteningCycle,
+    Tracked as Tracked,
     TrimAngleOfAttack as TrimAngleOfAttack,
     VelocityReversals as VelocityReversals,
     compose as compose,
@@ -92,13 +95,19 @@ from .missions import (
 from .motion import (
     AbstractAttitude as AbstractAttitude,
     AbstractDynamics as AbstractDynamics,
+    AbstractIndex as AbstractIndex,
+    AltitudeIndex as AltitudeIndex,
     Controls as Controls,
+    DownrangeIndex as DownrangeIndex,
+    EnergyIndex as EnergyIndex,
     EntryDynamics as EntryDynamics,
     EntryState as EntryState,
     EquatorialDynamics as EquatorialDynamics,
     IdealAttitude as IdealAttitude,
     Response as Response,
     SecondOrderAttitude as SecondOrderAttitude,
+    TimeIndex as TimeIndex,
+    VelocityIndex as VelocityIndex,
     energy as energy,
     ground_track as ground_track,
     load_factor as load_factor,

@@ -1,8 +1,10 @@
-"""Floor 8: what a flight is sensitive to, how far it spreads, what no law can beat."""
+"""Floor 8: sensitivities, spreads, closed loops linearized, what no law can beat."""
 
 from .clairvoyant import clairvoyant_floor as clairvoyant_floor
 from .covariance import (
     LinearCovariance as LinearCovariance,
     linear_covariance as linear_covariance,
 )
+from .frozen_loop import FrozenLoop as FrozenLoop, linearize as linearize
 from .sensitivities import Sensitivity as Sensitivity, sensitivity as sensitivity
+from .zeros import transmission_zeros as transmission_zeros

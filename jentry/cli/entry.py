@@ -8,6 +8,7 @@ import warnings
 from .._warnings import ResultWarning
 from . import (
     fly as fly,
+    linearize as linearize,
     list_missions as list_missions,
     monte_carlo as monte_carlo,
     sensitivity as sensitivity,

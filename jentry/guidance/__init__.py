@@ -72,6 +72,7 @@ from .law import (
     AbstractSampledLaw as AbstractSampledLaw,
     AngleOfAttackCommand as AngleOfAttackCommand,
     Sampled as Sampled,
+    Tracked as Tracked,
 )
 from .lift_tradeoff import (
     AbstractTradeoff as AbstractTradeoff,

@@ -17,6 +17,7 @@ from .law import (
     AbstractLaw,
     AbstractSampledLaw,
     AngleOfAttackCommand,
+    Tracked,
     begun,
     commanded,
     decided,
@@ -105,6 +106,11 @@ class ContinuousComposition(AbstractContinuousLaw[Parts]):
     ) -> tuple[Controls, Parts]:
         return _commanded(self, time, measurement, memory, Parts(None, None))
 
+    def tracked(
+        self, time: Scalar, measurement: Measurement, held: None
+    ) -> Tracked | None:
+        return _tracked(self, time, measurement, Parts(None, None))
+
 
 class SampledComposition(AbstractSampledLaw[Parts, Parts]):
     """Two laws as one, of which at least one is sampled; see `compose`."""
@@ -145,6 +151,11 @@ class SampledComposition(AbstractSampledLaw[Parts, Parts]):
     ) -> tuple[Controls, Parts]:
         return _commanded(self, time, measurement, memory, held)
 
+    def tracked(
+        self, time: Scalar, measurement: Measurement, held: Parts
+    ) -> Tracked | None:
+        return _tracked(self, time, measurement, held)
+
 
 Composition = ContinuousComposition | SampledComposition
 
@@ -154,6 +165,21 @@ def _at(measurement: Measurement, wish: AngleOfAttackCommand) -> Measurement:
     return eqx.tree_at(
         lambda m: m.trim_angle_of_attack, measurement, wish.angle_of_attack
     )
+
+
+def _tracked(
+    law: Composition, time: Scalar, measurement: Measurement, held: Parts
+) -> Tracked | None:
+    """What both laws track; an angle-of-attack law moves no bank, and vice versa."""
+    both = (
+        law.angle_of_attack.tracked(time, measurement, held.angle_of_attack),
+        law.bank.tracked(time, measurement, held.bank),
+    )
+    found = [each for each in both if each is not None]
+    if not found:
+        return None
+    errors = (error for each in found for error in each.errors)
+    return Tracked(tuple(errors), tuple(name for each in found for name in each.by))
 
 
 def _begun(law: Composition, measurement: Measurement) -> tuple[Parts, Parts]:

@@ -18,7 +18,7 @@ from ..world.aerodynamics import ConstantAerodynamics, PolynomialAerodynamics
 from ..world.atmosphere import ExponentialAtmosphere
 from ..world.gravity import InverseSquareGravity
 from .lateral import AbstractLateralLogic, FixedSide
-from .law import AbstractBankLaw
+from .law import AbstractBankLaw, Tracked
 from .open_loop import vertical_lift_command
 from .switching import AbstractSwitching, Sharp
 
@@ -200,6 +200,12 @@ class StateFeedbackDragTracking(AbstractBankLaw[None]):
     def init(self, measurement: Measurement) -> None:
         return None
 
+    def tracked(self, time: Scalar, measurement: Measurement, held: None) -> Tracked:
+        tracking = track(
+            self.gains, self.reference, self.model, time, measurement, None, Sharp()
+        )
+        return Tracked(((tracking.x1, tracking.x2),), ("bank_angle",))
+
     def to_the_right(
         self, time: Scalar, measurement: Measurement, memory: None
     ) -> tuple[Controls, None]:
@@ -233,6 +239,10 @@ class ObserverDragTracking(AbstractBankLaw[ObserverState]):
         zero = 0.0 * measurement.drag
         tracking = self._track(zero, measurement, None)
         return ObserverState(tracking.x1, zero)
+
+    def tracked(self, time: Scalar, measurement: Measurement, held: None) -> Tracked:
+        tracking = self._track(time, measurement, None)
+        return Tracked(((tracking.x1, tracking.x2),), ("bank_angle",))
 
     def to_the_right(
         self, time: Scalar, measurement: Measurement, memory: ObserverState

@@ -27,7 +27,7 @@ from ..onboard.model import OnboardModel
 from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile, QuinticTable
 from ..world.planet import Planet
-from .law import AbstractContinuousLaw
+from .law import AbstractContinuousLaw, Tracked
 from .lift_tradeoff import AbstractTradeoff, EqualTradeoff, LiftBounds
 
 
@@ -458,6 +458,17 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
     def init(self, measurement: Measurement) -> TrackErrors:
         nothing = 0.0 * measurement.drag
         return TrackErrors(nothing, nothing)
+
+    def tracked(self, time: Scalar, measurement: Measurement, held: None) -> Tracked:
+        model, state = self.model, measurement.state
+        factors = self.force_knowledge.factors(model, measurement)
+        seen = self.linearization.dynamics(model, state, factors)
+        read = self.reference.with_derivatives(model.energy(state))
+        r1, r1_1, r1_2, _, r2, r2_1, _ = (read[name][0] for name in _COLUMNS)
+        y1, y1_1, y1_2 = seen.downrange
+        y2, y2_1 = seen.crossrange
+        errors = (y1 - r1, y1_1 - r1_1, y1_2 - r1_2), (y2 - r2, y2_1 - r2_1)
+        return Tracked(errors, ("angle_of_attack", "bank_angle"))
 
     def __call__(
         self, time: Scalar, measurement: Measurement, memory: TrackErrors

@@ -40,6 +40,35 @@ class AbstractLaw(eqx.Module):
     """Path constraints whose limits the law keeps. A scenario that has such constraints,
     and none of them with a limit, is flown with a warning"""
 
+    def tracked(
+        self, time: Scalar, measurement: Measurement, held: Any
+    ) -> "Tracked | None":
+        """What the law makes follow a reference, and by which controls.
+
+        None for a law that has no such outputs, or does not say. `linearize` counts
+        deviations in these errors, and finds the transmission zeros of the vehicle from
+        these controls to them. `held` is what a sampled law holds, else None.
+        """
+        return None
+
+
+class Tracked(eqx.Module):
+    """What a law makes follow its reference."""
+
+    errors: tuple[tuple[Scalar, ...], ...]
+    """For each output its error and those derivatives of it along the flight that the law
+    feeds back, as it believes them; over any variable, such as time or energy"""
+    by: tuple[str, ...] = eqx.field(static=True)
+    """Controls that do it: "angle_of_attack", "bank_angle" or both"""
+
+    def __check_init__(self):
+        known = "angle_of_attack", "bank_angle"
+        if not set(self.by) <= set(known) or len(set(self.by)) < len(self.by):
+            raise ValueError(
+                f"errors are tracked by {self.by}: they must be controls from {known}, "
+                "each once"
+            )
+
 
 class AngleOfAttackCommand(eqx.Module):
     """What an angle-of-attack law commands; `compose` gives it a bank law beside it."""
@@ -191,6 +220,11 @@ class Sampled(AbstractSampledLaw[Memory, HeldCommand]):
     ) -> tuple[Command, Memory]:
         _, rate = self._acting(time, measurement, memory, held.side)
         return held.command, rate
+
+    def tracked(
+        self, time: Scalar, measurement: Measurement, held: HeldCommand
+    ) -> Tracked | None:
+        return self.law.tracked(time, measurement, None)
 
     def _acting(
         self, time: Scalar, measurement: Measurement, memory: Memory, side: Any

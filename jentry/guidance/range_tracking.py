@@ -29,7 +29,7 @@ from .drag_tracking import (
     track,
 )
 from .lateral import AbstractLateralLogic, Destination, turned
-from .law import AbstractSampledLaw
+from .law import AbstractSampledLaw, Tracked
 from .open_loop import vertical_lift_command
 from .switching import AbstractSwitching, Sharp
 
@@ -193,6 +193,12 @@ class RangeTracking(AbstractSampledLaw[ObserverState, HeldScale]):
         held = HeldScale(1.0 + zero, 1.0 + zero, self.lateral.init(measurement))
         tracking = self._track(zero, measurement, None, held)
         return ObserverState(tracking.x1, zero), held
+
+    def tracked(
+        self, time: Scalar, measurement: Measurement, held: HeldScale
+    ) -> Tracked:
+        tracking = self._track(time, measurement, None, held)
+        return Tracked(((tracking.x1, tracking.x2),), ("bank_angle",))
 
     def update(
         self,

@@ -1,6 +1,7 @@
 """What a reference is a function of: time, velocity, energy, altitude or downrange."""
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import equinox as eqx
 
@@ -24,6 +25,9 @@ class AbstractIndex(eqx.Module):
                 return state.velocity / sound
     """
 
+    unit: ClassVar[str] = "1"
+    """SI unit of the value"""
+
     @abstractmethod
     def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
         """The index at a time (s) and in a state; twice differentiable in both."""
@@ -32,12 +36,16 @@ class AbstractIndex(eqx.Module):
 class TimeIndex(AbstractIndex):
     """Time since the start, s: exact in the nominal case, poor under dispersions."""
 
+    unit = "s"
+
     def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
         return time
 
 
 class VelocityIndex(AbstractIndex):
     """Velocity, m/s. It rises at first, and its second derivative contains the bank."""
+
+    unit = "m/s"
 
     def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
         return state.velocity
@@ -46,12 +54,16 @@ class VelocityIndex(AbstractIndex):
 class EnergyIndex(AbstractIndex):
     """V^2/2 + potential, J/kg: it falls throughout, so that it needs no gate."""
 
+    unit = "J/kg"
+
     def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
         return energy(planet, state)
 
 
 class AltitudeIndex(AbstractIndex):
     """Altitude, m. It falls throughout in entries that do not skip."""
+
+    unit = "m"
 
     def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
         return state.altitude
@@ -62,6 +74,8 @@ class DownrangeIndex(AbstractIndex):
 
     The range to go to a target is the downrange of the target less this one.
     """
+
+    unit = "m"
 
     origin: EntryState
 

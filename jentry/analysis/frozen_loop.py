@@ -1,0 +1,315 @@
+"""The closed loop of any law, linearized along its flight: eigenvalues, and zeros.
+
+At a point of the flight the linear system is taken as if it stayed as it is there: frozen.
+That is a guide to what gains do and no proof. Where the system changes as fast as its
+errors die out, its eigenvalues depend on the coordinates that errors are counted in.
+"""
+
+import dataclasses
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Complex, Float
+
+from .._printed import quantity_in_words
+from .._setup import needs_float64
+from ..flight.scenario import Scenario, checked
+from ..flight.solver import AbstractSolver, FixedStep
+from ..guidance.law import AbstractSampledLaw, Tracked
+from ..motion.index import AbstractIndex, TimeIndex
+from .coordinates import in_errors, lift, without
+from .local_derivatives import (
+    FlownPoints,
+    LoopDerivatives,
+    fly_points,
+    loop_derivatives,
+    plant_derivatives,
+    what_is_tracked,
+)
+from .zeros import transmission_zeros
+
+
+_DEADBEAT = 1e-7
+"""Multiplier that is zero: rounding makes the square root of its own of a double zero"""
+
+
+class Worst(NamedTuple):
+    """A number of an eigenvalue, and the point of the flight where it is."""
+
+    value: float
+    eigenvalue: complex
+    """Per unit of the index"""
+    index: float
+    time: float
+    """s since the start"""
+
+
+@dataclasses.dataclass(frozen=True)
+class FrozenLoop:
+    """A closed loop that is linearized at points of its flight.
+
+    All rates are per unit of the index that has *passed*: with a negative real part
+    errors die out, whether the index rises or falls along the flight. Times `span` they
+    are per whole flight.
+    """
+
+    over: str
+    """Name of the index, such as energy"""
+    unit: str
+    """SI unit of the index"""
+    index: Float[np.ndarray, " points"]
+    """Values of the index at the points"""
+    time: Float[np.ndarray, " points"]
+    """s since the start"""
+    span: float
+    """How far the index goes from the start of the flight to its end"""
+    coordinates: tuple[str, ...]
+    """What deviates, at equal index, in SI units: time, motion, attitude, memory, held"""
+    eliminated: str
+    """The coordinate whose deviation follows from the others, since the index is equal"""
+    ignorable: tuple[str, ...]
+    """Coordinates that are left out since nothing depends on them. Their deviations stay
+    or follow the others: an eigenvalue of zero each"""
+    forgotten: tuple[str, ...]
+    """Coordinates that are left out since each decision replaces them: deadbeat"""
+    matrices: Float[np.ndarray, "points n n"]
+    """Rates of the deviations by deviations, per unit of the index; for a law with a
+    guidance cycle the deviations after one cycle by those before its decision"""
+    multipliers: Complex[np.ndarray, "points n"] | None
+    """Eigenvalues of the map of one cycle; None for a continuous law"""
+    eigenvalues: Complex[np.ndarray, "points n"]
+    """Per unit of the index. With a guidance cycle they are the logarithms of the
+    multipliers over the length of the cycle, and minus infinity for a deadbeat one. Each
+    column follows one of them from point to point"""
+    zeros: Complex[np.ndarray, "points zeros"] | None
+    """Transmission zeros of the vehicle from the controls that its law tracks with to the
+    outputs that it tracks, per unit of the index; NaN where there are fewer than elsewhere.
+    High gains drive eigenvalues into them. None: see `without_zeros`"""
+    without_zeros: str
+    """Why there are no zeros; empty where there are"""
+    ended_by: str
+    """Name of the end condition of the flight"""
+
+    @property
+    def per_span(self) -> Complex[np.ndarray, "points n"]:
+        """The eigenvalues per span of the index: a deadbeat one stays minus infinity."""
+        deadbeat = np.isinf(self.eigenvalues)
+        scaled = np.where(deadbeat, 0.0, self.eigenvalues) * self.span
+        return np.where(deadbeat, -np.inf, scaled)
+
+    @property
+    def damping(self) -> Float[np.ndarray, "points n"]:
+        """Damping ratios of the eigenvalues: from 1, aperiodic, to -1, divergent so."""
+        size = np.abs(self.eigenvalues)
+        finite = np.isfinite(size) & (size > 0.0)
+        ratio = -np.real(self.eigenvalues) / np.where(finite, size, 1.0)
+        return np.where(np.isinf(size), 1.0, np.where(size > 0.0, ratio, 0.0))
+
+    @property
+    def least_damping(self) -> Worst:
+        """The smallest damping ratio of all points."""
+        return self._worst(-self.damping, self.damping)
+
+    @property
+    def largest_real_part(self) -> Worst:
+        """The largest real part of all points: positive where errors grow."""
+        real = np.real(self.eigenvalues)
+        return self._worst(real, real)
+
+    def _worst(self, badness: np.ndarray, value: np.ndarray) -> Worst:
+        if not badness.size:
+            return Worst(np.nan, complex(np.nan), np.nan, np.nan)
+        point, place = np.unravel_index(np.argmax(badness), badness.shape)
+        return Worst(
+            float(value[point, place]),
+            complex(self.eigenvalues[point, place]),
+            float(self.index[point]),
+            float(self.time[point]),
+        )
+
+    def __str__(self) -> str:
+        def at(worst: Worst) -> str:
+            return f"at {quantity_in_words(worst.index, self.unit)}, {worst.time:.1f} s"
+
+        grows, swings = self.largest_real_part, self.least_damping
+        lines = [
+            f"FrozenLoop over {self.over}, span {quantity_in_words(self.span, self.unit)}",
+            f"  {self.over}  {quantity_in_words(self.index, self.unit)}",
+            f"  coordinates  {', '.join(self.coordinates)}",
+            f"  largest real part  {grows.value * self.span:.4g} per span, {at(grows)}",
+            f"  least damping  {swings.value:.4g}, {at(swings)}",
+        ]
+        for name, names in (
+            ("nothing depends on", self.ignorable),
+            ("replaced by each decision", self.forgotten),
+            ("no zeros", (self.without_zeros,) if self.without_zeros else ()),
+        ):
+            lines += [f"  {name}  {', '.join(names)}"] if names else []
+        return "\n".join(lines)
+
+
+@needs_float64
+def linearize(
+    scenario: Scenario,
+    index: AbstractIndex = TimeIndex(),
+    points: int = 20,
+    *,
+    solver: AbstractSolver = FixedStep(),
+) -> FrozenLoop:
+    """Fly a scenario and linearize its closed loop at points of the flight.
+
+    Deviations are counted at equal index, as a law sees them that reads its reference at
+    it: at equal energy a velocity error is an altitude error. That leaves out the one
+    coordinate in which the index is steepest, and the eigenvalue of zero of a flight that
+    is merely ahead. Motion, attitude and continuous memory of the law are linearized, with
+    limits as they are met; integers are not differentiated. All derivatives are exact.
+
+    Where the law says what it tracks, and that tells the motion, deviations of the motion
+    are counted in the errors that the law feeds back: e1, e1', ... In these the eigenvalues
+    that it was designed for appear, which altitude and path angle would hide.
+
+    A continuous law gives the matrix of the rates. A law with a guidance cycle gives the
+    map of one cycle as it is flown, with its decision, attitude and the steps of the
+    solver: deviations at equal index before it, to those after it, along the flow.
+
+    **Arguments:**
+
+    - `index`: what the errors are compared at; time if not given.
+    - `points`: how many, evenly spaced over the index from the start to the end; each at
+        the nearest step of the solver, or start of a guidance cycle.
+
+    **Raises:** `ValueError` for a flight without an end or without a whole cycle, for an
+    index that stands still or turns along it, for fewer steps than points, and where a
+    derivative is not finite.
+
+        loop = linearize(scenario, EnergyIndex())
+        loop.per_span, loop.least_damping
+    """
+    if points < 1:
+        raise ValueError(f"points is {points}: it must be 1 or more")
+    scenario = checked(scenario)
+    flown = fly_points(scenario, index, points, solver)
+    found = loop_derivatives(scenario, index, flown.plan, flown.lanes)
+    found = jax.tree.map(np.asarray, found)
+    _require_finite(found, flown)
+    out = _steepest(found)
+    others = np.arange(len(flown.coordinates)) != out
+    matrices = (found.derivative @ lift(found.gradient, out))[:, others]
+    names = np.array(flown.coordinates)[others]
+    sampled = isinstance(scenario.guidance, AbstractSampledLaw)
+    same = np.eye(len(names)) if sampled else np.zeros((len(names), len(names)))
+    kept, ignorable = without(matrices, same, np.arange(len(names)))
+    kept, forgotten = without(matrices, 0.0 * same, kept) if sampled else (kept, [])
+    matrices, coordinates = matrices[:, kept[:, None], kept], list(names[kept])
+    tracked = what_is_tracked(scenario, flown.lanes)
+    if tracked is not None:
+        matrices, coordinates = in_errors(
+            matrices, coordinates, kept, tracked, found, out, sampled
+        )
+    eigenvalues = _followed(np.linalg.eigvals(matrices).astype(complex))
+    multipliers = eigenvalues if sampled else None
+    if multipliers is not None:
+        deadbeat = np.abs(multipliers) < _DEADBEAT
+        rates = np.log(np.where(deadbeat, 1.0, multipliers)) / found.way[:, None]
+        eigenvalues = np.where(deadbeat, -np.inf, rates)
+    zeros, why_none = _zeros(scenario, index, flown, tracked, flown.coordinates[out])
+    return FrozenLoop(
+        over=type(index).__name__.removesuffix("Index").lower(),
+        unit=index.unit,
+        index=flown.index,
+        time=flown.time,
+        span=flown.span,
+        coordinates=tuple(map(str, coordinates)),
+        eliminated=flown.coordinates[out],
+        ignorable=tuple(map(str, names[ignorable])),
+        forgotten=tuple(map(str, names[forgotten])),
+        matrices=matrices,
+        multipliers=multipliers,
+        eigenvalues=eigenvalues,
+        zeros=zeros,
+        without_zeros=why_none,
+        ended_by=flown.ended_by,
+    )
+
+
+def _require_finite(found: LoopDerivatives, flown: FlownPoints) -> None:
+    known = [
+        np.isfinite(x).reshape(len(x), -1).all(axis=1)
+        for x in map(np.asarray, jax.tree.leaves(found))
+    ]
+    lost = np.flatnonzero(~np.all(known, axis=0))
+    if lost.size:
+        raise ValueError(
+            f"the derivative of the closed loop {flown.time[lost[0]]:g} s after the start "
+            "is not finite: the law may have none there, as a root has not at zero"
+        )
+
+
+def _steepest(found: LoopDerivatives) -> int:
+    """The coordinate that has most of the rate of the index, where it has least of it."""
+    shares = np.abs(found.shares)
+    least = np.min(shares / np.sum(shares, axis=1, keepdims=True), axis=0)
+    if not np.max(least) > 0.0:
+        raise ValueError(
+            "no coordinate moves the index all along the flight: its deviation at equal "
+            "index cannot be told; take another index, such as TimeIndex()"
+        )
+    return int(np.argmax(least))
+
+
+def _followed(eigenvalues: np.ndarray) -> np.ndarray:
+    """Each in the column of the one that is closest to it at the point before."""
+    found = [np.sort_complex(eigenvalues[0])]
+    for new in eigenvalues[1:]:
+        away = np.abs(found[-1][:, None] - new[None, :])
+        ordered = np.empty_like(new)
+        for _ in new:
+            before, here = np.unravel_index(np.argmin(away), away.shape)
+            ordered[before] = new[here]
+            away[before], away[:, here] = np.inf, np.inf
+        found.append(ordered)
+    return np.stack(found)
+
+
+def _zeros(
+    scenario: Scenario,
+    index: AbstractIndex,
+    flown: FlownPoints,
+    tracked: Tracked | None,
+    eliminated: str,
+) -> tuple[np.ndarray | None, str]:
+    """Transmission zeros at all points, or why there are none."""
+    law = type(scenario.guidance).__name__
+    if tracked is None:
+        return None, f"{law} does not say what it tracks"
+    count = len(tracked.errors)
+    if count != len(tracked.by):
+        return None, f"{law} tracks {count} outputs by {len(tracked.by)} controls"
+    plant = plant_derivatives(scenario, index, flown.plan, flown.lanes)
+    plant = jax.tree.map(np.asarray, plant)
+    by = [("angle_of_attack", "bank_angle").index(name) for name in tracked.by]
+    a, b, c, d = plant.a, plant.b[..., by], plant.c, plant.d[..., by]
+    states = list(vars(scenario.initial_state))
+    if eliminated in states:
+        out = states.index(eliminated)
+        equal = lift(plant.gradient, out)
+        a, b, c = np.delete(a @ equal, out, 1), np.delete(b, out, 1), c @ equal
+    seen = np.any(c != 0.0, axis=(0, 1))
+    for _ in seen:  # what the outputs depend on, and what that depends on
+        seen |= np.any(a[:, seen] != 0.0, axis=(0, 1))
+    a, b, c = a[:, seen][..., seen], b[:, seen], c[..., seen]
+    span = flown.span
+    found = [
+        transmission_zeros(span * a, span * b, c, d)
+        for a, b, c, d in zip(a, b, c, d, strict=True)
+    ]
+    known = [x for x in found if x is not None]
+    if not known:
+        return None, f"what {law} tracks is not moved by {' and '.join(tracked.by)}"
+    most = max(map(len, known))
+    padded = np.full((len(found), most), complex(np.nan, np.nan))
+    for row, x in zip(padded, found, strict=True):
+        if x is not None:
+            row[: len(x)] = np.sort_complex(x) / span
+    return padded, ""

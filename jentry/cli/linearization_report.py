@@ -1,0 +1,140 @@
+"""What `jentry linearize` prints and writes: a table, a figure and all numbers."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .._files import write_whole
+from .._printed import quantity_in_words
+from ..analysis.frozen_loop import FrozenLoop, Worst
+from ..fields import units_of
+from ..flight.flight import Flight
+from ..flight.scenario import Scenario
+from ..missions.mission import Mission
+from ..motion.index import (
+    AbstractIndex,
+    AltitudeIndex,
+    DownrangeIndex,
+    EnergyIndex,
+    TimeIndex,
+    VelocityIndex,
+)
+from ..plots import save_figures
+from ..plots.eigenvalues import draw_eigenvalues
+from ..units import at_edge
+from .tables import new_console, new_table, print_under
+
+
+def index_over(name: str, scenario: Scenario) -> AbstractIndex:
+    """The index of a name; the downrange from where the misses are counted from."""
+    origin = scenario.target.origin or scenario.initial_state
+    return {
+        "time": TimeIndex(),
+        "velocity": VelocityIndex(),
+        "energy": EnergyIndex(),
+        "altitude": AltitudeIndex(),
+        "downrange": DownrangeIndex(origin),
+    }[name]
+
+
+def print_loop(mission: Mission, loop: FrozenLoop) -> None:
+    """Each point of the flight with its eigenvalues and zeros, and the worst of all."""
+    console = new_console()
+    index, unit = at_edge(loop.index, loop.unit)
+    seconds = units_of(Flight)["time"]
+    over = loop.over if unit == "1" else f"{loop.over}, {unit}"
+    heads = [f"time, {seconds}", "largest real part", "least damping", "eigenvalues"]
+    heads += ["zeros"] if loop.zeros is not None else []
+    table = new_table(over, *heads)
+    for point, value in enumerate(index):
+        eigenvalues = loop.per_span[point]
+        cells = [f"{loop.time[point]:.1f}"]
+        cells += [_shown(np.max(np.real(eigenvalues), initial=-np.inf))]
+        cells += [f"{np.min(loop.damping[point], initial=1.0):z.3f}"]
+        cells += [_in_short(eigenvalues)]
+        if loop.zeros is not None:
+            cells += [_in_short(loop.zeros[point] * loop.span)]
+        table.add_row(f"{value:.6g}", *cells)
+    span = quantity_in_words(loop.span, loop.unit)
+    title = f"{mission.name}: closed loop at equal {loop.over}, rates per {span} passed"
+    print_under(console, title, table)
+    console.print(
+        "below zero errors die out; frozen: a guide where the loop changes slowly, no proof"
+    )
+    console.print(f"deviations: {', '.join(loop.coordinates)}")
+    for names, why in (
+        (loop.ignorable, "nothing depends on them"),
+        (loop.forgotten, "each decision replaces them, which is deadbeat"),
+    ):
+        if names:
+            console.print(f"left out, since {why}: {', '.join(names)}")
+    if np.isinf(loop.eigenvalues).any():
+        console.print(
+            "deadbeat: gone within one guidance cycle, a multiplier of zero, which has no "
+            "finite eigenvalue"
+        )
+    grows, swings = loop.largest_real_part, loop.least_damping
+    largest = _shown(grows.value * loop.span)
+    console.print(f"largest real part {largest}, {_place(loop, grows)}")
+    console.print(f"least damping {swings.value:z.3f}, {_place(loop, swings)}")
+    if loop.without_zeros:
+        console.print(f"no zeros: {loop.without_zeros}")
+
+
+def _place(loop: FrozenLoop, worst: Worst) -> str:
+    where = quantity_in_words(worst.index, loop.unit)
+    seconds = units_of(Flight)["time"]
+    return f"at {loop.over} {where}, {worst.time:.1f} {seconds} after the start"
+
+
+def _shown(number: float) -> str:
+    return "deadbeat" if np.isneginf(number) else f"{number:z.3g}"
+
+
+def _in_short(numbers: np.ndarray) -> str:
+    """Complex numbers from the left, conjugate pairs as one."""
+    said = []
+    for number in np.sort_complex(numbers[~np.isnan(numbers)]):
+        real = _shown(number.real)
+        if number.imag == 0.0 or np.isinf(number):
+            said.append(real)
+        elif number.imag > 0.0:
+            pair = np.any(np.isclose(numbers, np.conj(number), rtol=1e-9, atol=0.0))
+            said.append(f"{real}{'±' if pair else '+'}{number.imag:.3g}i")
+        elif not np.any(np.isclose(numbers, np.conj(number), rtol=1e-9, atol=0.0)):
+            said.append(f"{real}{number.imag:.3g}i")
+    return "  ".join(said) or "none"
+
+
+def write_loop(
+    path: Path, mission: Mission, variant: str, loop: FrozenLoop
+) -> tuple[Path, Path]:
+    """Write the figure, and beside it every number to its last digit as JSON."""
+    title = f"{mission.name} {variant}: closed loop at equal {loop.over}"
+    (figure,) = save_figures({path.stem: draw_eigenvalues(loop, title)}, path.parent)
+    numbers = figure.with_suffix(".json")
+    told = {"mission": mission.name, "variant": variant} | {
+        name: _plain(value) for name, value in vars(loop).items()
+    }
+    write_whole(numbers, (json.dumps(told, indent=1, allow_nan=False) + "\n").encode())
+    return figure, numbers
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it: a complex number is a pair, and null where it is not finite."""
+    if isinstance(value, np.ndarray):
+        if np.iscomplexobj(value):
+            pairs = np.stack([value.real, value.imag], axis=-1)
+            finite = np.isfinite(value)
+            return _complex(pairs.tolist(), finite.tolist())
+        return value.tolist()
+    return list(value) if isinstance(value, tuple) else value
+
+
+def _complex(pairs: list, finite: list) -> list:
+    return [
+        _complex(pair, known) if isinstance(known, list) else (pair if known else None)
+        for pair, known in zip(pairs, finite, strict=True)
+    ]

@@ -1,0 +1,69 @@
+"""`jentry linearize`: frozen eigenvalues of the closed loop along a flight."""
+
+import enum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import (
+    Config,
+    MissionName,
+    Set,
+    Step,
+    Variant,
+    app,
+    chosen_scenario,
+    first_given,
+    set_up,
+)
+
+
+class Over(enum.StrEnum):
+    """What errors are compared at."""
+
+    TIME = "time"
+    VELOCITY = "velocity"
+    ENERGY = "energy"
+    ALTITUDE = "altitude"
+    DOWNRANGE = "downrange"
+
+
+@app.command("linearize")
+def command(
+    mission: MissionName,
+    over: Annotated[
+        Over, typer.Option(help="What errors are compared at: it has to rise or fall.")
+    ] = Over.TIME,
+    points: Annotated[
+        int, typer.Option(help="Points of the flight, evenly spaced over it.")
+    ] = 20,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Figure to write, PNG; all numbers go beside it, as JSON of the same "
+            "name."
+        ),
+    ] = None,
+    variant: Variant = None,
+    set_: Set = None,
+    config: Config = None,
+    step: Step = None,
+) -> None:
+    """Eigenvalues of the closed loop along a flight, and zeros that no gain can move."""
+    if out is not None and out.suffix != ".png":
+        raise ValueError(f"out is {str(out)!r}: it must be the name of a PNG, loop.png")
+    set_up(workers=1)
+
+    from ..analysis.frozen_loop import linearize
+    from ..flight.solver import FixedStep
+    from .linearization_report import index_over, print_loop, write_loop
+
+    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    index = index_over(over, scenario)
+    loop = linearize(scenario, index, points, solver=FixedStep(step))
+    name = first_given(variant, overrides.variant, *chosen.variants)
+    print_loop(chosen, loop)
+    if out is not None:
+        for path in write_loop(out, chosen, name, loop):
+            typer.echo(f"written: {path}")
