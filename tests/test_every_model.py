@@ -152,9 +152,11 @@ def test_what_a_law_says_has_the_derivatives_of_differences(name, planned):
     # Each number by a share of its own; those of the tables together.
     share = iter(np.random.default_rng(3).uniform(-1.0, 1.0, 500))
     direction = jax.tree.map(lambda x: next(share) * x, (numbers, measurement))
-    value, pushed, numeric = pushed_and_near(law, measurement, direction, 1e-4)
+    # What replanning predicts, far ahead and over the energy, bends more.
+    step = 1e-5 if isinstance(law, ReplannedTracking) else 1e-4
+    value, pushed, numeric = pushed_and_near(law, measurement, direction, step)
     assert np.all(np.isfinite(value))
     assert np.count_nonzero(pushed) >= 2  # cosine and sine of the bank at least
-    # Richardson's fourth order of a share of 1e-4, and rounding over it.
+    # Richardson's fourth order of such a share, and rounding over it.
     close = 1e-10 * np.max(np.abs(value)) + 1e-6 * np.max(np.abs(pushed))
     np.testing.assert_allclose(pushed, numeric, rtol=1e-6, atol=close)

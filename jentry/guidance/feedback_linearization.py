@@ -63,7 +63,7 @@ class AbstractTrackingGains(eqx.Module):
     """
 
     @abstractmethod
-    def at(self, energy: Scalar) -> tuple[Vector, Vector]:
+    def at(self, energy: Scalar) -> tuple[Float[Array, " 4"], Float[Array, " 3"]]:
         """k11 to k14 and k21 to k23 at an energy (J/kg): shapes (4,) and (3,)."""
 
 
@@ -86,7 +86,7 @@ class TrackingGains(AbstractTrackingGains):
             if shape != (count,):
                 raise ValueError(f"{name} has shape {shape}: expected {count} gains")
 
-    def at(self, energy: Scalar) -> tuple[Vector, Vector]:
+    def at(self, energy: Scalar) -> tuple[Float[Array, " 4"], Float[Array, " 3"]]:
         return self.downrange, self.crossrange
 
     @classmethod
@@ -137,7 +137,7 @@ class ScheduledEigenvalues(AbstractTrackingGains):
                     f"the energies, of which the shape is {self.energy.shape}"
                 )
 
-    def at(self, energy: Scalar) -> tuple[Vector, Vector]:
+    def at(self, energy: Scalar) -> tuple[Float[Array, " 4"], Float[Array, " 3"]]:
         before = interval(self.energy, energy)
         low, high = self.energy[before], self.energy[before + 1]
         share = clamp((energy - low) / (high - low), 0.0, 1.0)

@@ -118,9 +118,8 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
     end leaves the coefficients as they are.
 
     Memory is the motion that is tracked, and the integrals of the errors from it. Both
-    begin again at each decision: a reference that goes on from where it was misses by
-    ninety times as much (1.0 in place of 0.011 n mile, 99 % of 500 flights of SX-2) where
-    a scale height off by 5 % changes the ratios along the flight.
+    begin again at each decision: where the ratios change along the flight, the plan is of
+    where the vehicle is, and a reference that went on from elsewhere would not end there.
 
     Source: re-planning, left to others by the paper.
     """

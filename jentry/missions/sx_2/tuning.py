@@ -1,0 +1,92 @@
+"""What the gain schedule of SX-2 is tuned for: small misses, away from the zero pair."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...analysis.frozen_loop import linearize
+from ...fields import Scalar, Vector, table
+from ...flight.flight import Flight
+from ...flight.miss import misses
+from ...flight.scenario import Scenario
+from ...guidance.feedback_linearization import (
+    GroundTrackTracking,
+    ScheduledEigenvalues,
+)
+from ...motion.index import EnergyIndex
+from ...tuning.losses import power_mean
+from ...units import nautical_mile
+
+
+class Ends(eqx.Module):
+    """Where a flight ends, and the eigenvalues that it has flown with."""
+
+    downrange: Scalar
+    """Miss, n mile"""
+    crossrange: Scalar
+    eigenvalues: Float[Array, "n 7"]
+    """Of (50) and (51), at the energies of the schedule"""
+
+
+def ends(scenario: Scenario, flight: Flight) -> Ends:
+    """Of one flight: the `outputs` of `tune`."""
+    law = scenario.guidance
+    assert isinstance(law, GroundTrackTracking)
+    assert isinstance(law.gains, ScheduledEigenvalues)
+    missed = misses(scenario, flight)
+    assert missed.crossrange is not None
+    both = jnp.concatenate([law.gains.downrange, law.gains.crossrange], axis=1)
+    return Ends(
+        missed.downrange / nautical_mile, missed.crossrange / nautical_mile, both
+    )
+
+
+class MissAndZeros(eqx.Module):
+    """Power mean of the radial miss (n mile), and a penalty on what is near the zero pair.
+
+    The angle of attack moves the drag, which the law does not count with: a pair of
+    transmission zeros. High gains drive eigenvalues of the loop into them, and one of the
+    pair is in the right half plane where they are real. The penalty is the mean square of
+    the logarithm by which an eigenvalue exceeds a share of the pair's magnitude.
+    """
+
+    magnitude: Vector = table(positive=True)
+    """Of the zero pair, at the energies of the schedule, in units of one over the span"""
+    share: float = eqx.field(default=1.0, static=True)
+    """Of the magnitude, from which on an eigenvalue is near"""
+    weight: float = eqx.field(default=0.1, static=True)
+    """n mile for eigenvalues that are e times as large, all of them"""
+
+    def __call__(self, flown: Ends) -> Scalar:
+        squares = flown.downrange**2 + flown.crossrange**2
+        off = squares > 0.0
+        miss = jnp.where(off, jnp.sqrt(jnp.where(off, squares, 1.0)), 0.0)
+        # Those of all flights are the same.
+        near = jnp.log(flown.eigenvalues / (self.share * self.magnitude[:, None]))
+        return power_mean(miss) + self.weight * jnp.mean(jax.nn.relu(near) ** 2)
+
+
+def zero_pair(scenario: Scenario, points: int = 24) -> Float[np.ndarray, " n"]:
+    """Magnitude of the zero pair along the reference, at the energies of the schedule.
+
+    In units of one over the energy span; by `linearize`, whose points are joined by
+    straight lines.
+
+    **Raises:** `ValueError` for a law without a schedule, or a flight without zeros.
+    """
+    law = scenario.guidance
+    if not isinstance(law, GroundTrackTracking) or not isinstance(
+        law.gains, ScheduledEigenvalues
+    ):
+        raise ValueError(
+            f"{type(law).__name__} has no schedule of eigenvalues: take the variant "
+            "scheduled"
+        )
+    loop = linearize(scenario, EnergyIndex(), points)
+    if loop.zeros is None:
+        raise ValueError(f"the vehicle has no zeros here: {loop.without_zeros}")
+    size = np.nanmin(np.where(loop.zeros == 0.0, np.nan, np.abs(loop.zeros)), axis=1)
+    rising = np.argsort(loop.index)
+    return np.interp(law.gains.energy, loop.index[rising], size[rising] * loop.span)
