@@ -17,6 +17,7 @@ from jentry.guidance import (
     GroundTrackTracking,
     MeasuredForces,
     ReferencePlaneAngles,
+    ScheduledEigenvalues,
     SmallAngleLinearization,
     TrackErrors,
     TrackingGains,
@@ -29,6 +30,7 @@ from jentry.missions.sx_2.scenario import (
     reference_controls,
     track_model,
 )
+from jentry.missions.sx_2.tuning import Ends, MissAndZeros, zero_pair
 from jentry.motion import EntryState
 from jentry.onboard import Factors, Measurement, PolynomialProfile, quintic_table
 from jentry.units import degree
@@ -152,6 +154,65 @@ def test_gains_are_the_polynomials_of_their_eigenvalues():
     np.testing.assert_allclose(gains.crossrange, [-32.4, 73.44, -43.2])
     with pytest.raises(ValueError, match="expected 4 gains"):
         TrackingGains.from_eigenvalues((1.0, 2.0), (30.0, 1.2, 1.2))
+
+
+ENERGIES = np.array([1.0, 3.0, 4.0]) * 1e6
+
+
+def schedule() -> ScheduledEigenvalues:
+    rng = np.random.default_rng(1)
+    return ScheduledEigenvalues(
+        ENERGIES, rng.uniform(0.1, 30.0, (3, 4)), rng.uniform(0.1, 30.0, (3, 3))
+    )
+
+
+@pytest.mark.parametrize("energy", [0.2e6, 1.0e6, 2.2e6, 3.0e6, 3.9e6, 5.0e6])
+def test_scheduled_gains_are_the_polynomials_of_the_eigenvalues_there(energy):
+    gains = schedule()
+    for found, given in zip(
+        gains.at(jnp.asarray(energy)), (gains.downrange, gains.crossrange), strict=True
+    ):
+        there = [np.interp(energy, ENERGIES, column) for column in np.asarray(given).T]
+        np.testing.assert_allclose(found, np.poly(there)[1:], rtol=1e-13)
+
+
+def test_a_schedule_that_stays_has_the_gains_of_its_eigenvalues():
+    down, cross = (18.0, 8.0, 8.0, 0.1), (30.0, 1.2, 1.2)
+    constant = ScheduledEigenvalues(ENERGIES, 3 * [down], 3 * [cross])
+    expected = TrackingGains.from_eigenvalues(down, cross).at(jnp.asarray(0.0))
+    for one, other in zip(constant.at(jnp.asarray(2.5e6)), expected, strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-14)
+
+
+def test_a_schedule_of_other_shapes_is_refused():
+    given = schedule()
+    with pytest.raises(ValueError, match=r"downrange has shape \(3, 3\): expected 4"):
+        ScheduledEigenvalues(ENERGIES, given.crossrange, given.crossrange)
+    with pytest.raises(ValueError, match=r"crossrange has shape \(3, 4\): expected 3"):
+        ScheduledEigenvalues(ENERGIES, given.downrange, given.downrange)
+    with pytest.raises(ValueError, match="of which the shape is"):
+        ScheduledEigenvalues(ENERGIES[:2], given.downrange, given.crossrange)
+
+
+def test_the_loss_of_the_schedule():
+    zeros = np.array([5.0, 10.0, 20.0])
+    gains = schedule()
+    both = np.concatenate([gains.downrange, gains.crossrange], axis=1)
+    misses = np.random.default_rng(2).normal(size=(2, 5))
+    ends = jax.vmap(Ends)
+    flown = ends(*jnp.asarray(misses), jnp.tile(both, (5, 1, 1)))
+    found = MissAndZeros(zeros, 0.8, 0.3)(flown)
+    near = np.maximum(np.log(both / (0.8 * zeros[:, None])), 0.0)
+    expected = np.mean(np.hypot(*misses) ** 4) ** 0.25 + 0.3 * np.mean(near**2)
+    assert float(found) == pytest.approx(expected, rel=1e-14)
+    # Well below the pair there is no penalty.
+    below = ends(*jnp.zeros((2, 5)), 0.1 * jnp.ones((5, 3, 7)))
+    assert MissAndZeros(zeros)(below) == 0.0
+
+
+def test_the_zero_pair_is_asked_of_a_schedule():
+    with pytest.raises(ValueError, match="ControlProfiles has no schedule of eigen"):
+        zero_pair(entry())
 
 
 def test_angles_of_a_turned_plane():

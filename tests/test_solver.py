@@ -1,9 +1,14 @@
 """One step of the fixed-step solver, and how many of them a cycle takes."""
 
+import dataclasses
+import math
+
+import cheap
 import jax.numpy as jnp
 import pytest
 
 from jentry.flight import FixedStep
+from jentry.flight.cycle import Plan
 from jentry.flight.solver import RungeKutta4
 
 
@@ -40,6 +45,17 @@ def test_the_steps_of_a_cycle_divide_it_and_are_no_longer_than_asked_for():
     cases = ((0.1, 1.0, 10), (0.3, 1.0, 4), (1.0, 1.0, 1), (2.0, 1.0, 1), (0.1, 0.3, 3))
     for step, duration, steps in cases:
         assert FixedStep(step).steps_in(duration) == steps
+
+
+def test_a_scenario_may_have_a_step_of_its_own():
+    """It is that of a solver that has none; the first step of the plan says which."""
+    own = dataclasses.replace(cheap.scenario(), step=0.25)
+    for solver, step in ((FixedStep(), 0.25), (FixedStep(0.5), 0.5)):
+        assert Plan.of(own, solver, None).step == pytest.approx(step, rel=1e-14)
+    assert Plan.of(cheap.scenario(), FixedStep(), None).step == pytest.approx(0.1)
+    for wrong in (0.0, -1.0, math.inf, math.nan):
+        with pytest.raises(ValueError, match="must be positive and finite"):
+            dataclasses.replace(cheap.scenario(), step=wrong)
 
 
 def test_a_step_that_is_given_stays():

@@ -53,6 +53,7 @@ from .feedback_linearization import (
     ModelledForces as ModelledForces,
     OutputDynamics as OutputDynamics,
     ReferencePlaneAngles as ReferencePlaneAngles,
+    ScheduledEigenvalues as ScheduledEigenvalues,
     SmallAngleLinearization as SmallAngleLinearization,
     TrackErrors as TrackErrors,
     TrackingGains as TrackingGains,
