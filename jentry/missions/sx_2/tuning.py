@@ -64,7 +64,8 @@ class MissAndZeros(eqx.Module):
         off = squares > 0.0
         miss = jnp.where(off, jnp.sqrt(jnp.where(off, squares, 1.0)), 0.0)
         # Those of all flights are the same.
-        near = jnp.log(flown.eigenvalues / (self.share * self.magnitude[:, None]))
+        limit = self.share * self.magnitude[None, :, None]
+        near = jnp.log(flown.eigenvalues / limit)
         return power_mean(miss) + self.weight * jnp.mean(jax.nn.relu(near) ** 2)
 
 
