@@ -479,6 +479,9 @@ def test_the_zero_pair_of_sx_2_is_real_before_the_peak_of_lift_over_drag(full_lo
     # The notes: 16 to 18.
     sizes = np.max(zeros[before].real, axis=1)
     assert np.min(sizes) < 16.0 and np.max(sizes) > 18.0
+    # As the README has it.
+    assert np.argmax(sizes) == len(sizes) - 1
+    assert sizes[-1] == pytest.approx(50.0, abs=1.0)
 
 
 @SLOW

@@ -7,9 +7,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from first_sets import populations
 
-from jentry import find_mission, fly, fly_over, ground_track, misses, monte_carlo
+from jentry import (
+    Scenario,
+    find_mission,
+    fly,
+    fly_over,
+    ground_track,
+    misses,
+    monte_carlo,
+)
 from jentry.campaign.campaign import drawn_inputs
+from jentry.cli.overrides import apply_values, in_si, read_overrides
 from jentry.flight import FixedStep, Outcome
 from jentry.missions.sx_2.dispersions import INITIAL_ERRORS, off_by
 from jentry.missions.sx_2.mission import cases, figure_case
@@ -84,18 +94,46 @@ def test_away_from_the_end_of_an_index_there_is_no_flight():
         fly_over(MISSION.scenario("measured"), EnergyIndex(), law.energy, 10)
 
 
+def end_errors(scenario, table, seed):
+    """Downrange and crossrange of 2000 runs, n mile."""
+    drawn = MISSION.dispersion_table(table)
+    found = monte_carlo(scenario, drawn, jax.random.key(seed), 2000)
+    assert np.all(np.asarray(found.flights.outcome) == Outcome.REACHED)
+    missed = found.misses
+    return np.stack([missed.downrange, missed.crossrange]) / nautical_mile
+
+
+def test_errors_one_at_a_time_end_within_the_bound_of_the_paper():
+    """Of three sets of 2000 runs, every one, in both directions."""
+    scenario = MISSION.scenario("full")
+    for seed in range(3):
+        assert np.max(np.abs(end_errors(scenario, "one-at-a-time", seed))) < 1.0
+
+
+def tuned() -> Scenario:
+    path = populations.SAVED.with_name("tuned-sx-2.toml")
+    given = read_overrides(path)
+    start = MISSION.scenario(given.variant)
+    return apply_values(start, in_si(given, start).values)
+
+
+def test_tuned_gains_on_draws_that_they_have_not_seen():
+    """Three sets of 2000 runs, none of which is that of the tuning, and the cases."""
+    scenario = tuned()
+    for seed in (1, 2, 3):
+        miss = np.hypot(*end_errors(scenario, "initial-errors", seed))
+        median, ninety, ninety_nine = np.percentile(miss, [50, 90, 99])
+        assert ninety_nine < 1.0
+    found = np.max(np.abs(fly_cases(scenario))[:, :12], axis=1)
+    before = np.max(np.abs(fly_cases(MISSION.scenario("full")))[:, :12], axis=1)
+    assert np.all(found < before)
+
+
 def test_combined_initial_errors():
     """Of three sets of 2000 runs, each: the percentiles of the radial miss."""
     scenario = MISSION.scenario("full")
     for seed in range(3):
-        found = monte_carlo(
-            scenario,
-            MISSION.dispersion_table("initial-errors"),
-            jax.random.key(seed),
-            2000,
-        )
-        assert np.all(np.asarray(found.flights.outcome) == Outcome.REACHED)
-        miss = np.hypot(found.misses.downrange, found.misses.crossrange) / nautical_mile
+        miss = np.hypot(*end_errors(scenario, "initial-errors", seed))
         median, ninety, ninety_nine = np.percentile(miss, [50, 90, 99])
         assert 0.3 < median < 0.5
         assert 1.0 < ninety < 1.4
