@@ -38,6 +38,8 @@ class Tuning(NamedTuple):
     unit: str
     lengths: Callable[[Any], tuple]
     """Of the misses"""
+    forward: bool | None = None
+    """Mode of the gradient, if not by the number of parameters"""
 
 
 def drag_tracking() -> Tuning:
@@ -65,6 +67,7 @@ def sx_2() -> Tuning:
         power_mean,
         "n mile",
         lambda m: (m.downrange / nautical_mile, m.crossrange / nautical_mile),
+        forward=True,  # in reverse mode this law compiles for a quarter of an hour
     )
 
 
@@ -112,7 +115,7 @@ def main() -> None:
     from jentry.tuning import Budget, Draws, tune
     from jentry.tuning.batch_gradients import Problem, Simulation
     from jentry.tuning.draws import held_out
-    from jentry.tuning.gradients import fly_at
+    from jentry.tuning.gradients import AutomaticDifferentiation, fly_at
     from jentry.tuning.losses import OfDistance
     from jentry.tuning.parameters import Parameters
 
@@ -152,6 +155,7 @@ def main() -> None:
                 loss,
                 optimizer,
                 Draws(dispersions, key, options.runs, held_out=2),
+                gradient=AutomaticDifferentiation(tuning.forward),
                 budget=Budget(steps, patience),
             )
             points, best = [], None
