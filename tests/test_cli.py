@@ -139,6 +139,7 @@ ARRIVE = {
     | {"bounds", "smooth", "no-smooth", "fresh-draws", "no-fresh-draws", "patience"}
     | {"held-out", "seed", "workers", "dispersions", "fast", "no-fast"}
     | {"scale", "differences", "smooth-reversals", "no-smooth-reversals"},
+    "linearize": RUN | {"over", "points", "out"},
     "train": {"out", "seed", "flights", "again", "iterations", "workers"},
     "sensitivity": RUN
     | {"wrt", "scale", "runs", "seed", "workers", "dispersions", "differences"}

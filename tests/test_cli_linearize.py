@@ -41,7 +41,7 @@ def loop() -> FrozenLoop:
     )
 
 
-def test_every_option_of_linearize_arrives(command, monkeypatch):
+def test_every_option_of_linearize_arrives(command, monkeypatch, tmp_path):
     seen = intercepted(monkeypatch, "jentry.analysis.frozen_loop", "linearize")
     changed = ("--set", "vehicle.mass=900", "--variant", "steep", "--step", 2)
     with pytest.raises(Arrived):
@@ -50,10 +50,13 @@ def test_every_option_of_linearize_arrives(command, monkeypatch):
     assert isinstance(index, AltitudeIndex) and points == 7
     assert seen["solver"] == FixedStep(2.0)
     assert float(scenario.vehicle.mass) == 900.0
+    config = tmp_path / "changes.toml"
+    config.write_text('[set]\n"vehicle.mass" = 800.0\n')
     with pytest.raises(Arrived):
-        command("linearize", "cheap", "--over", "downrange")
+        command("linearize", "cheap", "--over", "downrange", "--config", config)
     scenario, index, points = seen["given"]
     assert isinstance(index, DownrangeIndex) and points == 20
+    assert float(scenario.vehicle.mass) == 800.0
     assert index.origin is scenario.initial_state
 
 

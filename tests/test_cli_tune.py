@@ -106,7 +106,7 @@ def test_tune_resumes_and_refuses_another_run(command):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--loss", "least"), "loss is 'least': choose from mean-square, cvar"),
+        (("--loss", "least"), "loss is 'least': choose from mean-square, power"),
         (("--optimizer", "newton"), "optimizer is 'newton': choose from lbfgs"),
         (("--gains", "guidance.bank"), "no leaf 'guidance.bank'"),
         (("--of", "range=1km"), "no miss 'range'; nearest"),

@@ -207,6 +207,7 @@ def test_a_planned_profile_moves_with_what_it_is_planned_for():
 
 def test_only_a_bank_profile_is_a_reference():
     states = jax.tree.map(lambda x: jnp.stack([x, x]), mars_entry())
-    flight = ReferenceFlight(stored(), 0.1, jnp.array([0.0, 0.1]), states)
+    times = jnp.array([0.0, 0.1])
+    flight = ReferenceFlight(stored(), 0.1, times, states, mars_entry())
     with pytest.raises(ValueError, match="flies BezierGuidance, not a BankProfile"):
         plan_drag_reference(flight, EnergyIndex())
