@@ -16,7 +16,7 @@ from ...guidance.feedback_linearization import (
     ScheduledEigenvalues,
 )
 from ...motion.index import EnergyIndex
-from ...tuning.losses import power_mean
+from ...tuning.losses import OfDistance, Values, power_mean
 from ...units import nautical_mile
 
 
@@ -43,6 +43,10 @@ def ends(scenario: Scenario, flight: Flight) -> Ends:
     )
 
 
+def _lengths(flown: Ends) -> tuple[Values, Values]:
+    return flown.downrange, flown.crossrange
+
+
 class MissAndZeros(eqx.Module):
     """Power mean of the radial miss (n mile), and a penalty on what is near the zero pair.
 
@@ -60,13 +64,11 @@ class MissAndZeros(eqx.Module):
     """n mile for eigenvalues that are e times as large, all of them"""
 
     def __call__(self, flown: Ends) -> Scalar:
-        squares = flown.downrange**2 + flown.crossrange**2
-        off = squares > 0.0
-        miss = jnp.where(off, jnp.sqrt(jnp.where(off, squares, 1.0)), 0.0)
+        miss = OfDistance(power_mean, _lengths)(flown)
         # Those of all flights are the same.
         limit = self.share * self.magnitude[None, :, None]
         near = jnp.log(flown.eigenvalues / limit)
-        return power_mean(miss) + self.weight * jnp.mean(jax.nn.relu(near) ** 2)
+        return miss + self.weight * jnp.mean(jax.nn.relu(near) ** 2)
 
 
 def zero_pair(scenario: Scenario, points: int = 24) -> Float[np.ndarray, " n"]:
