@@ -38,8 +38,8 @@ class Tuning(NamedTuple):
     unit: str
     lengths: Callable[[Any], tuple]
     """Of the misses"""
-    forward: bool | None = None
-    """Mode of the gradient, if not by the number of parameters"""
+    step: float | None = None
+    """Of integration (s), if not that of the mission"""
 
 
 def drag_tracking() -> Tuning:
@@ -67,7 +67,7 @@ def sx_2() -> Tuning:
         power_mean,
         "n mile",
         lambda m: (m.downrange / nautical_mile, m.crossrange / nautical_mile),
-        forward=True,  # in reverse mode this law compiles for a quarter of an hour
+        step=2.0,
     )
 
 
@@ -115,7 +115,7 @@ def main() -> None:
     from jentry.tuning import Budget, Draws, tune
     from jentry.tuning.batch_gradients import Problem, Simulation
     from jentry.tuning.draws import held_out
-    from jentry.tuning.gradients import AutomaticDifferentiation, fly_at
+    from jentry.tuning.gradients import fly_at
     from jentry.tuning.losses import OfDistance
     from jentry.tuning.parameters import Parameters
 
@@ -126,7 +126,8 @@ def main() -> None:
     where = tuning.where
     loss = OfDistance(tuning.statistic, tuning.lengths)
     addresses = addresses_of(scenario, where)
-    simulation = Simulation(misses, jentry.FixedStep())
+    solver = jentry.FixedStep(tuning.step)
+    simulation = Simulation(misses, solver)
     parameters = Parameters.of(scenario, where)
     problem = Problem(parameters, simulation)
     count = parameters.count
@@ -155,7 +156,7 @@ def main() -> None:
                 loss,
                 optimizer,
                 Draws(dispersions, key, options.runs, held_out=2),
-                gradient=AutomaticDifferentiation(tuning.forward),
+                solver=solver,
                 budget=Budget(steps, patience),
             )
             points, best = [], None

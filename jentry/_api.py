@@ -173,6 +173,7 @@ from .world import (
     DensityWave as DensityWave,
     ExponentialAerodynamics as ExponentialAerodynamics,
     ExponentialAtmosphere as ExponentialAtmosphere,
+    GroundWave as GroundWave,
     InverseSquareGravity as InverseSquareGravity,
     PerturbedAtmosphere as PerturbedAtmosphere,
     Planet as Planet,

@@ -1,5 +1,7 @@
 """Small numerical functions that more than one floor needs."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 
@@ -38,13 +40,8 @@ def horner(coefficients, x):
     return total
 
 
-@jax.custom_jvp
-def sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
-    """Sine and cosine together, to 2e-15 for angles within a few thousand radians.
-
-    A tenth of the cost of `jnp.sin` and `jnp.cos` in double precision on a CPU, where
-    they are most of a right-hand side; the derivative costs two products.
-    """
+@functools.partial(jax.jit, inline=True)  # traced once, where it is called often
+def _sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
     quadrant = jnp.round(angle * (2.0 / jnp.pi))
     x = (angle - quadrant * _HALF_PI_HIGH) - quadrant * _HALF_PI_LOW
     x2 = x * x
@@ -59,11 +56,28 @@ def sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
     )
 
 
+@jax.custom_jvp
+def sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
+    """Sine and cosine together, to 2e-15 for angles within a few thousand radians.
+
+    A tenth of the cost of `jnp.sin` and `jnp.cos` in double precision on a CPU, where
+    they are most of a right-hand side; the derivative costs two products.
+    """
+    return _sincos(angle)
+
+
 @sincos.defjvp
 def _sincos_jvp(primals, tangents):
     sine, cosine = sincos(*primals)
     (rate,) = tangents
     return (sine, cosine), (cosine * rate, -sine * rate)
+
+
+def smoothstep(x: Scalar) -> Scalar:
+    """From 0, for x of 0 and less, to 1, for x of 1 and more; twice continuously
+    differentiable."""
+    x = jnp.clip(x, 0.0, 1.0)
+    return x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
 
 
 def safe_sqrt(x: Scalar) -> Scalar:

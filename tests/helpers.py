@@ -6,6 +6,7 @@ scenario of the same structure.
 """
 
 import csv
+import functools
 from pathlib import Path
 
 import equinox as eqx
@@ -32,19 +33,25 @@ from jentry.guidance import (
     Aim,
     AngleOfAttackProfile,
     AttitudeBand,
+    AttitudeLag,
     BankProfile,
     ControlProfiles,
     CrossrangeCorridor,
+    DynamicalModulation,
     ErrorGains,
     FixedCycle,
+    Gate,
     GroundTrackModel,
     GroundTrackTracking,
+    ModulationGains,
     ObserverDragTracking,
     ObserverGains,
     RangeTracking,
     ReplannedTracking,
     Sampled,
     ScaleLimits,
+    ShuttleBank,
+    ShuttleModulation,
     StateFeedbackDragTracking,
     TrackingGains,
     TrimAngleOfAttack,
@@ -52,8 +59,14 @@ from jentry.guidance import (
 )
 from jentry.missions.cav_h.scenario import stored
 from jentry.motion import Controls, EntryDynamics, EntryState, EquatorialDynamics
-from jentry.motion.index import EnergyIndex
-from jentry.onboard import OnboardModel, PolynomialProfile, quintic_table
+from jentry.motion.index import EnergyIndex, VelocityIndex
+from jentry.onboard import (
+    OnboardModel,
+    PolynomialProfile,
+    Reference,
+    VelocityDomain,
+    quintic_table,
+)
 from jentry.units import degree, km
 from jentry.world import (
     ConstantAerodynamics,
@@ -62,6 +75,7 @@ from jentry.world import (
     DensityWave,
     ExponentialAerodynamics,
     ExponentialAtmosphere,
+    GroundWave,
     InverseSquareGravity,
     PerturbedAtmosphere,
     Planet,
@@ -72,6 +86,7 @@ from jentry.world import (
     TabulatedWind,
     USStandardAtmosphere1976,
     Vehicle,
+    smoothed,
 )
 
 
@@ -287,6 +302,51 @@ def control_profiles(reference) -> ControlProfiles:
     return ControlProfiles(EnergyIndex(), mars_planet(), angle, bank)
 
 
+def glide_quantities() -> Reference:
+    """Over the velocity: a drag near that of the planned flight, and a glide around it."""
+    constant = {
+        "altitude": [45e3],
+        "flight_path_angle": [-4.0 * degree],
+        "bank": [60.0 * degree],
+        "drag": [20.0, 2e-3],
+        "lift": [6.0, 5e-4],
+        "angle_of_attack": [20.0 * degree],
+        "altitude_rate": [-100.0, -0.05],
+        "lift_to_drag_up": [0.15],
+    }
+    return Reference(
+        VelocityIndex(), {name: PolynomialProfile(c) for name, c in constant.items()}
+    )
+
+
+def gliding_gate() -> Gate:
+    """Open from the start of the flights of the tests."""
+    return Gate(drag=0.1, velocity=9000.0)
+
+
+def shuttle_bank() -> Sampled:
+    law = ShuttleBank(glide_quantities(), gate=gliding_gate())
+    return Sampled(law, 1.0)
+
+
+def shuttle_law(reference):
+    model = OnboardModel(mars_planet(), gliding_vehicle())
+    law = ShuttleModulation(glide_quantities(), model, gate=gliding_gate())
+    return compose(Sampled(law, 1.0), shuttle_bank())
+
+
+def modulation_law(reference):
+    law = DynamicalModulation(
+        reference=glide_quantities(),
+        domain=VelocityDomain(OnboardModel(mars_planet(), gliding_vehicle()), 11e3),
+        gains=ModulationGains(30.0, observer_pole=100.0),
+        lag=AttitudeLag(2.0, 0.9),
+        gate=gliding_gate(),
+        cycle=FixedCycle(1.0),
+    )
+    return compose(law, shuttle_bank())
+
+
 all_laws = {
     "bank profile": lambda reference: bank_profile(),
     "state feedback": state_feedback,
@@ -296,6 +356,8 @@ all_laws = {
     "ground track": ground_track_law,
     "replanning": replanning_law,
     "control profiles": control_profiles,
+    "Shuttle composition": shuttle_law,
+    "modulation composition": modulation_law,
     "sampled bank profile": lambda reference: Sampled(bank_profile(), 1.0),
     "sampled observer": lambda reference: Sampled(observer_law(reference), 1.0),
     "composition": lambda reference: compose(
@@ -356,7 +418,9 @@ all_atmospheres = {
         trend=1.2,
         share_low=0.03,
         share_high=0.08,
+        ground_waves=(GroundWave(0.02, 800e3, 6371e3, 1.0),),
     ),
+    "smoothed": functools.cache(lambda: smoothed(ExponentialAtmosphere(1.225, 7200.0))),
 }
 
 

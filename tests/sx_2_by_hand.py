@@ -112,3 +112,26 @@ def differences(function, x, direction, step=2e-5):
         return (function(x + h * direction) - function(x - h * direction)) / (2.0 * h)
 
     return (4.0 * central(0.5 * step) - central(step)) / 3.0
+
+
+def reference_drag(x):
+    r, v = x[0], x[3]
+    return drag(r, v, reference_angle(share(r, v)))
+
+
+def reference_flow(x):
+    """Under the reference controls."""
+    r, v = x[0], x[3]
+    e = share(r, v)
+    size, bank = lift(r, v, reference_angle(e)), reference_bank(e)
+    return flow(x, size * np.cos(bank), size * np.sin(bank), reference_drag(x))
+
+
+def track_slope(output):
+    """y1' (output 1) or y2' (output 2), which lift does not move."""
+    return lambda x: flow(x, 0.0, 0.0, reference_drag(x))[output]
+
+
+def downrange_curvature(x):
+    """y1'' under the reference controls."""
+    return along(track_slope(1), x, reference_flow(x))

@@ -11,9 +11,7 @@ from helpers import all_atmospheres, over, tabulated_atmosphere
 
 from jentry.units import foot, slug
 from jentry.world import (
-    DensityWave,
     ExponentialAtmosphere,
-    PerturbedAtmosphere,
     TabulatedAtmosphere,
     USStandardAtmosphere1976,
     us_standard_atmosphere as standard,
@@ -437,28 +435,3 @@ def test_csv_errors_name_file_line_and_expectation(tmp_path, text, message):
     with pytest.raises(ValueError, match=message) as caught:
         TabulatedAtmosphere.from_csv(path)
     assert str(path) in str(caught.value)
-
-
-# --- a density that departs from its model ------------------------------------------
-
-
-def test_departures_of_the_density_add_up():
-    air = all_atmospheres["perturbed"]()
-    for altitude, share in ((20e3, 0.03), (55e3, 0.055), (90e3, 0.08)):
-        expected = 1.0 + 1.2 * share
-        expected += 0.05 * np.sin(2 * np.pi * altitude / 25e3 + 0.3)
-        expected += 0.02 * np.sin(2 * np.pi * altitude / 8e3)
-        altitude = jnp.asarray(altitude)
-        ratio = air.density(altitude) / air.undisturbed.density(altitude)
-        assert float(ratio) == pytest.approx(expected, rel=1e-13)
-        for name in ("temperature", "speed_of_sound"):
-            theirs = getattr(air.undisturbed, name)(altitude)
-            assert float(getattr(air, name)(altitude)) == float(theirs)
-
-
-def test_without_departures_it_is_the_model_itself():
-    air = PerturbedAtmosphere(
-        ExponentialAtmosphere(1.225, 7200.0), (DensityWave(0, 8e3),)
-    )
-    altitude = jnp.asarray(33e3)
-    assert float(air.density(altitude)) == float(air.undisturbed.density(altitude))

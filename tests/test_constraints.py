@@ -171,6 +171,10 @@ def test_a_limit_is_a_leaf_with_a_unit():
     [
         ({"constraints": {"heat rate": HeatRate()}}, "the name 'heat rate'"),
         ({"constraints": {"drag": eqx.nn.Identity()}}, "constraints.drag is Identity"),
+        (
+            {"constraints": {"drag_error": Drag()}},
+            "'drag_error': columns .* _error are misses; .* drag_deviation",
+        ),
         ({"located_peaks": ("heat",)}, "located_peaks has 'heat', .* dynamic_pressure"),
         ({"constraints": {"drag": Drag(np.nan)}}, "constraints.drag.limit is nan"),
     ],

@@ -62,9 +62,9 @@ def test_every_model_is_in_the_list_of_its_kind(abstract, makers):
 
 def test_every_law_is_in_the_list(reference):
     laws = [make(reference) for make in helpers.all_laws.values()]
-    # Those that choose the angle of attack alone fly as a part of a composition.
-    laws += [law.angle_of_attack for law in laws if hasattr(law, "angle_of_attack")]
-    laws = [law for law in laws if isinstance(law, AbstractLaw)]
+    # Those that choose the angle of attack or the bank alone are parts of others.
+    for law in laws:
+        laws += [part for part in vars(law).values() if isinstance(part, AbstractLaw)]
     assert {type(law).__name__ for law in laws} == of_the_package(AbstractLaw)
 
 

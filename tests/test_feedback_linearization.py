@@ -10,7 +10,8 @@ import pytest
 import sx_2_by_hand as hand
 from sx_2_by_hand import along, differences
 
-from jentry.flight import fly
+from jentry.analysis import FrozenLoop
+from jentry.flight import Flight, Scenario, fly
 from jentry.guidance import (
     AttitudeBand,
     FullLinearization,
@@ -30,8 +31,9 @@ from jentry.missions.sx_2.scenario import (
     reference_controls,
     track_model,
 )
-from jentry.missions.sx_2.tuning import Ends, MissAndZeros, zero_pair
-from jentry.motion import EntryState
+from jentry.missions.sx_2.tuning import Ends, MissAndZeros, ends, zero_pair
+from jentry.motion import ConstraintValues, EntryState
+from jentry.motion.index import EnergyIndex
 from jentry.onboard import Factors, Measurement, PolynomialProfile, quintic_table
 from jentry.units import degree
 
@@ -77,36 +79,21 @@ def under(found, above, left):
 def test_full_derivatives_are_those_of_the_flow(name):
     x = by_hand(name)
 
-    def modelled_drag(x):
-        r, v = x[0], x[3]
-        return hand.drag(r, v, hand.reference_angle(hand.share(r, v)))
-
-    def reference_flow(x):
-        r, v = x[0], x[3]
-        e = hand.share(r, v)
-        size, bank = hand.lift(r, v, hand.reference_angle(e)), hand.reference_bank(e)
-        return hand.flow(x, size * np.cos(bank), size * np.sin(bank), modelled_drag(x))
-
-    def slope(output):
-        return lambda x: hand.flow(x, 0.0, 0.0, modelled_drag(x))[output]
-
-    def curvature(x):
-        return along(slope(1), x, reference_flow(x))
-
+    slopes = [hand.track_slope(output) for output in (1, 2)]
     model = track_model()
     found = dynamics(FullLinearization(), model, as_state(x), NOMINAL)
     y1, y1_1, y1_2 = found.downrange
     y2, y2_1 = found.crossrange
     assert (y1, y2) == pytest.approx((x[1], x[2]), rel=1e-14)
-    slopes = slope(1)(x), slope(2)(x)
-    assert (y1_1, y2_1) == pytest.approx(slopes, rel=1e-11)
-    assert float(y1_2) == pytest.approx(curvature(x), rel=1e-10)
+    assert (y1_1, y2_1) == pytest.approx([slope(x) for slope in slopes], rel=1e-11)
+    assert float(y1_2) == pytest.approx(hand.downrange_curvature(x), rel=1e-10)
     for above, left in ((0.0, 0.0), (5.0, 0.0), (0.0, 5.0), (-3.0, 4.0)):
-        flow = hand.flow(x, above, left, modelled_drag(x))
+        flow = hand.flow(x, above, left, hand.reference_drag(x))
         third, second = under(found, above, left)
-        assert second == pytest.approx(along(slope(2), x, flow), rel=1e-9)
+        assert second == pytest.approx(along(slopes[1], x, flow), rel=1e-9)
         # Fourth-order differences over 2e-5 of the energy; the bank turns over 0.014 of it.
-        assert third == pytest.approx(differences(curvature, x, flow), rel=1e-7)
+        expected = differences(hand.downrange_curvature, x, flow)
+        assert third == pytest.approx(expected, rel=1e-7)
 
 
 @pytest.mark.parametrize("name", POINTS)
@@ -199,15 +186,68 @@ def test_the_loss_of_the_schedule():
     gains = schedule()
     both = np.concatenate([gains.downrange, gains.crossrange], axis=1)
     misses = np.random.default_rng(2).normal(size=(2, 5))
-    ends = jax.vmap(Ends)
-    flown = ends(*jnp.asarray(misses), jnp.tile(both, (5, 1, 1)))
+    every = jax.vmap(Ends)
+    flown = every(*jnp.asarray(misses), jnp.tile(both, (5, 1, 1)))
     found = MissAndZeros(zeros, 0.8, 0.3)(flown)
     near = np.maximum(np.log(both / (0.8 * zeros[:, None])), 0.0)
     expected = np.mean(np.hypot(*misses) ** 4) ** 0.25 + 0.3 * np.mean(near**2)
     assert float(found) == pytest.approx(expected, rel=1e-14)
     # Well below the pair there is no penalty.
-    below = ends(*jnp.zeros((2, 5)), 0.1 * jnp.ones((5, 3, 7)))
+    below = every(*jnp.zeros((2, 5)), 0.1 * jnp.ones((5, 3, 7)))
     assert MissAndZeros(zeros)(below) == 0.0
+
+
+def scheduled_entry() -> Scenario:
+    law = law_at(as_state(by_hand("late")), FullLinearization())
+    law = dataclasses.replace(law, gains=schedule())
+    return dataclasses.replace(entry(), guidance=law)
+
+
+def test_the_ends_of_a_flight_are_in_nautical_miles():
+    """Along the equator and across it, beside the eigenvalues that were flown with."""
+    scenario, given = scheduled_entry(), schedule()
+    nothing, code = jnp.zeros(()), jnp.asarray(0)
+    x = by_hand("late")
+    flight = Flight(
+        nothing, as_state(x), code, code, ConstraintValues({}), {}, {}, None
+    )
+    found = ends(scenario, flight)
+    wanted = hand.R0 * x[1:3] / 1852.0
+    # Arcs from the sines of a frame, whose east is that of a heading of 90 degrees.
+    assert (found.downrange, found.crossrange) == pytest.approx(wanted, rel=1e-9)
+    np.testing.assert_array_equal(found.eigenvalues[:, :4], given.downrange)
+    np.testing.assert_array_equal(found.eigenvalues[:, 4:], given.crossrange)
+
+
+def test_the_zero_pair_is_per_span_at_the_energies_of_the_schedule(monkeypatch):
+    """The smallest that is there at each point: a zero of zero is none of the pair."""
+    per_joule = 1e-7 * np.array(
+        [[-3.0, 3.0, 0.0], [4j, -4j, 9.0], [9.0, -7.0, np.nan], [11j, -11j, np.nan]]
+    )
+    sizes, energies = (
+        np.array([3.0, 4.0, 7.0, 11.0]),
+        1e6 * np.array([4.5, 3.5, 2, 0.5]),
+    )
+    loop = FrozenLoop(
+        *("energy", "J/kg", energies, np.arange(4.0), 2e7, ("altitude",), "velocity"),
+        *((), (), np.zeros((4, 1, 1)), None, np.zeros((4, 1), complex), per_joule),
+        *("", "energy"),
+    )
+    asked = []
+
+    def linearize(*given):
+        asked.append(given)
+        return loop
+
+    monkeypatch.setattr("jentry.missions.sx_2.tuning.linearize", linearize)
+    scenario = scheduled_entry()
+    found = zero_pair(scenario, 4)
+    assert asked == [(scenario, EnergyIndex(), 4)]
+    wanted = np.interp(ENERGIES, energies[::-1], 2.0 * sizes[::-1])
+    np.testing.assert_allclose(found, wanted, rtol=1e-14)
+    loop = dataclasses.replace(loop, zeros=None, without_zeros="nothing is tracked")
+    with pytest.raises(ValueError, match="has no zeros here: nothing is tracked"):
+        zero_pair(scenario)
 
 
 def test_the_zero_pair_is_asked_of_a_schedule():

@@ -93,6 +93,48 @@ def aim(law):
     return np.array([read[name][0] for name in ("downrange", "crossrange")])
 
 
+def test_the_plan_is_the_motion_by_hand(scenario, law):
+    """The table that the law tracks, between its nodes: at both ends, at the reversal of
+    the bank, and beyond the start."""
+    nodes = np.array([0, 1, 2, 78, 1500, 2640, 2650, 2660, 3997, 3998, 3999])
+    shares = 1.02 * (1.0 - (nodes + 0.3) / 4000.0)
+    start = np.array(
+        [hand.R0 + 200e3 * hand.FOOT, 0.0, 0.0, 17e3 * hand.FOOT, 0.0, 0.0]
+    )
+
+    def flown(last):
+        accurate = dict(method="DOP853", rtol=1e-12, atol=1e-13, max_step=0.003)
+        way = lambda _, x: hand.reference_flow(x)
+        return solve_ivp(way, (1.0, last), start, dense_output=True, **accurate)
+
+    back, on = flown(1.02), flown(0.0)
+    read = jax.vmap(law.law.reference.with_derivatives)(hand.LAST + shares * hand.SPAN)
+    for place, share in enumerate(shares):
+        x = (back if share > 1.0 else on).sol(share)
+        flow = hand.reference_flow(x)
+        wanted = {
+            "downrange": x[1],
+            "downrange_first": flow[1],
+            "downrange_second": hand.downrange_curvature(x),
+            "downrange_third": hand.differences(hand.downrange_curvature, x, flow),
+            "crossrange": x[2],
+            "crossrange_first": flow[2],
+            "crossrange_second": hand.along(hand.track_slope(2), x, flow),
+        }
+        found = {name: float(values[0][place]) for name, values in read.items()}
+        for name, value in wanted.items():
+            size = np.max(np.abs(read[name][0]))
+            assert found[name] == pytest.approx(value, abs=3e-8 * size), (name, share)
+    # Where the table ends is the target.
+    end, target = on.y[:, -1], scenario.target
+    found = target.altitude, target.downrange, target.crossrange, target.velocity
+    wanted = end[0] - hand.R0, hand.R0 * end[1], hand.R0 * end[2], end[3]
+    assert [float(x) for x in found] == pytest.approx(wanted, abs=1e-4)
+    found = target.flight_path_angle, target.heading
+    wanted = end[4], 0.5 * np.pi - end[5]
+    assert [float(x) for x in found] == pytest.approx(wanted, abs=1e-10)
+
+
 def on_the_way(share=0.6, altitude=52.0e3) -> EntryState:
     """At a share of the energy, close to the reference."""
     v = np.sqrt(2.0 * (hand.LAST + share * hand.SPAN + hand.MU / (hand.R0 + altitude)))
@@ -262,6 +304,7 @@ def test_the_band_stays_about_the_reference_of_the_law(law):
     assert np.all(np.abs(deviations) <= 5.0 * degree * (1.0 + 1e-9))
 
 
+@pytest.mark.slow
 def test_a_decision_has_the_derivatives_of_differences(law):
     """In the state and in the forces, through the prediction and its own derivatives."""
     free = dataclasses.replace(law, largest_step=9.0)

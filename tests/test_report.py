@@ -8,7 +8,9 @@ import pytest
 import xarray
 from helpers import fly_compiled
 
+from jentry.cli import report
 from jentry.cli.report import SETS, print_campaign, print_flight
+from jentry.cli.tables import new_console
 from jentry.flight import Outcome, misses
 from jentry.units import degree, km
 
@@ -193,3 +195,22 @@ def test_flight_and_units(capsys):
     assert set(table) == set(expected)
     for words, (value, size, unit) in expected.items():
         assert table[words] == [f"{float(value) / size:z.6f}", unit], words
+
+
+def test_a_limit_is_told_in_the_unit_of_the_tables(capsys):
+    values = {
+        "peak_load_factor": (
+            "run",
+            [2.4, 2.6, 2.7],
+            {"shown_units": "g", "limit": 2.5},
+        ),
+        "peak_heat_rate": ("run", [5e5, 7e5, 4e5], {"units": "W/m2", "limit": 6e5}),
+        "peak_drag": ("run", [1.0, 2.0, 3.0], {"units": "m/s2"}),
+    }
+    values["peak_load_factor"][2]["units"] = "1"
+    report._print_limits(new_console(), xarray.Dataset(values))
+    printed = capsys.readouterr().out.splitlines()
+    assert printed == [
+        "2 of 3 flights exceed the limit of the peak load factor, 2.5 g",
+        "1 of 3 flights exceed the limit of the peak heat rate, 60 W/cm2",
+    ]

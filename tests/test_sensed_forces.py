@@ -13,7 +13,13 @@ from jentry._dependence import Traced
 from jentry.campaign import Dispersion, Uniform, monte_carlo
 from jentry.fields import Scalar
 from jentry.flight import FixedStep, fly
-from jentry.flight.closed_loop import Moving, command, start
+from jentry.flight.closed_loop import (
+    Moving,
+    command,
+    first_measurement,
+    sense,
+    start,
+)
 from jentry.flight.scenario import check
 from jentry.guidance import (
     AbstractContinuousLaw,
@@ -153,6 +159,20 @@ def test_a_memory_begins_with_the_forces_that_are_flown():
     lane = start(scenario(Recording(0.2, per_memory=1e-3)), 1.0)
     _, drag = forces(lane.state, TRIM)
     assert float(lane.memory) == pytest.approx(drag, rel=1e-13)
+
+
+def test_guidance_may_be_told_another_angle_of_attack_than_is_flown():
+    """The forces stay those of the one that is flown."""
+    mistaken = dataclasses.replace(scenario(Recording(0.2)), angle_of_attack_error=0.03)
+    lane = start(mistaken, 1.0)
+    told = sense(mistaken, lane.flown, lane.moving, lane.held)
+    lift, drag = forces(lane.state, 0.2)
+    assert float(told.angle_of_attack) == pytest.approx(0.23, rel=1e-13)
+    assert float(told.drag) == pytest.approx(drag, rel=1e-13)
+    assert float(told.lift) == pytest.approx(lift, rel=1e-13)
+    assert float(first_measurement(mistaken).angle_of_attack) == pytest.approx(0.23)
+    flown, _ = command(mistaken, lane.flown, lane.moving, lane.held)
+    assert float(flown.angle_of_attack) == 0.2
 
 
 def test_trim_of_the_vehicle_moves_no_sensor_alone():

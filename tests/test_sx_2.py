@@ -72,7 +72,7 @@ def test_over_the_energy_the_closed_loop_flies_the_same():
     scenario = figure_case()
     last = scenario.termination.conditions["energy"].energy
     over = eqx.filter_jit(fly_over)(scenario, EnergyIndex(), last, 4000)
-    flight = eqx.filter_jit(fly)(scenario)
+    flight = eqx.filter_jit(fly)(scenario, FixedStep(0.25))
     origin = scenario.target.origin
     planet = scenario.planet
     ends = [ground_track(planet, origin, end.state) for end in (over, flight)]
@@ -118,17 +118,16 @@ def tuned() -> Scenario:
 
 
 def test_tuned_gains_on_draws_that_they_have_not_seen():
-    """Three sets of 2000 runs, none of which is that of the tuning, and the cases."""
+    """Five sets of 2000 runs, none of which is that of the tuning, and the cases."""
     scenario = tuned()
     found = [
         np.percentile(np.hypot(*end_errors(scenario, "initial-errors", seed)), 99)
-        for seed in (1, 2, 3)
+        for seed in range(1, 6)
     ]
-    # As the README has it.
-    assert [min(found), max(found)] == pytest.approx([0.98, 1.02], abs=0.005)
+    # As the README has it; below one nautical mile is what is asked for.
+    assert [min(found), max(found)] == pytest.approx([0.47, 0.51], abs=0.005)
     found = np.max(np.abs(fly_cases(scenario))[:, :12], axis=1)
-    before = np.max(np.abs(fly_cases(MISSION.scenario("full")))[:, :12], axis=1)
-    assert np.all(found < before)
+    assert found == pytest.approx([0.24, 0.23], abs=0.005)
 
 
 def test_combined_initial_errors():
@@ -143,7 +142,6 @@ def test_combined_initial_errors():
 
 
 RUNS = 2000
-STEP = FixedStep(0.5)
 
 
 def populated(scenario, table, seed):
@@ -167,7 +165,7 @@ def populated(scenario, table, seed):
 
 def miss_of(scenario, inputs):
     """Radial, in n mile; infinite where the flight does not reach the final energy."""
-    found = monte_carlo(scenario, inputs=inputs, solver=STEP)
+    found = monte_carlo(scenario, inputs=inputs)
     miss = np.hypot(found.misses.downrange, found.misses.crossrange) / nautical_mile
     return np.where(found.flights.outcome == Outcome.REACHED, miss, np.inf), found
 
@@ -186,7 +184,7 @@ def test_replanned_flights_all_arrive(table, sets):
         assert np.max(unpredicted) == 0.0
 
 
-LOST = {"small-angle": (68.5, 70.5)}
+LOST = {"small-angle": (68.5, 70.5), "measured": (32.5, 34.5)}
 """%, in each set, as the README rounds it"""
 
 

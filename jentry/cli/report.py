@@ -178,6 +178,8 @@ def _print_limits(console: Console, flown) -> None:
             continue
         beyond = int(np.sum(peaks.values > limit))
         number, unit = at_edge(limit, peaks.attrs["units"])
+        # The same number where it is shown by another name, such as g.
+        unit = peaks.attrs.get("shown_units", unit)
         words = f"the limit of the {in_words(str(name))}, {float(number):g} {unit}"
         console.print(f"{beyond} of {peaks.size} flights exceed {words}")
 

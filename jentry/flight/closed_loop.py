@@ -159,7 +159,7 @@ def _measured(
     angle_of_attack: Scalar,
     sampled_at: Scalar | None = None,
 ) -> Measurement:
-    return measure(
+    measurement = measure(
         scenario.planet,
         scenario.vehicle,
         state,
@@ -168,6 +168,11 @@ def _measured(
         sampled_at,
         scenario.constraints,
     )
+    error = scenario.angle_of_attack_error
+    if error is None:
+        return measurement
+    told = angle_of_attack + error
+    return eqx.tree_at(lambda m: m.angle_of_attack, measurement, told)
 
 
 def first_measurement(scenario: Scenario) -> Measurement:

@@ -71,6 +71,9 @@ class Scenario(eqx.Module):
     termination: Termination
     target: Target
     accelerometers: AbstractAccelerometers = PerfectAccelerometers()
+    angle_of_attack_error: Scalar | None = optional_scalar(unit="rad")
+    """What guidance is told of the angle of attack that is flown, less that angle; None
+    for the truth. The attitude does not feel it"""
     attitude: AbstractAttitude = IdealAttitude()
     dynamics: AbstractDynamics = EntryDynamics()
     constraints: Constraints = eqx.field(default_factory=usual_constraints)
@@ -138,6 +141,12 @@ def _check_constraints(scenario: Scenario) -> None:
             raise ValueError(
                 f"constraints has the name {name!r}: it must be a word that a column of "
                 "the results can have, such as heat_rate"
+            )
+        if name.endswith("_error"):
+            raise ValueError(
+                f"constraints has the name {name!r}: columns of the results that end with "
+                "_error are misses; take another, such as "
+                f"{name.removesuffix('_error')}_deviation"
             )
         if not isinstance(constraint, AbstractConstraint | AbstractIntegral):
             raise ValueError(

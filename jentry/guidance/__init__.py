@@ -4,6 +4,12 @@ from .angle_of_attack import (
     AngleOfAttackProfile as AngleOfAttackProfile,
     TrimAngleOfAttack as TrimAngleOfAttack,
 )
+from .angle_of_attack_modulation import (
+    AttitudeLag as AttitudeLag,
+    DynamicalModulation as DynamicalModulation,
+    ModulationGains as ModulationGains,
+    ObserverStates as ObserverStates,
+)
 from .bezier import (
     AbstractAnchoring as AbstractAnchoring,
     AbstractVelocityControl as AbstractVelocityControl,
@@ -53,10 +59,8 @@ from .feedback_linearization import (
     ModelledForces as ModelledForces,
     OutputDynamics as OutputDynamics,
     ReferencePlaneAngles as ReferencePlaneAngles,
-    ScheduledEigenvalues as ScheduledEigenvalues,
     SmallAngleLinearization as SmallAngleLinearization,
     TrackErrors as TrackErrors,
-    TrackingGains as TrackingGains,
 )
 from .lateral import (
     AbstractLateralLogic as AbstractLateralLogic,
@@ -95,9 +99,20 @@ from .replanning import (
     Replanned as Replanned,
     ReplannedTracking as ReplannedTracking,
 )
+from .shuttle import (
+    BankGains as BankGains,
+    Gate as Gate,
+    ShuttleBank as ShuttleBank,
+    ShuttleModulation as ShuttleModulation,
+)
 from .switching import (
     AbstractSwitching as AbstractSwitching,
     Sharp as Sharp,
     Smooth as Smooth,
     SmoothReversals as SmoothReversals,
+)
+from .tracking_gains import (
+    AbstractTrackingGains as AbstractTrackingGains,
+    ScheduledEigenvalues as ScheduledEigenvalues,
+    TrackingGains as TrackingGains,
 )

@@ -7,18 +7,14 @@ east to the left and its bank is positive to the left; here both are positive to
 """
 
 from abc import abstractmethod
-from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
-from .._interpolation import clamp, interval
 from .._math import sincos
-from ..fields import Scalar, Vector, scalar, table
+from ..fields import Scalar, scalar
 from ..motion.dynamics import rates_under
 from ..motion.quantities import energy, ground_track
 from ..motion.state import Controls, EntryState
@@ -29,6 +25,7 @@ from ..onboard.profiles import AbstractProfile, QuinticTable
 from ..world.planet import Planet
 from .law import AbstractContinuousLaw, Tracked
 from .lift_tradeoff import AbstractTradeoff, EqualTradeoff, LiftBounds
+from .tracking_gains import AbstractTrackingGains
 
 
 class AbstractTrackAngles(eqx.Module):
@@ -54,99 +51,6 @@ class ReferencePlaneAngles(AbstractTrackAngles):
     def angles(self, planet: Planet, state: EntryState) -> tuple[Scalar, Scalar]:
         downrange, crossrange = ground_track(planet, self.origin, state)
         return downrange / planet.radius, crossrange / planet.radius
-
-
-class AbstractTrackingGains(eqx.Module):
-    """Gains of equation (49), which may depend on the energy.
-
-    The energy counts in units of `GroundTrackModel.energy_span`.
-    """
-
-    @abstractmethod
-    def at(self, energy: Scalar) -> tuple[Float[Array, " 4"], Float[Array, " 3"]]:
-        """k11 to k14 and k21 to k23 at an energy (J/kg): shapes (4,) and (3,)."""
-
-
-class TrackingGains(AbstractTrackingGains):
-    """Gains of equation (49) that are constant.
-
-    The energy falls, so that errors die out with eigenvalues in the right half plane:
-    the signs alternate, beginning with a negative one.
-    """
-
-    downrange: Vector = table()
-    """k11 to k14, shape (4,): of the second derivative, the first, the error and its
-    integral"""
-    crossrange: Vector = table()
-    """k21 to k23, shape (3,): of the first derivative, the error and its integral"""
-
-    def __check_init__(self):
-        for name, count in (("downrange", 4), ("crossrange", 3)):
-            shape = getattr(self, name).shape
-            if shape != (count,):
-                raise ValueError(f"{name} has shape {shape}: expected {count} gains")
-
-    def at(self, energy: Scalar) -> tuple[Float[Array, " 4"], Float[Array, " 3"]]:
-        return self.downrange, self.crossrange
-
-    @classmethod
-    def from_eigenvalues(
-        cls, downrange: Sequence[Any], crossrange: Sequence[Any]
-    ) -> "TrackingGains":
-        """Gains by the real eigenvalues of (50), four, and (51), three, per energy span.
-
-        Differentiable in them. Positive eigenvalues are stable.
-
-        **Raises:** `ValueError` for another number of eigenvalues.
-        """
-        return cls(_polynomial(downrange), _polynomial(crossrange))
-
-
-def _polynomial(roots: Sequence[Any]) -> Vector:
-    """Coefficients of the polynomial with given roots, without the leading one."""
-    coefficients = [jnp.asarray(1.0)]
-    for root in roots:
-        shifted = [*coefficients, jnp.zeros(())]
-        below = [jnp.zeros(()), *coefficients]
-        coefficients = [a - root * b for a, b in zip(shifted, below, strict=True)]
-    return jnp.stack(coefficients[1:])
-
-
-class ScheduledEigenvalues(AbstractTrackingGains):
-    """Gains by the real eigenvalues of (50) and (51), which go with the energy.
-
-    They are straight lines between the energies at which they are given, and constant
-    beyond. In units of one over the energy span, as those of
-    `TrackingGains.from_eigenvalues`: those of a frozen energy are stable.
-    """
-
-    energy: Vector = table(unit="J/kg", increasing=True)
-    """Shape (n,)"""
-    downrange: Float[Array, "n 4"] = table(positive=True)
-    """Of (50) at these energies"""
-    crossrange: Float[Array, "n 3"] = table(positive=True)
-    """Of (51) at these energies"""
-
-    def __check_init__(self):
-        for name, count in (("downrange", 4), ("crossrange", 3)):
-            shape = getattr(self, name).shape
-            wanted = (*self.energy.shape, count)
-            if shape != wanted or len(shape) != 2:
-                raise ValueError(
-                    f"{name} has shape {shape}: expected {count} eigenvalues at each of "
-                    f"the energies, of which the shape is {self.energy.shape}"
-                )
-
-    def at(self, energy: Scalar) -> tuple[Float[Array, " 4"], Float[Array, " 3"]]:
-        before = interval(self.energy, energy)
-        low, high = self.energy[before], self.energy[before + 1]
-        share = clamp((energy - low) / (high - low), 0.0, 1.0)
-
-        def between(values):
-            return values[before] + share * (values[before + 1] - values[before])
-
-        down, cross = between(self.downrange), between(self.crossrange)
-        return _polynomial(list(down)), _polynomial(list(cross))
 
 
 class AttitudeBand(eqx.Module):
@@ -432,6 +336,20 @@ def along_reference(
     return dict(zip(_COLUMNS, values, strict=True))
 
 
+def _errors(
+    seen: OutputDynamics, wanted: dict[str, Scalar]
+) -> tuple[tuple[Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]:
+    """Of the outputs and of their derivatives, from those of the reference."""
+    y1, y1_1, y1_2 = seen.downrange
+    y2, y2_1 = seen.crossrange
+    downrange = (
+        y1 - wanted["downrange"],
+        y1_1 - wanted["downrange_first"],
+        y1_2 - wanted["downrange_second"],
+    )
+    return downrange, (y2 - wanted["crossrange"], y2_1 - wanted["crossrange_first"])
+
+
 class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
     """Feedback linearization of downrange and crossrange, equations (48) to (54).
 
@@ -463,11 +381,8 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
         model, state = self.model, measurement.state
         factors = self.force_knowledge.factors(model, measurement)
         seen = self.linearization.dynamics(model, state, factors)
-        read = self.reference.with_derivatives(model.energy(state))
-        r1, r1_1, r1_2, _, r2, r2_1, _ = (read[name][0] for name in _COLUMNS)
-        y1, y1_1, y1_2 = seen.downrange
-        y2, y2_1 = seen.crossrange
-        errors = (y1 - r1, y1_1 - r1_1, y1_2 - r1_2), (y2 - r2, y2_1 - r2_1)
+        wanted = self._wanted(model.energy(state))
+        errors = _errors(seen, wanted)
         return Tracked(errors, ("angle_of_attack", "bank_angle"))
 
     def __call__(
@@ -475,9 +390,12 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
     ) -> tuple[Controls, TrackErrors]:
         here = self.model.energy(measurement.state)
         factors = self.force_knowledge.factors(self.model, measurement)
-        read = self.reference.with_derivatives(here)
-        wanted = {name: read[name][0] for name in _COLUMNS}
+        wanted = self._wanted(here)
         return self.towards(wanted, self.model, factors, measurement, memory)
+
+    def _wanted(self, energy: Scalar) -> dict[str, Scalar]:
+        read = self.reference.with_derivatives(energy)
+        return {name: read[name][0] for name in _COLUMNS}
 
     def towards(
         self,
@@ -500,25 +418,22 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
         state = measurement.state
         here = model.energy(state)
         seen = self.linearization.dynamics(model, state, factors)
-        r1, r1_1, r1_2, r1_3, r2, r2_1, r2_2 = (wanted[name] for name in _COLUMNS)
-
-        y1, y1_1, y1_2 = seen.downrange
-        y2, y2_1 = seen.crossrange
         (k11, k12, k13, k14), (k21, k22, k23) = self.gains.at(here)
-        errors = TrackErrors(y1 - r1, y2 - r2)
+        (off1, off1_1, off1_2), (off2, off2_1) = _errors(seen, wanted)
         w1 = (  # (49), with the second derivative in its first term
-            r1_3
-            - k11 * (y1_2 - r1_2)
-            - k12 * (y1_1 - r1_1)
-            - k13 * errors.downrange
+            wanted["downrange_third"]
+            - k11 * off1_2
+            - k12 * off1_1
+            - k13 * off1
             - k14 * memory.downrange
         )
         w2 = (  # (49)
-            r2_2
-            - k21 * (y2_1 - r2_1)
-            - k22 * errors.crossrange
+            wanted["crossrange_second"]
+            - k21 * off2_1
+            - k22 * off2
             - k23 * memory.crossrange
         )
+        errors = TrackErrors(off1, off2)
         controls = self._flown(state, here, factors, *seen.lift_for(w1, w2))
         falls = -state.velocity * measurement.drag / model.energy_span
         return controls, jax.tree.map(lambda error: error * falls, errors)

@@ -15,11 +15,13 @@ from .own import (
     packaged_missions,
     where_from,
 )
+from .rlv import MISSION as RLV
 from .sx_2 import MISSION as SX_2
 
 
 ALL = {
-    mission.name: mission for mission in (DRAG_TRACKING, RANGE_TRACKING, CAV_H, SX_2)
+    mission.name: mission
+    for mission in (DRAG_TRACKING, RANGE_TRACKING, CAV_H, SX_2, RLV)
 }
 """Every mission of jentry by its name."""
 

@@ -47,3 +47,8 @@ from .reference import (
 )
 from .spline import CubicSpline as CubicSpline, cubic_spline as cubic_spline
 from .track import Track as Track, TrackPosition as TrackPosition
+from .velocity_domain import (
+    Deviations as Deviations,
+    GlidePoint as GlidePoint,
+    VelocityDomain as VelocityDomain,
+)

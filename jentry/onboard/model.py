@@ -80,6 +80,17 @@ class OnboardModel(eqx.Module):
         middle = 0.5 * (least + largest)
         return newton(by_jvp(excess), middle, _INVERSIONS, lower=least, upper=largest).x
 
+    def coefficients_with_slopes(
+        self, state: EntryState, angle_of_attack: Scalar
+    ) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
+        """Lift and drag coefficient, each with its slope over that angle, 1/rad."""
+        (lift, drag), (lift_slope, drag_slope) = jax.jvp(
+            lambda angle: self._coefficients(state, angle),
+            (angle_of_attack,),
+            (jnp.ones_like(angle_of_attack),),
+        )
+        return (lift, lift_slope), (drag, drag_slope)
+
     def _coefficients(
         self, state: EntryState, angle_of_attack: Scalar
     ) -> tuple[Scalar, Scalar]:

@@ -6,8 +6,9 @@ from .bezier_curve import (
     plan_parameters as plan_parameters,
     velocity_map as velocity_map,
 )
+from .glide import Glide as Glide, plan_glide as plan_glide
 from .ground_track import (
-    fly_reference_controls as fly_reference_controls,
+    GroundTrackPlan as GroundTrackPlan,
     plan_ground_track as plan_ground_track,
 )
 from .reference_flight import (

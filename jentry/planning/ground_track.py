@@ -1,92 +1,91 @@
 """Plan a ground track: fly reference controls over the energy, tabulate what they give."""
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
 
-from .._integrate import runge_kutta
+from .._integrate import runge_kutta, runge_kutta_step
 from .._setup import needs_float64
 from ..fields import Scalar
 from ..flight.scenario import Scenario
-from ..flight.termination import EnergyBelow, Termination
 from ..guidance.feedback_linearization import (
     AbstractLinearization,
     FullLinearization,
     GroundTrackModel,
     along_reference,
 )
-from ..guidance.open_loop import ControlProfiles
 from ..motion.dynamics import with_respect_to
-from ..motion.index import EnergyIndex
 from ..motion.quantities import energy
 from ..motion.state import Controls, EntryState
-from ..onboard.profiles import QuinticTable
-from .reference_flight import ReferenceFlight
+from ..onboard.profiles import QuinticTable, grid, quintic_table
+from ._differences import with_differences
 
 
-_BACKWARD_STEPS = 100
+_STEPS_BACK = 100
 
 
-@needs_float64
-def fly_reference_controls(
-    scenario: Scenario,
-    model: GroundTrackModel,
-    end_energy: Scalar | float,
-    first_energy: Scalar | float | None = None,
-    interval: float = 0.1,
-) -> ReferenceFlight:
-    """Fly the reference controls of a model open loop, through an initial state.
+class GroundTrackPlan(eqx.Module):
+    """A reference for `GroundTrackTracking`, and where it ends."""
 
-    The guidance and the end conditions of the scenario are not used.
-
-    **Arguments:**
-
-    - `scenario`: what flies, from its initial state.
-    - `end_energy`: where the flight ends, J/kg.
-    - `first_energy`: where it begins (J/kg), for a reference that reaches beyond the
-      initial state: the motion is followed back to there. None for the initial state.
-    - `interval`: at which the flight is kept, s.
-    """
-    planet = scenario.planet
-    law = ControlProfiles(EnergyIndex(), planet, model.angle_of_attack, model.bank)
-    start = scenario.initial_state
-    if first_energy is not None:
-
-        def flow(state: EntryState) -> EntryState:
-            here = energy(planet, state)
-            flown = Controls.from_bank(model.bank(here), model.angle_of_attack(here))
-            return scenario.dynamics.rates(planet, scenario.vehicle, state, flown)
-
-        back = with_respect_to(flow, lambda state: energy(planet, state))
-        here = energy(planet, start)
-        steps = _BACKWARD_STEPS
-        start = runge_kutta(
-            lambda _, state: back(state), here, first_energy, start, steps
-        )
-    ends = {
-        "energy": EnergyBelow(
-            energy=end_energy, radius=planet.radius, gravity=planet.gravity
-        )
-    }
-    flown = eqx.tree_at(
-        lambda s: (s.initial_state, s.guidance, s.termination),
-        scenario,
-        (start, law, Termination(ends, scenario.termination.time_limit)),
-    )
-    return ReferenceFlight.of(flown, interval)
+    table: QuinticTable
+    """What `along_reference` gives, over the energy (J/kg)"""
+    end: EntryState
 
 
 @needs_float64
 def plan_ground_track(
-    flight: ReferenceFlight,
+    scenario: Scenario,
     model: GroundTrackModel,
+    end_energy: Scalar | float,
+    first_energy: Scalar | float | None = None,
     linearization: AbstractLinearization = FullLinearization(),
     intervals: int = 4000,
-) -> QuinticTable:
-    """Outputs of a flown reference and their derivatives over the energy, for the law.
+) -> GroundTrackPlan:
+    """Fly the reference controls of a model open loop, and tabulate the outputs.
 
-    By the expressions of the law that will track it. See `fly_reference_controls`.
+    The motion is integrated over the energy, equations (10) to (15), one step for each
+    interval of the table. The outputs and their derivatives are those by the expressions
+    of the law that will track it. Guidance and end conditions of the scenario are not used.
+
+    **Arguments:**
+
+    - `scenario`: what flies, from its initial state.
+    - `end_energy`: where the table ends, J/kg.
+    - `first_energy`: where it begins (J/kg), for a reference that reaches beyond the
+      initial state: the motion is followed back to there. None for the initial state.
+    - `intervals`: of the table; even, and four or more.
     """
+    planet = scenario.planet
 
-    def columns(time: Scalar, state: EntryState) -> dict[str, Scalar]:
-        return along_reference(linearization, model, state)
+    def flow(state: EntryState) -> EntryState:
+        here = energy(planet, state)
+        flown = Controls.from_bank(model.bank(here), model.angle_of_attack(here))
+        return scenario.dynamics.rates(planet, scenario.vehicle, state, flown)
 
-    return flight.sample(columns, EnergyIndex(), intervals)
+    over_energy = with_respect_to(flow, lambda state: energy(planet, state))
+
+    def slope(_: Scalar, state: EntryState) -> EntryState:
+        return over_energy(state)
+
+    start = scenario.initial_state
+    here = energy(planet, start)
+    if first_energy is not None:
+        start = runge_kutta(slope, here, first_energy, start, _STEPS_BACK)
+        here = jnp.asarray(first_energy, float)
+    nodes = grid(here, jnp.asarray(end_energy, float), intervals)
+    spacing = nodes[1] - nodes[0]
+
+    def onwards(state: EntryState, _: None) -> tuple[EntryState, EntryState]:
+        after = runge_kutta_step(slope, here, state, spacing)
+        return after, after
+
+    end, passed = lax.scan(onwards, start, length=intervals)
+    states = jax.tree.map(lambda x, y: jnp.append(x, y), start, passed)
+    seen = lambda state: along_reference(linearization, model, state)
+    values = jax.vmap(seen)(states)
+    with_slopes = {
+        name: with_differences(jnp.asarray(column), spacing)
+        for name, column in values.items()
+    }
+    return GroundTrackPlan(quintic_table(nodes, with_slopes), end)

@@ -1,7 +1,6 @@
 """Plan a reference: solve a bank profile for its end point, tabulate what it flies."""
 
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -194,31 +193,6 @@ class ReferenceFlight(eqx.Module):
         exact = self._exact(quantities, index, nodes, first_value)
         return quintic_table(nodes, exact, power)
 
-    def sample(
-        self,
-        quantities: Quantities,
-        index: AbstractIndex,
-        intervals: int,
-    ) -> QuinticTable:
-        """Quantities over an index as a table whose nodes have exact values.
-
-        The derivatives at the nodes are differences of fourth order of the values, where
-        `tabulate` has exact ones: for quantities that are derivatives themselves, of
-        which two more are costly, and of which the value is read.
-
-        **Arguments:** as of `tabulate`; the intervals are even, and four or more.
-        """
-        start, end = self._ends(index, None)
-        nodes = grid(start, end, intervals)
-
-        def read(flow, index_at, point):
-            return dict(quantities(*point))
-
-        values = self._at_nodes(read, index, nodes, None)
-        spacing = nodes[1] - nodes[0]
-        exact = {name: _with_differences(x, spacing) for name, x in values.items()}
-        return quintic_table(nodes, exact)
-
     def interpolation_error(
         self,
         table: QuinticTable,
@@ -263,33 +237,6 @@ class ReferenceFlight(eqx.Module):
     ) -> dict[str, Nodes]:
         """Quantities with two derivatives over the index, where it has given values."""
 
-        def read(flow, index_at, point):
-            def all_of_them(point):
-                return index_at(point), dict(quantities(*point))
-
-            (_, values), (rate, firsts), (acceleration, seconds) = derivatives_along(
-                flow, all_of_them, point
-            )
-            found = {}
-            for name, value in values.items():
-                slope = firsts[name] / rate
-                bend = (seconds[name] - slope * acceleration) / (rate * rate)
-                found[name] = value, slope, bend
-            return found
-
-        return self._at_nodes(read, index, nodes, first_value)
-
-    def _at_nodes(
-        self,
-        read: Callable[..., dict[str, Any]],
-        index: AbstractIndex,
-        nodes: Float[Array, " nodes"],
-        first_value: Scalar | None,
-    ) -> dict[str, Any]:
-        """What is read of the points of the flight where the index has given values.
-
-        `read(flow, index_at, point)`: with the time derivative of a point and its index.
-        """
         planet = self.scenario.planet
         field = vector_field(self.scenario, None)
 
@@ -328,7 +275,21 @@ class ReferenceFlight(eqx.Module):
 
             start = point, jnp.zeros_like(wanted)
             found, _ = lax.fori_loop(0, 4, improve, start)
-            return read(flow, index_at, on_the_node(found, wanted))
+            return read(on_the_node(found, wanted))
+
+        def read(point):
+            def all_of_them(point):
+                return index_at(point), dict(quantities(*point))
+
+            (_, values), (rate, firsts), (acceleration, seconds) = derivatives_along(
+                flow, all_of_them, point
+            )
+            found = {}
+            for name, value in values.items():
+                slope = firsts[name] / rate
+                bend = (seconds[name] - slope * acceleration) / (rate * rate)
+                found[name] = value, slope, bend
+            return found
 
         def early(point, wanted):
             """Time since the point had the wanted index, s, to first order."""
@@ -342,26 +303,6 @@ class ReferenceFlight(eqx.Module):
             return jax.tree.map(lambda x, rate: x + late * rate, point, rates)
 
         return jax.vmap(node)(nodes)
-
-
-def _with_differences(values: Float[Array, " nodes"], spacing: Scalar) -> Nodes:
-    """Values on an even grid with their two derivatives by differences of fourth order."""
-    near, far = jnp.array([-1.0, 8.0]), jnp.array([-1.0, 16.0])
-    beyond = jnp.concatenate(
-        [_extrapolated(values[:5][::-1])[::-1], values, _extrapolated(values[-5:])]
-    )
-    left = jnp.stack([beyond[:-4], beyond[1:-3]])
-    right = jnp.stack([beyond[4:], beyond[3:-1]])
-    first = near @ (right - left) / (12.0 * spacing)
-    second = (far @ (right + left) - 30.0 * values) / (12.0 * spacing**2)
-    return values, first, second
-
-
-def _extrapolated(last: Float[Array, " 5"]) -> Float[Array, " 2"]:
-    """The next two values of the quartic through five values on an even grid."""
-    once = jnp.array([1.0, -5.0, 10.0, -10.0, 5.0])
-    following = once @ last
-    return jnp.stack([following, once @ jnp.append(last[1:], following)])
 
 
 @needs_float64

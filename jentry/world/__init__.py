@@ -19,9 +19,14 @@ from .gravity import (
 )
 from .perturbed_atmosphere import (
     DensityWave as DensityWave,
+    GroundWave as GroundWave,
     PerturbedAtmosphere as PerturbedAtmosphere,
 )
 from .planet import Planet as Planet
+from .smoothed_atmosphere import (
+    SmoothedAtmosphere as SmoothedAtmosphere,
+    smoothed as smoothed,
+)
 from .tabulated_atmosphere import TabulatedAtmosphere as TabulatedAtmosphere
 from .us_standard_atmosphere import USStandardAtmosphere1976 as USStandardAtmosphere1976
 from .vehicle import Vehicle as Vehicle

@@ -11,8 +11,14 @@ from ..fields import Scalar, scalar
 class AbstractAtmosphere(eqx.Module):
     """Air at rest with respect to the planet, a function of geometric altitude (m).
 
-    Every method is differentiable in altitude and in the model's own numbers.
+    An atmosphere that differs from place to place overrides `column`; what it says by
+    itself is then that of its origin. Every method is differentiable in altitude and in
+    the model's own numbers.
     """
+
+    def column(self, longitude: Scalar, latitude: Scalar) -> "AbstractAtmosphere":
+        """The air above a place (rad); itself, where it is the same everywhere."""
+        return self
 
     @abstractmethod
     def density(self, altitude: Scalar) -> Scalar:

@@ -1,9 +1,11 @@
-"""An atmosphere whose density departs from its model by a trend and waves over altitude."""
+"""An atmosphere whose density departs from its model: a trend, waves up and along."""
+
+import dataclasses
 
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._math import sincos
+from .._math import safe_sqrt, sincos
 from ..fields import Scalar, scalar
 from ..units import km
 from .atmosphere import AbstractAtmosphere
@@ -23,8 +25,37 @@ class DensityWave(eqx.Module):
         return self.amplitude * sincos(angle)[0]
 
 
+class GroundWave(eqx.Module):
+    """A sinusoidal departure over the distance from a place, in shares of the density."""
+
+    amplitude: Scalar = scalar()
+    wavelength: Scalar = scalar(unit="m", positive=True)
+    """Over the ground"""
+    radius: Scalar = scalar(unit="m", positive=True)
+    """Of the planet"""
+    phase: Scalar = scalar(0.0, unit="rad")
+    """Phase at the origin"""
+    longitude: Scalar = scalar(0.0, unit="rad")
+    """Of the origin, such as the entry point"""
+    latitude: Scalar = scalar(0.0, unit="rad")
+
+    def departure(self, longitude: Scalar, latitude: Scalar) -> Scalar:
+        """Share of the density above a place (rad)."""
+        # By half angles: a small distance from its own cosine would be lost in rounding.
+        across = sincos(0.5 * (latitude - self.latitude))[0]
+        along = sincos(0.5 * (longitude - self.longitude))[0]
+        _, here = sincos(latitude)
+        _, there = sincos(self.latitude)
+        square = across * across + here * there * along * along
+        distance = 2.0 * jnp.arcsin(jnp.minimum(safe_sqrt(square), 1.0))
+        waves = distance * self.radius * (1.0 / self.wavelength)
+        return self.amplitude * sincos(2.0 * jnp.pi * waves + self.phase)[0]
+
+
 class PerturbedAtmosphere(AbstractAtmosphere):
     """Another atmosphere, its density and pressure times 1 + trend + waves.
+
+    Waves go up with the altitude, and ground waves with the distance from a place.
 
     The temperature is its own.
 
@@ -41,14 +72,26 @@ class PerturbedAtmosphere(AbstractAtmosphere):
     high: Scalar = scalar(80.0 * km, unit="m")
     share_low: Scalar = scalar(0.0)
     share_high: Scalar = scalar(0.0)
+    ground_waves: tuple[GroundWave, ...] = ()
+    above: tuple[Scalar, Scalar] | None = None
+    """Longitude and latitude (rad) of the place that this is the air of; None for the
+    origins of the ground waves. Given by `column`"""
+
+    def column(self, longitude: Scalar, latitude: Scalar) -> "PerturbedAtmosphere":
+        if not self.ground_waves:
+            return self
+        return dataclasses.replace(self, above=(longitude, latitude))
 
     def factor(self, altitude: Scalar) -> Scalar:
-        """Density in units of the undisturbed one."""
+        """Density in units of the undisturbed one, at the place."""
         way = jnp.clip((altitude - self.low) / (self.high - self.low), 0.0, 1.0)
         share = self.share_low + way * (self.share_high - self.share_low)
         factor = 1.0 + self.trend * share
         for wave in self.waves:
             factor = factor + wave.departure(altitude)
+        for wave in self.ground_waves:
+            place = self.above or (wave.longitude, wave.latitude)
+            factor = factor + wave.departure(*place)
         return factor
 
     def density(self, altitude: Scalar) -> Scalar:

@@ -13,10 +13,8 @@ from ...fields import Scalar, Vector, table
 from ...flight.flight import Flight
 from ...flight.miss import misses
 from ...flight.scenario import Scenario
-from ...guidance.feedback_linearization import (
-    GroundTrackTracking,
-    ScheduledEigenvalues,
-)
+from ...guidance.feedback_linearization import GroundTrackTracking
+from ...guidance.tracking_gains import ScheduledEigenvalues
 from ...motion.index import EnergyIndex
 from ...tuning.losses import OfDistance, Values, power_mean
 from ...units import nautical_mile

@@ -1,0 +1,56 @@
+"""The vehicle of the RLV mission, and the angle of attack at which it flies."""
+
+import jax
+import jax.numpy as jnp
+
+from ..._math import smoothstep
+from ...fields import Scalar, scalar
+from ...onboard.profiles import AbstractProfile
+from ...units import degree
+from ...world.aerodynamics import PolynomialAerodynamics
+from ...world.vehicle import Vehicle
+
+
+_LIFT = 0.12457, -0.02437, 0.00309, -3.66023e-5
+_DRAG = 0.32083, -0.02850, 0.00155, -9.42499e-7
+"""Equations (43) and (44), over the angle of attack in degrees"""
+
+
+def vehicle() -> Vehicle:
+    """5 m2 by the paper; 3500 kg, which it does not print: 437 kg/m2 at 40 degrees."""
+    lift, drag = (
+        jnp.array([c / degree**power for power, c in enumerate(fit)])
+        for fit in (_LIFT, _DRAG)
+    )
+    return Vehicle(
+        mass=3500.0,
+        reference_area=5.0,
+        aerodynamics=PolynomialAerodynamics(lift, drag),
+        trim_angle_of_attack=40.0 * degree,
+    )
+
+
+class ScheduledAngleOfAttack(AbstractProfile):
+    """Equation (45), over the Mach number: 40 degrees, and less below Mach 12.
+
+    The paper's has a corner at Mach 12, and a step of 0.007 degrees: here the two parts
+    are blended between Mach 11.8 and 12.2, twice continuously differentiable. Below Mach 3,
+    where the paper has none, it keeps its value.
+    """
+
+    high: Scalar = scalar(40.0 * degree, unit="rad")
+    blend: Scalar = scalar(0.2, positive=True)
+    """Half of the width of the blend, Mach"""
+
+    def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        def first(mach):
+            return jax.jvp(self._angle, (mach,), (jnp.ones_like(mach),))
+
+        (angle, slope), (_, bend) = jax.jvp(first, (index,), (jnp.ones_like(index),))
+        return angle, slope, bend
+
+    def _angle(self, mach: Scalar) -> Scalar:
+        known = jnp.maximum(mach, 3.0)
+        falling = (-4.3333 + 7.3611 * known - 0.3056 * known * known) * degree
+        share = smoothstep((mach - 12.0) / (2.0 * self.blend) + 0.5)
+        return falling + share * (self.high - falling)

@@ -1,0 +1,53 @@
+"""What is uncertain in the RLV mission: Table 1, and the atmosphere of its third row."""
+
+import functools
+
+import numpy as np
+
+from ...campaign.dispersions import Constant, Dispersion, Normal, Uniform, add
+from ...units import degree
+
+
+def _wave(where, three_sigma: float) -> Dispersion:
+    return Dispersion(where, Normal(0.0, three_sigma / 3.0))
+
+
+def _phase(where) -> Dispersion:
+    return Dispersion(where, Uniform(0.0, 2.0 * np.pi))
+
+
+@functools.cache
+def atmosphere() -> dict[str, Dispersion]:
+    """A trend, and three waves of random phase; the paper prints none of it."""
+    air = lambda s: s.planet.atmosphere
+    # The share of the density is one of three standard deviations.
+    return {
+        "density trend": Dispersion(lambda s: air(s).trend, Normal(0.0, 1.0 / 3.0)),
+        "long wave": _wave(lambda s: air(s).waves[0].amplitude, 0.05),
+        "long wave phase": _phase(lambda s: air(s).waves[0].phase),
+        "short wave": _wave(lambda s: air(s).waves[1].amplitude, 0.02),
+        "short wave phase": _phase(lambda s: air(s).waves[1].phase),
+        "ground wave": _wave(lambda s: air(s).ground_waves[0].amplitude, 0.02),
+        "ground wave phase": _phase(lambda s: air(s).ground_waves[0].phase),
+    }
+
+
+@functools.cache
+def table_1() -> dict[str, Dispersion]:
+    """Table 1 without its last row: entry, coefficients and atmosphere."""
+    return {
+        "flight-path angle": Dispersion(
+            lambda s: s.initial_state.flight_path_angle,
+            Normal(0.0, 0.1 * degree / 3.0),
+            apply=add,
+        ),
+        "lift": Dispersion(lambda s: s.vehicle.lift_scale, Normal(1.0, 0.10 / 3.0)),
+        "drag": Dispersion(lambda s: s.vehicle.drag_scale, Normal(1.0, 0.15 / 3.0)),
+    } | atmosphere()
+
+
+@functools.cache
+def table_1_estimated_angle() -> dict[str, Dispersion]:
+    """All of Table 1, for the law that reads the angle of attack: the Shuttle's."""
+    error = Dispersion(lambda s: s.angle_of_attack_error, Constant(0.1 * degree))
+    return table_1() | {"estimated angle of attack": error}

@@ -1,0 +1,221 @@
+"""RLV: the glide, the attitude that lags, and the laws that modulate the angle of attack.
+
+Source: R. Zhang, H. Li, R. Zhang, "Angle-of-Attack Modulation in Trajectory Tracking for a
+Reusable Launch Vehicle". What the paper leaves open is stated where it is chosen.
+"""
+
+import functools
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ...flight.scenario import Scenario, Target
+from ...flight.termination import AltitudeBelow, Termination, VelocityBelow
+from ...guidance.angle_of_attack_modulation import (
+    AttitudeLag,
+    DynamicalModulation,
+    ModulationGains,
+)
+from ...guidance.composition import BankLimits, compose
+from ...guidance.cycle import FixedCycle
+from ...guidance.lateral import VelocityReversals
+from ...guidance.law import AbstractLaw, Sampled
+from ...guidance.shuttle import Gate, ShuttleBank, ShuttleModulation
+from ...motion.attitude import Response, SecondOrderAttitude
+from ...motion.constraints import usual_constraints
+from ...motion.state import EntryState
+from ...onboard.model import OnboardModel
+from ...onboard.reference import Reference
+from ...onboard.velocity_domain import VelocityDomain
+from ...planning.glide import plan_glide
+from ...units import degree, km, standard_gravity
+from ...world.gravity import InverseSquareGravity
+from ...world.perturbed_atmosphere import (
+    DensityWave,
+    GroundWave,
+    PerturbedAtmosphere,
+)
+from ...world.planet import Planet
+from ...world.smoothed_atmosphere import SmoothedAtmosphere, smoothed
+from ...world.us_standard_atmosphere import USStandardAtmosphere1976
+from .airframe import ScheduledAngleOfAttack, vehicle
+from .deviations import AngleOfAttackDeviation, DragDeviation
+
+
+END_VELOCITY = 1600.0
+"""m/s"""
+CYCLE = 0.1
+"""s"""
+STEP = 0.05
+"""s"""
+JUDGED_BELOW = 7000.0
+"""m/s: the error of the drag counts"""
+REVERSALS = 7000.0, 6000.0, 5000.0, 4000.0, 3000.0, 2000.0
+"""m/s"""
+LARGEST_BANK = 80.0 * degree
+
+_RADIUS = 6371.0 * km
+
+
+@functools.cache
+def air() -> SmoothedAtmosphere:
+    """The US Standard Atmosphere 1976, smoothed over 1.5 km."""
+    return eqx.filter_jit(smoothed)(USStandardAtmosphere1976())
+
+
+def earth() -> Planet:
+    """The Earth at rest, as it is known on board."""
+    return Planet(
+        radius=_RADIUS,
+        gravity=InverseSquareGravity(standard_gravity * _RADIUS**2),
+        atmosphere=air(),
+    )
+
+
+def actual_earth() -> Planet:
+    """The same with air that can depart from it; the nominal departures are zero.
+
+    Its trend is one of three standard deviations: 10 % at 30 km, 25 % at 80 km and not
+    more than 35 % above. Waves go up with 25 and 8 km, and along the track with 800 km.
+    """
+    known = earth()
+    return eqx.tree_at(
+        lambda p: p.atmosphere,
+        known,
+        PerturbedAtmosphere(
+            air(),
+            (DensityWave(0.0, 25.0 * km), DensityWave(0.0, 8.0 * km)),
+            low=30.0 * km,
+            high=30.0 * km + 50.0 * km * (0.35 - 0.10) / 0.15,
+            share_low=0.10,
+            share_high=0.35,
+            ground_waves=(GroundWave(0.0, 800.0 * km, _RADIUS),),
+        ),
+    )
+
+
+@functools.cache
+def plan() -> Reference:
+    """Constant heating, then a glide near equilibrium."""
+    return eqx.filter_jit(plan_glide)(earth(), vehicle(), ScheduledAngleOfAttack())
+
+
+def attitude(frequency: float) -> SecondOrderAttitude:
+    """By (46), with the limits that the paper prints, at rest at 40 and 30 degrees.
+
+    The bandwidth of the angle of attack, rad/s, is not printed and decides everything.
+    """
+    rate, acceleration = 5.0 * degree, 1.7 * degree
+    return SecondOrderAttitude(
+        angle_of_attack_response=Response(
+            frequency, 0.9, rate, acceleration, 0.0, 60.0 * degree
+        ),
+        bank_response=Response(
+            0.6, 1.0, rate, acceleration, -LARGEST_BANK, LARGEST_BANK
+        ),
+        first_angle_of_attack=40.0 * degree,
+        first_bank_angle=30.0 * degree,
+    )
+
+
+def model() -> OnboardModel:
+    return OnboardModel(earth(), vehicle())
+
+
+def shuttle_bank(period: float = CYCLE) -> Sampled:
+    """Both laws bank like this: six reversals."""
+    lateral = VelocityReversals(jnp.array(REVERSALS))
+    return Sampled(ShuttleBank(plan(), lateral=lateral), period)
+
+
+def limits() -> BankLimits:
+    """Of what the angle of attack may ask of the bank: 12 degrees more or less."""
+    return BankLimits(12.0 * degree, LARGEST_BANK)
+
+
+def entry(law: AbstractLaw, frequency: float) -> Scenario:
+    """From 120 km to 1600 m/s, with an attitude of a bandwidth (rad/s).
+
+    The target has the altitude of the plan there, and no place: the paper has none. So the
+    downrange error is the range from the entry.
+    """
+    reference = plan().over_index(jnp.asarray(END_VELOCITY))
+    end = {name: values[0] for name, values in reference.items()}
+    return Scenario(
+        planet=actual_earth(),
+        vehicle=vehicle(),
+        initial_state=EntryState(
+            altitude=120.0 * km,
+            longitude=0.0,
+            latitude=0.0,
+            velocity=7700.0,
+            flight_path_angle=-1.0 * degree,
+            heading=90.0 * degree,
+        ),
+        guidance=law,
+        termination=Termination(
+            {
+                "velocity": VelocityBelow(velocity=END_VELOCITY),
+                "ground": AltitudeBelow(altitude=0.0),
+            },
+            time_limit=4000.0,
+        ),
+        target=Target(end["altitude"], END_VELOCITY, 0.0),
+        angle_of_attack_error=0.0,
+        attitude=attitude(frequency),
+        constraints={
+            **usual_constraints(),
+            "drag_deviation": DragDeviation(reference=plan(), below=JUDGED_BELOW),
+            "angle_of_attack_deviation": AngleOfAttackDeviation(
+                reference=plan(), below=Gate().velocity
+            ),
+        },
+        step=STEP,
+    )
+
+
+def modulated(
+    frequency: float,
+    gains: ModulationGains,
+    lag: AttitudeLag | None = None,
+    period: float = CYCLE,
+) -> Scenario:
+    """The paper's law, with an attitude of a bandwidth (rad/s)."""
+    law = DynamicalModulation(
+        reference=plan(),
+        domain=VelocityDomain(model()),
+        gains=gains,
+        lag=lag,
+        cycle=FixedCycle(period),
+    )
+    return entry(compose(law, shuttle_bank(period), limits()), frequency)
+
+
+def r5() -> Scenario:
+    """The paper's law with an attitude of 5 rad/s."""
+    return modulated(5.0, ModulationGains())
+
+
+def a8() -> Scenario:
+    """The paper's law with an attitude of 8 rad/s and a faster observer."""
+    return modulated(8.0, ModulationGains(observer_pole=1500.0))
+
+
+def shuttle(divisor: float = 1.0) -> Scenario:
+    """The Shuttle's law with f = 1, and an attitude of 5 rad/s."""
+    law = ShuttleModulation(plan(), model(), divisor)
+    return entry(compose(Sampled(law, CYCLE), shuttle_bank(), limits()), 5.0)
+
+
+def shuttle_quarter() -> Scenario:
+    """The Shuttle's law with f = 0.25: by far the better baseline."""
+    return shuttle(divisor=0.25)
+
+
+def hard() -> Scenario:
+    """An attitude of 3 rad/s, whose lag the law inverts, in cycles of 0.2 s.
+
+    The gains are those for 5 rad/s: not tuned for this.
+    """
+    lag = AttitudeLag(3.0, 0.9)
+    return modulated(3.0, ModulationGains(), lag, 0.2)

@@ -1,0 +1,129 @@
+"""An atmosphere without the corners of its layers."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._interpolation import clamp
+from ..fields import Scalar, Vector, scalar, table
+from ..units import km
+from .atmosphere import AbstractAtmosphere
+
+
+_REACH = 5.0
+"""Widths to either side over which the mean is taken"""
+_POINTS = 401
+"""Of the mean"""
+
+
+class SmoothedAtmosphere(AbstractAtmosphere):
+    """Means over altitude of another atmosphere; twice continuously differentiable.
+
+    Models by layers have corners where the lapse rate jumps. A plan that differentiates
+    the density twice, such as one that inverts the dynamics for the bank, has jumps there.
+    Made by `smoothed`. Beyond the table the density goes on as an exponential, and the
+    temperature keeps its value.
+    """
+
+    log_density: Vector = table()
+    """Of kg/m3, coefficients of the cubic B-spline on an even grid"""
+    temperatures: Vector = table(unit="K", positive=True)
+    """Likewise"""
+    lowest: Scalar = scalar(unit="m")
+    """Altitude of the first coefficient"""
+    spacing: Scalar = scalar(unit="m", positive=True)
+    gas_constant: Scalar = scalar(287.05287, unit="J/(kg K)", positive=True)
+    heat_capacity_ratio: Scalar = scalar(1.4, positive=True)
+
+    def density(self, altitude: Scalar) -> Scalar:
+        return jnp.exp(self._read(self.log_density, altitude, goes_on=True))
+
+    def temperature(self, altitude: Scalar) -> Scalar:
+        return self._read(self.temperatures, altitude, goes_on=False)
+
+    def pressure(self, altitude: Scalar) -> Scalar:
+        return self.density(altitude) * self.gas_constant * self.temperature(altitude)
+
+    def speed_of_sound(self, altitude: Scalar) -> Scalar:
+        return jnp.sqrt(
+            self.heat_capacity_ratio * self.gas_constant * self.temperature(altitude)
+        )
+
+    def _read(self, coefficients: Vector, altitude: Scalar, goes_on: bool) -> Scalar:
+        position = (altitude - self.lowest) * (1.0 / self.spacing)
+        last = coefficients.shape[0] - 2.0
+        inside = clamp(position, 1.0, last)
+        before = jnp.clip(jnp.floor(inside), 1.0, last - 1.0)
+        x = inside - before
+        first = before.astype(jnp.int32) - 1
+        a, b, c, d = (coefficients.at[first + i].get(mode="clip") for i in range(4))
+        y = 1.0 - x
+        value = (
+            y * y * y * a
+            + (4.0 - 6.0 * x * x + 3.0 * x * x * x) * b
+            + (4.0 - 6.0 * y * y + 3.0 * y * y * y) * c
+            + x * x * x * d
+        ) / 6.0
+        if not goes_on:
+            return value
+        middle = (1.0 + 2.0 * x * y) * (c - b)
+        slope = 0.5 * (y * y * (b - a) + middle + x * x * (d - c))
+        return value + (position - inside) * slope
+
+
+def smoothed(
+    atmosphere: AbstractAtmosphere,
+    width: float = 1.5 * km,
+    lowest: float = 0.0,
+    highest: float = 150.0 * km,
+    spacing: float = 250.0,
+    gas_constant: float = 287.05287,
+) -> SmoothedAtmosphere:
+    """Means of an atmosphere by a normal distribution of altitudes.
+
+    Of the logarithm of the density, so that an exponential stays as it is, and of the
+    temperature that has the speed of sound.
+
+    **Arguments:**
+
+    - `width`: standard deviation of the distribution, m.
+    - `lowest`, `highest`: altitudes between which the means are tabulated, m.
+    - `spacing`: of the table, m.
+    - `gas_constant`: of the gas, J/(kg K).
+    """
+    if not (width > 0.0 and spacing > 0.0 and highest - lowest >= 4.0 * spacing):
+        raise ValueError(
+            f"width is {width} m, spacing {spacing} m, from {lowest} to {highest} m: both "
+            "must be positive, and the table four spacings or more"
+        )
+    count = round((highest - lowest) / spacing) + 1
+    altitudes = lowest + spacing * np.arange(-2, count + 2)
+    away = np.linspace(-_REACH, _REACH, _POINTS)
+    weights = np.exp(-0.5 * away**2)
+    weights /= weights.sum()
+    ratio = 1.4
+
+    def logarithm(altitude: Scalar) -> Scalar:
+        return jnp.log(atmosphere.density(altitude))
+
+    def temperature(altitude: Scalar) -> Scalar:
+        sound = atmosphere.speed_of_sound(altitude)
+        return sound * sound / (ratio * gas_constant)
+
+    def mean(of):
+        where = jnp.asarray(altitudes[:, None] + width * away[None, :])
+        return jax.vmap(jax.vmap(of))(where) @ jnp.asarray(weights)
+
+    def coefficients(values):
+        # To fourth order in the spacing the spline of these goes through the values.
+        bend = values[2:] - 2.0 * values[1:-1] + values[:-2]
+        return values[1:-1] - bend / 6.0
+
+    return SmoothedAtmosphere(
+        coefficients(mean(logarithm)),
+        coefficients(mean(temperature)),
+        altitudes[1],
+        spacing,
+        gas_constant,
+        ratio,
+    )

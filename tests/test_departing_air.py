@@ -1,0 +1,127 @@
+"""Air that departs from its model, by waves and a trend, and air without corners."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import all_atmospheres, over
+
+from jentry.motion import EntryState
+from jentry.motion.forces import air_data
+from jentry.world import (
+    ConstantAerodynamics,
+    DensityWave,
+    ExponentialAtmosphere,
+    GroundWave,
+    InverseSquareGravity,
+    PerturbedAtmosphere,
+    Planet,
+    USStandardAtmosphere1976,
+    Vehicle,
+    smoothed,
+)
+
+
+def test_departures_of_the_density_add_up():
+    air = all_atmospheres["perturbed"]()
+    for altitude, share in ((20e3, 0.03), (55e3, 0.055), (90e3, 0.08)):
+        expected = 1.0 + 1.2 * share
+        expected += 0.05 * np.sin(2 * np.pi * altitude / 25e3 + 0.3)
+        expected += 0.02 * np.sin(2 * np.pi * altitude / 8e3)
+        expected += 0.02 * np.sin(1.0)  # the ground wave, at its origin
+        altitude = jnp.asarray(altitude)
+        ratio = air.density(altitude) / air.undisturbed.density(altitude)
+        assert float(ratio) == pytest.approx(expected, rel=1e-13)
+        for name in ("temperature", "speed_of_sound"):
+            theirs = getattr(air.undisturbed, name)(altitude)
+            assert float(getattr(air, name)(altitude)) == float(theirs)
+
+
+def test_without_departures_it_is_the_model_itself():
+    air = PerturbedAtmosphere(
+        ExponentialAtmosphere(1.225, 7200.0), (DensityWave(0, 8e3),)
+    )
+    altitude = jnp.asarray(33e3)
+    assert float(air.density(altitude)) == float(air.undisturbed.density(altitude))
+
+
+def test_a_ground_wave_goes_with_the_distance_from_its_origin():
+    """By the spherical law of cosines, at a place that is not on the way of any axis."""
+    radius, length = 6371e3, 800e3
+    wave = GroundWave(0.02, length, radius, 1.0, 0.3, -0.2)
+    air = PerturbedAtmosphere(
+        ExponentialAtmosphere(1.225, 7200.0), ground_waves=(wave,)
+    )
+    altitude = jnp.asarray(50e3)
+    nominal = float(air.undisturbed.density(altitude))
+    for longitude, latitude in ((0.3, -0.2), (0.7, 0.1), (-0.5, 0.4), (0.3001, -0.2)):
+        cosine = np.sin(-0.2) * np.sin(latitude)
+        cosine += np.cos(-0.2) * np.cos(latitude) * np.cos(longitude - 0.3)
+        distance = np.arccos(min(cosine, 1.0))
+        expected = 0.02 * np.sin(2.0 * np.pi * distance * radius / length + 1.0)
+        column = air.column(jnp.asarray(longitude), jnp.asarray(latitude))
+        found = float(column.density(altitude)) / nominal - 1.0
+        # The arc cosine of a number near one has half of the digits.
+        assert found == pytest.approx(expected, abs=2e-8)
+    assert float(air.density(altitude)) / nominal - 1.0 == pytest.approx(
+        0.02 * np.sin(1.0), rel=1e-9
+    )
+
+
+def test_the_force_is_that_of_the_air_above_the_place():
+    wave = GroundWave(0.1, 800e3, 6371e3, 0.4)
+    air = PerturbedAtmosphere(
+        ExponentialAtmosphere(1.225, 7200.0), ground_waves=(wave,)
+    )
+    gravity = InverseSquareGravity(3.986e14)
+    planet = Planet(6371e3, gravity=gravity, atmosphere=air)
+    vehicle = Vehicle(1e3, 1.0, aerodynamics=ConstantAerodynamics(0.3, 1.0))
+    state = EntryState(50e3, 0.05, 0.0, 5e3, 0.0, 0.0)
+    found = air_data(
+        planet, vehicle, jax.tree.map(jnp.asarray, state), jnp.asarray(0.0)
+    )
+    angle = 2.0 * np.pi * 0.05 * 6371e3 / 800e3 + 0.4
+    nominal = 1.225 * np.exp(-50e3 / 7200.0)
+    assert float(found.density) == pytest.approx(
+        nominal * (1.0 + 0.1 * np.sin(angle)), rel=1e-12
+    )
+
+
+def test_smoothing_takes_the_corners_off_and_leaves_the_rest():
+    """The mean of a layer of constant temperature is itself; an exponential stays."""
+    air = all_atmospheres["smoothed"]()
+    altitudes = jnp.linspace(1e3, 120e3, 60)
+    exact = ExponentialAtmosphere(1.225, 7200.0)
+    ratio = over(air.density)(altitudes) / over(exact.density)(altitudes)
+    np.testing.assert_allclose(ratio, 1.0, rtol=1e-11)
+    for altitude in (-3e3, 170e3):  # beyond the table
+        altitude = jnp.asarray(altitude)
+        ratio = float(air.density(altitude) / exact.density(altitude))
+        assert ratio == pytest.approx(1.0, rel=1e-9)
+
+
+def test_the_smoothed_standard_is_its_mean():
+    """Against a quadrature at some altitudes, corners among them."""
+    layers = USStandardAtmosphere1976()
+    air = eqx.filter_jit(smoothed)(layers)
+    away = np.linspace(-6.0, 6.0, 2001)
+    weights = np.exp(-0.5 * away**2) / np.sum(np.exp(-0.5 * away**2))
+    for altitude in (20e3, 33.3e3, 47.3e3, 51.4e3, 71.8e3, 86e3):
+        where = jnp.asarray(altitude + 1500.0 * away)
+        mean = weights @ np.log(np.asarray(over(layers.density)(where)))
+        found = float(jnp.log(air.density(jnp.asarray(altitude))))
+        # The spline is of fourth order in 250 m over 1500.
+        assert found == pytest.approx(mean, abs=1e-6)
+        sound = np.asarray(over(layers.speed_of_sound)(where))
+        mean = np.sqrt(weights @ sound**2)
+        found = float(air.speed_of_sound(jnp.asarray(altitude)))
+        assert found == pytest.approx(mean, rel=2e-6)
+
+
+@pytest.mark.parametrize(
+    "given", [{"width": 0.0}, {"spacing": -1.0}, {"lowest": 1e3, "highest": 1e3}]
+)
+def test_a_table_of_means_must_have_a_size(given):
+    with pytest.raises(ValueError, match="both must be positive, and the table"):
+        smoothed(ExponentialAtmosphere(1.225, 7200.0), **given)
