@@ -9,6 +9,7 @@ from helpers import all_atmospheres, over
 
 from jentry.motion import EntryState
 from jentry.motion.forces import air_data
+from jentry.onboard import OnboardModel
 from jentry.world import (
     ConstantAerodynamics,
     DensityWave,
@@ -86,6 +87,36 @@ def test_the_force_is_that_of_the_air_above_the_place():
     assert float(found.density) == pytest.approx(
         nominal * (1.0 + 0.1 * np.sin(angle)), rel=1e-12
     )
+
+
+def test_a_model_on_board_knows_the_air_above_the_place():
+    """Its scale height by differences of the force, which the test above checks."""
+    waves = (GroundWave(0.1, 800e3, 6371e3, 0.4),)
+    air = PerturbedAtmosphere(
+        ExponentialAtmosphere(1.225, 7200.0), trend=1.0, share_high=0.5
+    )
+    air = PerturbedAtmosphere(air, ground_waves=waves)
+    planet = Planet(6371e3, gravity=InverseSquareGravity(3.986e14), atmosphere=air)
+    vehicle = Vehicle(1e3, 1.0, aerodynamics=ConstantAerodynamics(0.3, 1.0))
+    model = OnboardModel(planet, vehicle)
+    angle = jnp.asarray(0.0)
+
+    def there(altitude, longitude):
+        state = EntryState(altitude, longitude, 0.1, 5e3, 0.0, 0.0)
+        return jax.tree.map(jnp.asarray, state)
+
+    def logarithm(*place):
+        return float(jnp.log(air_data(planet, vehicle, there(*place), angle).drag))
+
+    for longitude in (0.0, 0.05, 0.2):
+        place = there(50e3, longitude)
+        change = logarithm(50e3, longitude) - logarithm(50e3, 0.11)
+        known = model.logarithm_of_drag(place, angle)
+        known = float(known - model.logarithm_of_drag(there(50e3, 0.11), angle))
+        assert known == pytest.approx(change, abs=1e-13)
+        slope = logarithm(50.01e3, longitude) - logarithm(49.99e3, longitude)
+        height = float(model.scale_height(place))
+        assert height == pytest.approx(-20.0 / slope, rel=1e-7)
 
 
 def test_smoothing_takes_the_corners_off_and_leaves_the_rest():

@@ -53,13 +53,15 @@ class MachIndex(AbstractIndex):
     """A user's own, in three lines."""
 
     def value(self, planet, time, state):
-        return state.velocity / planet.atmosphere.speed_of_sound(state.altitude)
+        here = planet.above(state.longitude, state.latitude)
+        return state.velocity / here.atmosphere.speed_of_sound(state.altitude)
 
 
 class DynamicPressureIndex(AbstractIndex):
     def value(self, planet, time, state):
         velocity = state.velocity
-        return jnp.log(planet.density(state.altitude) * velocity * velocity)
+        here = planet.above(state.longitude, state.latitude)
+        return jnp.log(here.density(state.altitude) * velocity * velocity)
 
 
 def states(key, count):
@@ -294,5 +296,6 @@ def test_scale_height_is_that_of_the_atmosphere():
         ),
         mars_vehicle(),
     )
-    found = float(table.scale_height(jnp.asarray(40e3)))
+    there = jax.tree.map(jnp.asarray, EntryState(40e3, 0.0, 0.0, 5e3, 0.0, 0.0))
+    found = float(table.scale_height(there))
     assert found == pytest.approx(9354.5, rel=1e-14)

@@ -274,7 +274,7 @@ def test_what_the_onboard_model_says_of_itself():
     assert float(model.ballistic_coefficient(state, angle)) == pytest.approx(
         expected, rel=1e-14
     )
-    height = float(model.scale_height(state.altitude))
+    height = float(model.scale_height(state))
     assert height == pytest.approx(9354.5, rel=1e-14)
 
 

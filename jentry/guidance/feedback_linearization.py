@@ -222,7 +222,7 @@ class SmallAngleLinearization(AbstractLinearization):
         V, gamma, chi = state.velocity, state.flight_path_angle, _course(model, state)
         r = planet.radius + state.altitude
         g = planet.gravity.acceleration(r)
-        H = model.onboard.scale_height(state.altitude)
+        H = model.onboard.scale_height(state)
 
         K = 1.0 / H - 1.0 / r + 2.0 * g / V**2
         D_rate = gamma / H + 2.0 * D / V**2 + 2.0 * g * gamma / V**2  # (44)

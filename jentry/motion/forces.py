@@ -51,10 +51,10 @@ def air_data(
     planet: Planet, vehicle: Vehicle, state: EntryState, angle_of_attack: Scalar
 ) -> AirData:
     """Flow and specific forces at an angle of attack (rad)."""
-    air = planet.atmosphere.column(state.longitude, state.latitude)
-    density = planet.density_scale * air.density(state.altitude)
+    here = planet.above(state.longitude, state.latitude)
+    density = here.density(state.altitude)
     airspeed = _airspeed(planet, state)
-    mach = airspeed / air.speed_of_sound(state.altitude)
+    mach = airspeed / here.atmosphere.speed_of_sound(state.altitude)
     dynamic_pressure = 0.5 * density * airspeed * airspeed
     lift, drag = vehicle.coefficients(angle_of_attack, mach, airspeed)
     area_to_mass = vehicle.reference_area / vehicle.mass

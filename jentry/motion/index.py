@@ -21,7 +21,8 @@ class AbstractIndex(eqx.Module):
 
         class MachIndex(AbstractIndex):
             def value(self, planet, time, state):
-                sound = planet.atmosphere.speed_of_sound(state.altitude)
+                here = planet.above(state.longitude, state.latitude)
+                sound = here.atmosphere.speed_of_sound(state.altitude)
                 return state.velocity / sound
     """
 

@@ -27,10 +27,11 @@ class OnboardModel(eqx.Module):
     planet: Planet
     vehicle: Vehicle
 
-    def scale_height(self, altitude: Scalar) -> Scalar:
+    def scale_height(self, state: EntryState) -> Scalar:
         """Density over its decrease with altitude, -rho / rho', m."""
+        altitude = state.altitude
         density, slope = jax.jvp(
-            self.planet.density, (altitude,), (jnp.ones_like(altitude),)
+            self._above(state).density, (altitude,), (jnp.ones_like(altitude),)
         )
         return -density / slope
 
@@ -53,7 +54,7 @@ class OnboardModel(eqx.Module):
         drag has on the modelled one.
         """
         _, drag = self._coefficients(state, angle_of_attack)
-        density = self.planet.density(state.altitude)
+        density = self._above(state).density(state.altitude)
         return jnp.log(density) + 2.0 * jnp.log(state.velocity) + jnp.log(drag)
 
     def angle_of_attack_for(
@@ -64,12 +65,12 @@ class OnboardModel(eqx.Module):
         In still air. The lift coefficient must rise between the bounds; where no angle
         between them has the lift it is the bound that comes nearest.
         """
-        velocity = state.velocity
-        pressure = 0.5 * self.planet.density(state.altitude) * velocity * velocity
+        here, velocity = self._above(state), state.velocity
+        pressure = 0.5 * here.density(state.altitude) * velocity * velocity
         wanted = lift * self.vehicle.mass / (pressure * self.vehicle.reference_area)
         aerodynamics = self.vehicle.aerodynamics
         if isinstance(aerodynamics, AbstractInvertibleAerodynamics):
-            mach = velocity / self.planet.atmosphere.speed_of_sound(state.altitude)
+            mach = velocity / here.atmosphere.speed_of_sound(state.altitude)
             wanted = wanted / self.vehicle.lift_scale
             angle = aerodynamics.angle_of_attack(wanted, mach, velocity)
             return jnp.clip(angle, least, largest)
@@ -91,9 +92,12 @@ class OnboardModel(eqx.Module):
         )
         return (lift, lift_slope), (drag, drag_slope)
 
+    def _above(self, state: EntryState) -> Planet:
+        return self.planet.above(state.longitude, state.latitude)
+
     def _coefficients(
         self, state: EntryState, angle_of_attack: Scalar
     ) -> tuple[Scalar, Scalar]:
-        sound = self.planet.atmosphere.speed_of_sound(state.altitude)
+        sound = self._above(state).atmosphere.speed_of_sound(state.altitude)
         velocity = state.velocity
         return self.vehicle.coefficients(angle_of_attack, velocity / sound, velocity)

@@ -1,5 +1,7 @@
 """The planet: shape, gravity, rotation, atmosphere and wind."""
 
+import dataclasses
+
 import equinox as eqx
 
 from .._printed import as_text
@@ -26,6 +28,13 @@ class Planet(eqx.Module):
 
     __str__ = as_text
 
+    def above(self, longitude: Scalar, latitude: Scalar) -> "Planet":
+        """The planet as if all of its air were that above a place (rad)."""
+        air = self.atmosphere.column(longitude, latitude)
+        if air is self.atmosphere:
+            return self
+        return dataclasses.replace(self, atmosphere=air)
+
     def density(self, altitude: Scalar) -> Scalar:
-        """Density of the air that the vehicle meets, kg/m3."""
+        """Density of the air that the vehicle meets, kg/m3: at the origin, or `above`."""
         return self.density_scale * self.atmosphere.density(altitude)
