@@ -30,7 +30,7 @@ from .local_derivatives import (
 from .zeros import transmission_zeros
 
 
-_DEADBEAT = 1e-7
+DEADBEAT = 1e-7
 """Multiplier that is zero: rounding makes the square root of its own of a double zero"""
 
 
@@ -109,7 +109,15 @@ class FrozenLoop:
     @property
     def least_damping(self) -> Worst:
         """The smallest damping ratio of all points."""
-        return self._worst(-self.damping, self.damping)
+        return self.least_damping_of(0.0)
+
+    def least_damping_of(self, faster_than: float) -> Worst:
+        """Likewise of the modes with eigenvalues that are larger, per unit of the index.
+
+        What hardly changes along a whole flight, such as the heading, looks undamped.
+        """
+        counts = np.abs(self.eigenvalues) >= faster_than
+        return self._worst(np.where(counts, -self.damping, -np.inf), self.damping)
 
     @property
     def largest_real_part(self) -> Worst:
@@ -192,8 +200,8 @@ def linearize(
     flown = fly_points(scenario, index, points, solver)
     found = loop_derivatives(scenario, index, flown.plan, flown.lanes)
     found = jax.tree.map(np.asarray, found)
-    _require_finite(found, flown)
-    out = _steepest(found)
+    require_finite(found, flown)
+    out = steepest(found)
     others = np.arange(len(flown.coordinates)) != out
     matrices = (found.derivative @ lift(found.gradient, out))[:, others]
     names = np.array(flown.coordinates)[others]
@@ -210,7 +218,7 @@ def linearize(
     eigenvalues = _followed(np.linalg.eigvals(matrices).astype(complex))
     multipliers = eigenvalues if sampled else None
     if multipliers is not None:
-        deadbeat = np.abs(multipliers) < _DEADBEAT
+        deadbeat = np.abs(multipliers) < DEADBEAT
         rates = np.log(np.where(deadbeat, 1.0, multipliers)) / found.way[:, None]
         eigenvalues = np.where(deadbeat, -np.inf, rates)
     zeros, why_none = _zeros(scenario, index, flown, tracked, flown.coordinates[out])
@@ -233,7 +241,7 @@ def linearize(
     )
 
 
-def _require_finite(found: LoopDerivatives, flown: FlownPoints) -> None:
+def require_finite(found: LoopDerivatives, flown: FlownPoints) -> None:
     known = [
         np.isfinite(x).reshape(len(x), -1).all(axis=1)
         for x in map(np.asarray, jax.tree.leaves(found))
@@ -246,7 +254,7 @@ def _require_finite(found: LoopDerivatives, flown: FlownPoints) -> None:
         )
 
 
-def _steepest(found: LoopDerivatives) -> int:
+def steepest(found: LoopDerivatives) -> int:
     """The coordinate that has most of the rate of the index, where it has least of it."""
     shares = np.abs(found.shares)
     least = np.min(shares / np.sum(shares, axis=1, keepdims=True), axis=0)

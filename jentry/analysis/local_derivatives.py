@@ -26,7 +26,7 @@ from ..motion.state import Controls
 from ..onboard.navigation import measure
 
 
-_QUICKLY = {
+QUICKLY = {
     "xla_backend_optimization_level": 0,
     "xla_llvm_disable_expensive_passes": True,
 }
@@ -156,11 +156,18 @@ class LoopDerivatives(eqx.Module):
     """Likewise for the errors"""
 
 
-@eqx.filter_jit(compiler_options=_QUICKLY)  # pyright: ignore[reportCallIssue]
+@eqx.filter_jit(compiler_options=QUICKLY)  # pyright: ignore[reportCallIssue]
 def loop_derivatives(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> LoopDerivatives:
     """Derivatives of a closed loop at the points of a flight; see `fly_points`."""
+    return derivatives_at(scenario, index, plan, lanes)
+
+
+def derivatives_at(
+    scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
+) -> LoopDerivatives:
+    """`loop_derivatives` within another program, which may differentiate them."""
 
     def put(flat: Vector, lane: Lane) -> Lane:
         _, unravel = ravel_pytree(_carried(lane))
@@ -241,7 +248,7 @@ class PlantDerivatives(eqx.Module):
     """Of these errors, over angle of attack and bank"""
 
 
-@eqx.filter_jit(compiler_options=_QUICKLY)  # pyright: ignore[reportCallIssue]
+@eqx.filter_jit(compiler_options=QUICKLY)  # pyright: ignore[reportCallIssue]
 def plant_derivatives(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> PlantDerivatives:

@@ -36,17 +36,18 @@ def command(
     loss: Annotated[
         str,
         typer.Option(
-            help="mean-square; cvar, the mean of the worst twentieth; worst-case; or "
-            "outside, the share of flights that miss by more than 1."
+            help="mean-square; power-mean, the root of the mean fourth power; cvar, the "
+            "mean of the worst twentieth; worst-case; or outside, the share of flights "
+            "that miss by more than 1."
         ),
     ] = "mean-square",
     of: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="MISS=SCALE",
-            help="What the loss is of: a miss, and how much of it counts as 1, such as "
-            "altitude=500m. May be repeated; downrange=1km, and crossrange=1km out of "
-            "the plane, if not given.",
+            metavar="QUANTITY=SCALE",
+            help="What the loss is of: a miss, or the peak of a path constraint, and how "
+            "much of it counts as 1, such as altitude=500m. May be repeated; "
+            "downrange=1km, and crossrange=1km out of the plane, if not given.",
         ),
     ] = None,
     out: Annotated[
@@ -103,6 +104,20 @@ def command(
     fresh_draws: Annotated[
         bool, typer.Option(help="New draws for each gradient (adam).")
     ] = False,
+    least_damping: Annotated[
+        float | None,
+        typer.Option(
+            help="Penalize modes of the closed loop that are damped less than this ratio, "
+            "frozen along the nominal flight."
+        ),
+    ] = None,
+    faster_than: Annotated[
+        float | None,
+        typer.Option(
+            help="Modes whose damping counts, in rad/s; those that the mission names, or "
+            "all, if not given."
+        ),
+    ] = None,
     patience: Annotated[
         int, typer.Option(help="Stop after so many steps without progress.")
     ] = 20,
@@ -127,6 +142,7 @@ def command(
         AutomaticDifferentiation,
         Budget,
         CentralDifferences,
+        DampingBelow,
         Draws,
         Record,
         smoothing,
@@ -135,8 +151,8 @@ def command(
     from ..tuning.tuning import tune
     from .dispersions_report import print_what_is_flown
     from .overrides import AtAddresses
-    from .tuning_options import parse_ranges, parse_scales
-    from .tuning_report import print_tuned, report_step, write_course
+    from .tuning_options import damping_of, outputs_for, parse_ranges, parse_scales
+    from .tuning_report import print_damping, print_tuned, report_step, write_course
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
     variant = first_given(variant, overrides.variant, *chosen.variants)
@@ -162,6 +178,8 @@ def command(
     gradient = AutomaticDifferentiation(surrogate=followed)
     if differences is not None:
         gradient = CentralDifferences(differences, followed)
+    scaled, solver = parse_scales(of or (), scenario), FixedStep(step)
+    damping = damping_of(chosen, scenario, solver, least_damping, faster_than)
     labels = {
         "loss": loss,
         "optimizer": wanted,
@@ -177,17 +195,23 @@ def command(
         tuned = tune(
             scenario,
             AtAddresses(tuple(addresses)),
-            BY_NAME[loss](parse_scales(of or (), scenario)),
+            BY_NAME[loss](scaled),
             methods[wanted],
             Draws(table, key_of(seed), runs, held_out, fresh_draws),
             ranges=parse_ranges(bounds or (), scale or (), scenario),
-            solver=FixedStep(step),
+            outputs=outputs_for(scaled, scenario),
+            solver=solver,
             gradient=gradient,
+            penalty=None
+            if least_damping is None or damping is None
+            else DampingBelow(damping, least_damping),
             budget=Budget(steps, patience),
             record=Record(folder / "tuning.npz", labels, report),
         )
     print_what_is_flown(chosen, scenario, overrides, reading, table)
     print_tuned(chosen, scenario, tuned)
+    if damping is not None:
+        print_damping(damping, scenario, tuned, solver)
     write_course(folder / "course.csv", tuned)
     stepped = "" if step is None else f", --step {step:g}"
     tuned.save(

@@ -4,10 +4,14 @@ import math
 from collections.abc import Iterable
 
 from ..addresses import leaves_by_address, nearest, require_address, unit_of
+from ..analysis.damping import Damping
 from ..fields import units_of
-from ..flight.miss import Misses
+from ..flight.miss import Misses, misses
 from ..flight.scenario import Scenario
-from ..tuning.losses import ScaledMisses
+from ..flight.solver import AbstractSolver
+from ..missions.mission import Mission
+from ..tuning.batch_gradients import Outputs
+from ..tuning.losses import MissesAndPeaks, ScaledMisses
 from ..tuning.maps import Bounds, Scale
 from ..units import km, parse_quantity
 
@@ -16,15 +20,20 @@ _MISSES = units_of(Misses)
 
 
 def parse_scales(options: Iterable[str], scenario: Scenario) -> ScaledMisses:
-    """`MISS=SCALE` of the command line. Raises `ValueError` for what is no miss."""
+    """`QUANTITY=SCALE` of the command line: misses, and peaks of path constraints.
+
+    Raises `ValueError` for what is neither.
+    """
     scales = {}
+    units = _MISSES | {n: c.unit for n, c in scenario.constraints.items()}
     for option in options:
         name, equals, scale = option.partition("=")
-        if name not in _MISSES:
+        if name not in units:
             raise ValueError(
-                f"--of {option}: no miss {name!r}; {nearest(name, _MISSES)}"
+                f"--of {option}: no miss or path constraint {name!r}; "
+                f"{nearest(name, units)}"
             )
-        unit = _MISSES[name]
+        unit = units[name]
         if name in scales:
             raise ValueError(f"--of {name} is given twice: once")
         if not equals and unit != "m":
@@ -40,6 +49,34 @@ def parse_scales(options: Iterable[str], scenario: Scenario) -> ScaledMisses:
         if scenario.dynamics.has_crossrange:
             scales["crossrange"] = km
     return ScaledMisses(tuple(scales.items()))
+
+
+def outputs_for(scaled: ScaledMisses, scenario: Scenario) -> Outputs:
+    """What is looked at of a flight for a loss: its misses, and the peaks in the loss."""
+    peaks = tuple(name for name, _ in scaled.scales if name in scenario.constraints)
+    return MissesAndPeaks(peaks) if peaks else misses
+
+
+_POINTS = 60
+"""Of a flight, at which its damping is looked at"""
+
+
+def damping_of(
+    mission: Mission,
+    scenario: Scenario,
+    solver: AbstractSolver,
+    least: float | None,
+    faster_than: float | None,
+) -> Damping | None:
+    """The modes whose damping is penalized or told; None where none is."""
+    if least is not None and not 0.0 < least <= 1.0:
+        raise ValueError(f"--least-damping is {least}: it must be above 0, at most 1")
+    wanted = faster_than if faster_than is not None else mission.modes_faster_than
+    if wanted is None and least is None:
+        return None
+    return Damping.of(
+        scenario, points=_POINTS, faster_than=wanted or 0.0, solver=solver
+    )
 
 
 def parse_ranges(

@@ -10,10 +10,13 @@ from rich.console import Console
 from .._files import write_whole
 from .._printed import in_words
 from ..addresses import unit_of
-from ..campaign.outputs import error_of
+from ..analysis.damping import Damping
+from ..analysis.frozen_loop import linearize
+from ..campaign.outputs import error_of, peak_of
 from ..fields import units_of
 from ..flight.miss import Misses
 from ..flight.scenario import Scenario
+from ..flight.solver import AbstractSolver
 from ..missions.mission import Mission
 from ..tuning.judgement import Comparison
 from ..tuning.record import NUMBERS, Entry
@@ -83,10 +86,10 @@ def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
             f"no gradient feels {', '.join(unfelt)}: it acts through a discrete "
             "choice or behind a limit, and stays as it was"
         )
-    print_judgement(tuned)
+    print_judgement(before, tuned)
 
 
-def print_judgement(tuned: Tuned) -> None:
+def print_judgement(before: Scenario, tuned: Tuned) -> None:
     """Before and after on held-out draws, with 95 % intervals."""
     console, judgement = new_console(), tuned.judgement
     lost = judgement.not_finite_before, judgement.not_finite_after
@@ -103,8 +106,8 @@ def print_judgement(tuned: Tuned) -> None:
             continue
         name, unit = comparison.quantity, "1"
         if name != "loss":
-            unit = units_of(Misses)[name]
-            name = f"{in_words(error_of(name))}, {comparison.statistic}"
+            unit, words = _quantity(name, before)
+            name = f"{words}, {comparison.statistic}"
         numbers = [comparison.before.value, comparison.after.value]
         change = comparison.change
         numbers += [change.value, change.low, change.high]
@@ -125,6 +128,31 @@ def print_judgement(tuned: Tuned) -> None:
             "the loss is NOT lower on held-out draws, beyond the interval: tune on more "
             "runs, or leave it as it was"
         )
+
+
+def _quantity(name: str, scenario: Scenario) -> tuple[str, str]:
+    """Unit and words of an output: of `Misses`, or of `MissesAndPeaks`."""
+    name = name.rpartition(".")[2]
+    if name in scenario.constraints:
+        return scenario.constraints[name].unit, in_words(peak_of(name))
+    return units_of(Misses)[name], in_words(error_of(name))
+
+
+def print_damping(
+    damping: Damping, before: Scenario, tuned: Tuned, solver: AbstractSolver
+) -> None:
+    """The least damped modes that count, each along the flight of its own scenario."""
+    console, least = new_console(), []
+    for scenario in (before, tuned.scenario):
+        loop = linearize(scenario, damping.index, damping.points, solver=solver)
+        least.append(loop.least_damping_of(damping.faster_than))
+    console.print(
+        f"least damping of modes faster than {damping.faster_than:g} rad/s, frozen: "
+        f"{least[0].value:.3f} at {least[0].time:.0f} s -> "
+        f"{least[1].value:.3f} at {least[1].time:.0f} s"
+    )
+    if tuned.penalties is not None:
+        console.print(f"penalty {tuned.penalties[0]:.4g} -> {tuned.penalties[1]:.4g}")
 
 
 def _is_nothing(comparison: Comparison) -> bool:

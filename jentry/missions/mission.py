@@ -63,6 +63,9 @@ class Mission:
     gains: tuple[str, ...] = ("guidance.gains", "guidance.observer")
     """What `jentry tune` tunes unless told otherwise: addresses, or the beginnings of
     some; those that a variant does not have are left out"""
+    modes_faster_than: float | None = None
+    """Modes of the closed loop, in rad/s, whose least damping every `jentry tune` tells;
+    None for a mission whose tuning does not tell any"""
     train: Callable[..., dict[str, dict[str, Any]]] | None = None
     """Function that trains the mission's networks: it takes a folder, a seed and options,
     and returns the model cards by name"""

@@ -18,6 +18,7 @@ from .losses import (
     smooth_maximum as smooth_maximum,
 )
 from .maps import Bounds as Bounds, Scale as Scale
+from .penalties import DampingBelow as DampingBelow
 from .record import Record as Record
 from .smoothing import (
     smooth_reversals as smooth_reversals,

@@ -20,7 +20,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..fields import Scalar
-from ..flight.flight import History
+from ..flight.flight import Flight, History
+from ..flight.miss import Misses, misses
+from ..flight.scenario import Scenario
 
 
 Values = Float[Array, " flights"]
@@ -174,18 +176,38 @@ class OfDistance(eqx.Module):
 
 
 @dataclasses.dataclass(frozen=True)
+class MissesAndPeaks:
+    """Outputs of a flight: its misses, and the peaks of some path constraints by name."""
+
+    peaks: tuple[str, ...]
+
+    def __call__(
+        self, scenario: Scenario, flight: Flight
+    ) -> tuple[Misses, dict[str, Scalar]]:
+        return misses(scenario, flight), {n: flight.peaks[n] for n in self.peaks}
+
+
+@dataclasses.dataclass(frozen=True)
 class ScaledMisses:
-    """Residuals: some of the misses, each over what counts as one (m or m/s)."""
+    """Residuals: some of the misses, each over what counts as one (m or m/s).
+
+    Of the outputs of `MissesAndPeaks`, some of the peaks likewise.
+    """
 
     scales: tuple[tuple[str, float], ...]
 
-    def __call__(self, misses: Any) -> tuple[Values, ...]:
-        for name, _ in self.scales:
-            if getattr(misses, name) is None:
+    def __call__(self, outputs: Any) -> tuple[Values, ...]:
+        missed, peaks = (outputs, {}) if isinstance(outputs, Misses) else outputs
+
+        def value(name: str) -> Values:
+            found = peaks[name] if name in peaks else getattr(missed, name)
+            if found is None:
                 raise ValueError(
                     f"the target has no {name}: give it one, or leave the miss out"
                 )
-        return tuple(getattr(misses, name) / scale for name, scale in self.scales)
+            return found
+
+        return tuple(value(name) / scale for name, scale in self.scales)
 
 
 def _worst(distance: Values) -> Scalar:

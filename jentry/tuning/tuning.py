@@ -27,6 +27,7 @@ from .gradients import AutomaticDifferentiation, GradientMethod
 from .judgement import Judgement, judge
 from .maps import Ranges
 from .parameters import Build, Parameters, itself, scenario_at
+from .penalties import Penalty
 from .record import CourseFile, Entry, Record, told
 from .saving import write_tuned
 from .steppers import AbstractStepper, Descent, Solver
@@ -56,7 +57,9 @@ class Tuned:
     stopped: str
     """Why"""
     judgement: Judgement
-    """Against the scenario as it was given, on held-out draws"""
+    """Against the scenario as it was given, on held-out draws; of the flights alone"""
+    penalties: tuple[float, float] | None = None
+    """At the start and at the best point; None without a penalty"""
     remarks: tuple[str, ...] = ()
     """What was warned of"""
 
@@ -111,6 +114,7 @@ def tune(
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
     gradient: GradientMethod = AutomaticDifferentiation(),
+    penalty: Penalty | None = None,
     budget: Budget = Budget(),
     record: Record = Record(),
 ) -> Tuned:
@@ -154,6 +158,8 @@ def tune(
     - `gradient`: `AutomaticDifferentiation(forward, surrogate)`, or
       `CentralDifferences(step, surrogate)`. With a surrogate the gradient is that of a
       smoother scenario; the loss and the best point are those of the exact law.
+    - `penalty`: a number of the nominal scenario that is added to the loss, such as
+        `DampingBelow(Damping.of(scenario))`. Its derivative is taken in forward mode.
     - `budget`: of steps and time.
     - `record`: the file from which the same call resumes, and who is told of each step.
 
@@ -181,10 +187,10 @@ def tune(
     _require_disjoint(scenario, parameters, draws.dispersions)
     simulation = Simulation(outputs, solver, history)
     exact = Problem(parameters, simulation)
-    evaluate = Evaluator(exact, loss, draws, gradient)
+    evaluate = Evaluator(exact, loss, draws, gradient, penalty)
     file = None
     if record.path is not None:
-        asked = loss, optimizer, gradient, record.labels
+        asked = loss, penalty, optimizer, gradient, record.labels
         described = _description(exact, scenario, draws, asked)
         file = CourseFile(Path(record.path), described)
     remarks = parameters.near_bounds()
@@ -193,6 +199,11 @@ def tune(
     course = Course(parameters.zeros())
     if file is not None and file.path.exists():
         course.resume(file, evaluate)
+    if not np.isfinite(evaluate.penalty(parameters.zeros())):
+        raise ValueError(
+            "the penalty or its derivative is not finite at the start: try it alone, "
+            "penalty(scenario)"
+        )
     while not (stopped := course.why_stop(budget)):
         course.advance(evaluate, stepper, parameters)
         if len(course.entries) == 1 and course.entries[0].contradicted:
@@ -203,7 +214,10 @@ def tune(
         if record.report is not None:
             record.report(course.entries, course.best)
 
-    values = course.entries[course.best].values
+    values, best_free = (
+        course.entries[course.best].values,
+        course.entries[course.best].free,
+    )
     tuned = scenario_at(parameters, values)
     unseen = draws.dispersions, held_out(draws.key), draws.held_out
     judgement = judge(scenario, tuned, *unseen, loss, simulation)
@@ -218,6 +232,9 @@ def tune(
         best=course.best,
         stopped=stopped,
         judgement=judgement,
+        penalties=None
+        if penalty is None
+        else (evaluate.penalty(first.free), evaluate.penalty(best_free)),
         remarks=tuple(remarks),
     )
 
@@ -267,13 +284,13 @@ def _description(
     exact: Problem,
     scenario: Scenario,
     draws: Draws,
-    asked: tuple[Loss, Optimizer, GradientMethod, Mapping[str, Any]],
+    asked: tuple[Loss, Penalty | None, Optimizer, GradientMethod, Mapping[str, Any]],
 ) -> dict[str, Any]:
     """What a tuning run is: two that are equal take the same steps.
 
     Of functions the names can be told, and of optimizers of optax nothing.
     """
-    loss, optimizer, gradient, labels = asked
+    loss, penalty, optimizer, gradient, labels = asked
     simulation, parameters = exact.simulation, exact.parameters
     assert isinstance(parameters, Parameters)
     solver, history = simulation.solver, simulation.history
@@ -286,6 +303,7 @@ def _description(
         "build": told(parameters.build),
         "parameters": {a: told(m) for a, m in parameters.maps.items()},
         "loss": told(loss),
+        "penalty": told(penalty),
         "outputs": told(simulation.outputs),
         "optimizer": told(optimizer),
         "gradient": told(gradient),

@@ -47,6 +47,13 @@ def table_1() -> dict[str, Dispersion]:
 
 
 @functools.cache
+def table_1_noise() -> dict[str, Dispersion]:
+    """`table_1` with other noise of the accelerometers in each flight."""
+    seed = Dispersion(lambda s: s.accelerometers.noise_seed, Uniform(0.0, 1.0))
+    return table_1() | {"noise seed": seed}
+
+
+@functools.cache
 def table_1_estimated_angle() -> dict[str, Dispersion]:
     """All of Table 1, for the law that reads the angle of attack: the Shuttle's."""
     error = Dispersion(lambda s: s.angle_of_attack_error, Constant(0.1 * degree))

@@ -1,8 +1,8 @@
 """The mission RLV: both laws with attitudes of several bandwidths."""
 
 from ..mission import Mission
-from .dispersions import atmosphere, table_1, table_1_estimated_angle
-from .scenario import a8, hard, r5, shuttle, shuttle_quarter
+from .dispersions import atmosphere, table_1, table_1_estimated_angle, table_1_noise
+from .scenario import a8, hard, hard_noise, r5, shuttle, shuttle_quarter
 
 
 MISSION = Mission(
@@ -14,13 +14,23 @@ MISSION = Mission(
         "r5": r5,
         "a8": a8,
         "hard": hard,
+        "hard-noise": hard_noise,
         "shuttle": shuttle,
         "shuttle-quarter": shuttle_quarter,
     },
     dispersions={
         "table-1": table_1,
+        "table-1-noise": table_1_noise,
         "table-1-estimated-angle": table_1_estimated_angle,
         "atmosphere": atmosphere,
     },
-    gains=("guidance.angle_of_attack.gains",),
+    gains=(
+        # Not `scheduled_at`, which multiplies two of them.
+        "guidance.angle_of_attack.gains.frequency",
+        "guidance.angle_of_attack.gains.damping",
+        "guidance.angle_of_attack.gains.observer_pole",
+        "guidance.angle_of_attack.gains.bank_deviation",
+        "guidance.angle_of_attack.gains.bank_rate",
+    ),
+    modes_faster_than=0.1,
 )

@@ -1,0 +1,150 @@
+"""How well a closed loop is damped along its flight, as a function of its gains."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Bool, Complex, Float
+from scipy.sparse.csgraph import connected_components
+
+from .._setup import needs_float64
+from ..fields import Scalar
+from ..flight.closed_loop import Lane
+from ..flight.cycle import Plan
+from ..flight.scenario import Scenario, checked
+from ..flight.solver import AbstractSolver, FixedStep
+from ..guidance.law import AbstractSampledLaw
+from ..motion.index import AbstractIndex, TimeIndex
+from .frozen_loop import DEADBEAT, require_finite, steepest
+from .local_derivatives import derivatives_at, fly_points, loop_derivatives
+
+
+_SIMPLE = 1e-12
+"""Cosine between the left and the right eigenvector: below, an eigenvalue is a multiple
+one and has no derivative"""
+
+
+class Damping(eqx.Module):
+    """Damping ratios of the modes of a closed loop, at points of a flight.
+
+    The modes are those of `linearize`, of what swings: of coordinates that depend on one
+    another. They are differentiable, once, in the gains of the law and in all other
+    numbers of the scenario. The points stay where the loop was flown that this was made
+    of: with other gains the vehicle is taken to pass there as well.
+
+        damping = Damping.of(scenario, faster_than=0.1)
+        damping(scenario).min()
+    """
+
+    index: AbstractIndex
+    plan: Plan
+    lanes: Lane
+    out: int = eqx.field(static=True)
+    blocks: tuple[tuple[int, ...], ...] = eqx.field(static=True)
+    """Places of the coordinates, without the eliminated one, that depend on one another"""
+    faster_than: float = eqx.field(static=True)
+    """Magnitude of an eigenvalue from which on it counts, per unit of the index"""
+
+    @classmethod
+    @needs_float64
+    def of(
+        cls,
+        scenario: Scenario,
+        index: AbstractIndex = TimeIndex(),
+        points: int = 20,
+        *,
+        faster_than: float = 0.0,
+        solver: AbstractSolver = FixedStep(),
+    ) -> "Damping":
+        """Fly a scenario once, for the points and for what depends on what.
+
+        **Arguments:**
+
+        - `index`, `points`, `solver`: as for `linearize`.
+        - `faster_than`: slower modes do not count. Frozen, what hardly changes along a
+            whole flight looks undamped, such as the heading and the phugoid.
+
+        **Raises:** `ValueError` as `linearize`, and where nothing swings.
+        """
+        if not faster_than >= 0.0:
+            raise ValueError(f"faster_than is {faster_than}: it must not be negative")
+        scenario = checked(scenario)
+        flown = fly_points(scenario, index, points, solver)
+        found = loop_derivatives(scenario, index, flown.plan, flown.lanes)
+        found = jax.tree.map(np.asarray, found)
+        require_finite(found, flown)
+        out = steepest(found)
+        equal = _at_equal_index(jnp.asarray(found.gradient), out)
+        matrices = np.delete(found.derivative @ np.asarray(equal), out, axis=1)
+        linked = np.any(matrices != 0.0, axis=0)
+        count, label = connected_components(linked, connection="strong")
+        blocks = [tuple(np.flatnonzero(label == i).tolist()) for i in range(count)]
+        blocks = tuple(sorted(block for block in blocks if len(block) > 1))
+        if not blocks:
+            raise ValueError(
+                "no coordinate of the closed loop depends on another that depends on it: "
+                "nothing can swing"
+            )
+        return cls(index, flown.plan, flown.lanes, out, blocks, float(faster_than))
+
+    def __call__(self, scenario: Scenario) -> Float[Array, "points modes"]:
+        """Damping ratios, from 1, aperiodic, to -1; 1 for a mode that does not count."""
+        rates, deadbeat = self.eigenvalues(scenario)
+        size = jnp.abs(rates)
+        counts = ~deadbeat & (size > self.faster_than)
+        ratio = -jnp.real(rates) / jnp.where(counts, size, 1.0)
+        return jnp.where(counts, ratio, 1.0)
+
+    @property
+    def points(self) -> int:
+        """How many."""
+        return len(np.asarray(self.lanes.flown))
+
+    def least(self, scenario: Scenario) -> Scalar:
+        """The smallest of all modes and points."""
+        return jnp.min(self(scenario))
+
+    def eigenvalues(
+        self, scenario: Scenario
+    ) -> tuple[Complex[Array, "points modes"], Bool[Array, "points modes"]]:
+        """Per unit of the index that has passed, and which of them are deadbeat."""
+        sampled = isinstance(scenario.guidance, AbstractSampledLaw)
+        found = derivatives_at(scenario, self.index, self.plan, self.lanes)
+        equal = _at_equal_index(found.gradient, self.out)
+        matrices = jnp.delete(found.derivative @ equal, self.out, axis=1)
+        parts = []
+        for block in self.blocks:
+            rows = np.array(block)
+            parts.append(eigenvalues_of(matrices[:, rows[:, None], rows]))
+        found_values = jnp.concatenate(parts, axis=1)
+        if not sampled:
+            return found_values, jnp.zeros(found_values.shape, bool)
+        deadbeat = jnp.abs(found_values) < DEADBEAT
+        multipliers = jnp.where(deadbeat, 1.0, found_values)
+        return jnp.log(multipliers) / found.way[:, None], deadbeat
+
+
+def _at_equal_index(gradient: Float[Array, "points n"], out: int) -> Array:
+    """From deviations at equal index to all of them, as `coordinates.lift`, in JAX."""
+    n = gradient.shape[-1]
+    others = np.delete(np.arange(n), out)
+    lifted = jnp.broadcast_to(jnp.eye(n)[:, others], (len(gradient), n, n - 1))
+    follows = -gradient[:, others] / gradient[:, [out]]
+    return lifted.at[:, out].set(follows)
+
+
+def eigenvalues_of(matrices: Float[Array, "*n k k"]) -> Complex[Array, "*n k"]:
+    """Eigenvalues, differentiable once wherever they are simple; else the slope is zero.
+
+    JAX's own derivative of them is not finite as soon as one of them is a multiple one.
+    """
+    frozen = lax.stop_gradient(matrices)
+    values, left, right = lax.linalg.eig(
+        frozen, compute_left_eigenvectors=True, compute_right_eigenvectors=True
+    )
+    moved = jnp.einsum("...ji,...jk,...ki->...i", left.conj(), matrices + 0j, right)
+    across = jnp.einsum("...ji,...ji->...i", left.conj(), right)
+    simple = jnp.abs(across) > _SIMPLE
+    change = (moved - lax.stop_gradient(moved)) / jnp.where(simple, across, 1.0)
+    return values + jnp.where(simple, change, 0.0)
