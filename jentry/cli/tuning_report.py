@@ -89,7 +89,7 @@ def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
     print_judgement(before, tuned)
 
 
-def print_judgement(before: Scenario, tuned: Tuned) -> None:
+def print_judgement(scenario: Scenario, tuned: Tuned) -> None:
     """Before and after on held-out draws, with 95 % intervals."""
     console, judgement = new_console(), tuned.judgement
     lost = judgement.not_finite_before, judgement.not_finite_after
@@ -106,7 +106,7 @@ def print_judgement(before: Scenario, tuned: Tuned) -> None:
             continue
         name, unit = comparison.quantity, "1"
         if name != "loss":
-            unit, words = _quantity(name, before)
+            unit, words = _quantity(name, scenario)
             name = f"{words}, {comparison.statistic}"
         numbers = [comparison.before.value, comparison.after.value]
         change = comparison.change
