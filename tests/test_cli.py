@@ -138,7 +138,8 @@ ARRIVE = {
     | {"gains", "runs", "steps", "loss", "of", "out", "optimizer", "learning-rate"}
     | {"bounds", "smooth", "no-smooth", "fresh-draws", "no-fresh-draws", "patience"}
     | {"held-out", "seed", "workers", "dispersions", "fast", "no-fast"}
-    | {"scale", "differences", "smooth-reversals", "no-smooth-reversals"},
+    | {"scale", "differences", "smooth-reversals", "no-smooth-reversals"}
+    | {"least-damping", "faster-than"},
     "linearize": RUN | {"over", "points", "out"},
     "train": {"out", "seed", "flights", "again", "iterations", "workers"},
     "sensitivity": RUN

@@ -18,11 +18,13 @@ from commands import (
 )
 
 from jentry.addresses import leaves_by_address
+from jentry.flight import misses
 from jentry.tuning import (
     AutomaticDifferentiation,
     Bounds,
     Budget,
     CentralDifferences,
+    DampingBelow,
     Scale,
     smooth_reversals,
     smooth_switching,
@@ -88,6 +90,41 @@ def test_every_option_of_tune_arrives(command, monkeypatch, tmp_path, density):
     assert seen["record"].labels["learning_rate"] == 0.3
 
 
+def test_a_damping_and_peaks_arrive(command, monkeypatch):
+    seen = intercepted(monkeypatch, "jentry.tuning.tuning", "tune")
+    words = ("--least-damping", 0.25, "--faster-than", 0.01)
+    words += ("--of", "load_factor=5", "--of", "altitude=1km")
+    with pytest.raises(Arrived):
+        tune(command, *words)
+    penalty = seen["penalty"]
+    assert isinstance(penalty, DampingBelow)
+    assert penalty.least == 0.25 and penalty.damping.faster_than == 0.01
+    missed = SimpleNamespace(altitude=jnp.array([1e3, -1e3]))
+    outputs = missed, {"load_factor": jnp.array([5.0, 10.0])}
+    loss = seen["given"][2]
+    assert loss(outputs) == pytest.approx(1.0 + (1.0 + 4.0) / 2.0)
+    flight = SimpleNamespace(peaks={"load_factor": 7.0, "heat_rate": 1.0})
+    monkeypatch.setattr("jentry.tuning.losses.misses", lambda scenario, flight: missed)
+    assert seen["outputs"](None, flight) == (missed, {"load_factor": 7.0})
+
+
+def test_no_damping_is_looked_at_unless_asked(command, monkeypatch):
+    seen = intercepted(monkeypatch, "jentry.tuning.tuning", "tune")
+    with pytest.raises(Arrived):
+        tune(command)
+    assert seen["penalty"] is None and seen["outputs"] is misses
+
+
+def test_tuning_tells_damping_and_peaks(command):
+    """Of an open-loop law, whose phugoid no gain damps."""
+    words = ("--least-damping", 0.01, "--faster-than", 1e-4)
+    code, printed, _ = tune(command, *words, "--of", "load_factor=5", "--steps", 1)
+    assert code == 0
+    assert "peak load factor, mean" in printed
+    assert "least damping of modes faster than 0.0001 rad/s, frozen: " in printed
+    assert "penalty " in printed
+
+
 def test_differences_arrive_with_their_surrogate(command, monkeypatch):
     seen = intercepted(monkeypatch, "jentry.tuning.tuning", "tune")
     with pytest.raises(Arrived):
@@ -109,7 +146,10 @@ def test_tune_resumes_and_refuses_another_run(command):
         (("--loss", "least"), "loss is 'least': choose from mean-square, power"),
         (("--optimizer", "newton"), "optimizer is 'newton': choose from lbfgs"),
         (("--gains", "guidance.bank"), "no leaf 'guidance.bank'"),
-        (("--of", "range=1km"), "no miss 'range'; nearest"),
+        (("--of", "range=1km"), "no miss or path constraint 'range'; nearest"),
+        (("--least-damping", 0), "--least-damping is 0.0: it must be above 0"),
+        (("--least-damping", 1.1), "--least-damping is 1.1: it must be above 0"),
+        (("--faster-than", -1), "faster_than is -1.0: it must not be negative"),
         (("--of", "altitude=-1km"), "the scale must be greater than zero"),
         (("--bounds", "guidance.bank_angle=1"), "write ADDRESS=LOW:HIGH"),
         (("--bounds", "guidance.bank_angle=2:3"), "on both sides of its value"),

@@ -706,3 +706,72 @@ def test_gains_of_the_missions_are_better_on_draws_they_have_not_seen(name, unit
         altitude = judgement["altitude", statistic]
         assert altitude.change.value < 1e-4 * altitude.before.value
     assert set(result.gradient_shares.values()) == {1.0}
+
+
+def to_45_degrees(scenario):
+    """A penalty of the scenario alone, which is zero at a bank of 45 degrees."""
+    return 1e5 * (scenario.guidance.bank_angle - 45 * degree) ** 2
+
+
+def test_a_penalty_is_added_to_the_loss_and_to_its_gradient():
+    """At the start, by hand; and where it is much, tuning goes where it is none."""
+    alone, both = tuned(steps=1), tuned(steps=12, penalty=to_45_degrees)
+    first, second = alone.course[0], both.course[0]
+    assert alone.penalties is None and both.penalties is not None
+    known = 1e5 * (5 * degree) ** 2
+    assert both.penalties[0] == pytest.approx(known, rel=1e-12)
+    assert second.loss == pytest.approx(first.loss + known, rel=1e-12)
+    # Of the free number: the bank is its own scale. The difference of 2 % knows it too.
+    bank_angle = 50 * degree
+    slope = 2e5 * (5 * degree) * bank_angle
+    assert first.difference == pytest.approx(first.gradient_norm, rel=0.05)
+    assert abs(second.gradient_norm) == pytest.approx(
+        first.gradient_norm + slope, rel=1e-6
+    )
+    assert second.difference == pytest.approx(second.gradient_norm, rel=0.05)
+    assert not both.remarks
+    best = float(both.values["guidance.bank_angle"])
+    assert best == pytest.approx(45 * degree, abs=1e-3)
+    assert both.penalties[1] == pytest.approx(
+        1e5 * (best - 45 * degree) ** 2, rel=1e-9, abs=1e-15
+    )
+    # The judgement is of the flights alone.
+    comparison = both.judgement["loss", ""]
+    assert comparison.before.value == pytest.approx(
+        alone.judgement["loss", ""].before.value, rel=1e-12
+    )
+
+
+def test_a_run_with_a_penalty_is_another_run(tmp_path):
+    record = tmp_path / "record.npz"
+    tuned(steps=1, path=record)
+    with pytest.raises(ValueError, match="holds another tuning run"):
+        tuned(steps=2, path=record, penalty=to_45_degrees)
+
+
+@pytest.mark.parametrize(
+    ("penalty", "message"),
+    [
+        (lambda s: jnp.log(-s.guidance.bank_angle), "is not finite at the start"),
+        (lambda s: jnp.sqrt(0.0 * s.guidance.bank_angle), "is not finite at the start"),
+        (lambda s: jnp.ones(3) * s.guidance.bank_angle, r"has shape \(3,\)"),
+    ],
+)
+def test_a_penalty_that_cannot_be_used_is_refused(penalty, message):
+    with pytest.raises(ValueError, match=message):
+        tuned(steps=1, penalty=penalty)
+
+
+def test_a_point_where_the_penalty_is_not_a_number_is_not_the_best():
+    """Below 49 degrees, where the flights are better."""
+
+    def penalty(scenario):
+        allowed = scenario.guidance.bank_angle > 49 * degree
+        return jnp.where(allowed, 0.0, jnp.nan)
+
+    result = tuned("adam", steps=4, penalty=penalty)
+    there = [float(entry.values["guidance.bank_angle"]) for entry in result.course]
+    assert there[1] < 49 * degree < there[0]
+    for bank_angle, entry in zip(there, result.course, strict=True):
+        assert np.isinf(entry.loss) == (bank_angle < 49 * degree)
+    assert float(result.values["guidance.bank_angle"]) > 49 * degree

@@ -114,7 +114,8 @@ class FrozenLoop:
     def least_damping_of(self, faster_than: float) -> Worst:
         """Likewise of the modes with eigenvalues that are larger, per unit of the index.
 
-        What hardly changes along a whole flight, such as the heading, looks undamped.
+        What hardly changes along a whole flight, such as the heading, looks undamped. NaN
+        where no mode is as fast.
         """
         counts = np.abs(self.eigenvalues) >= faster_than
         return self._worst(np.where(counts, -self.damping, -np.inf), self.damping)
@@ -126,7 +127,7 @@ class FrozenLoop:
         return self._worst(real, real)
 
     def _worst(self, badness: np.ndarray, value: np.ndarray) -> Worst:
-        if not badness.size:
+        if not np.any(badness > -np.inf):
             return Worst(np.nan, complex(np.nan), np.nan, np.nan)
         point, place = np.unravel_index(np.argmax(badness), badness.shape)
         return Worst(

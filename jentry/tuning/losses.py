@@ -197,7 +197,7 @@ class ScaledMisses:
     scales: tuple[tuple[str, float], ...]
 
     def __call__(self, outputs: Any) -> tuple[Values, ...]:
-        missed, peaks = (outputs, {}) if isinstance(outputs, Misses) else outputs
+        missed, peaks = outputs if isinstance(outputs, tuple) else (outputs, {})
 
         def value(name: str) -> Values:
             found = peaks[name] if name in peaks else getattr(missed, name)
