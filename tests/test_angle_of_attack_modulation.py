@@ -271,7 +271,7 @@ def test_dead_band_and_limit_of_the_shuttles_modulation(reference, model):
     assert float(beyond.angle_of_attack) < angle - 0.09 * degree
     for drag, side in ((8.0, 1.0), (12.0, -1.0)):
         found = act(law, sensed(5000.0, drag, angle=angle))
-        assert float(found.angle_of_attack) == pytest.approx(ANGLE + side * limit)
+        assert float(found.angle_of_attack) == pytest.approx(angle + side * limit)
 
 
 @pytest.mark.parametrize("velocity", [7300.0, 5000.0])

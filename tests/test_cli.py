@@ -140,7 +140,7 @@ ARRIVE = {
     | {"held-out", "seed", "workers", "dispersions", "fast", "no-fast"}
     | {"scale", "differences", "smooth-reversals", "no-smooth-reversals"}
     | {"least-damping", "faster-than"},
-    "linearize": RUN | {"over", "points", "out"},
+    "linearize": RUN | {"over", "points", "out", "faster-than"},
     "train": {"out", "seed", "flights", "again", "iterations", "workers"},
     "sensitivity": RUN
     | {"wrt", "scale", "runs", "seed", "workers", "dispersions", "differences"}

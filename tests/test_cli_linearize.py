@@ -1,5 +1,6 @@
 """`jentry linearize`: frozen eigenvalues as a table, a figure and numbers."""
 
+import dataclasses
 import json
 import subprocess
 import sys
@@ -16,6 +17,7 @@ from jentry.motion.index import AltitudeIndex, DownrangeIndex
 
 
 NAN = complex(np.nan, np.nan)
+SLOW = np.full((2, 3), -1e-4 + 0j)
 
 
 def loop() -> FrozenLoop:
@@ -65,6 +67,8 @@ def test_linearize_refuses_what_is_no_figure_or_index(command):
     assert_refused(result, "out is 'loop.pdf': it must be the name of a PNG")
     code, _, said = command("linearize", "cheap", "--over", "range")
     assert code == 2 and "range" in said
+    result = command("linearize", "cheap", "--faster-than", "nan")
+    assert_refused(result, "--faster-than is nan: it must not be negative")
     result = command("linearize", "cheap", "--points", 0)
     assert_refused(result, "points is 0: it must be 1 or more")
 
@@ -83,6 +87,20 @@ def test_the_table_has_rates_per_span_at_the_units_of_the_edge(capsys):
     assert "largest real part 3, at altitude 20 km, 100.0 s after" in printed
     assert "least damping -1.000, at altitude 20 km" in printed
     assert "inf" not in printed and "nan" not in printed
+
+
+def test_the_damping_is_of_the_modes_that_count(capsys):
+    """Of the four that are not deadbeat the aperiodic one of the second point is faster."""
+    print_loop(find_mission("sx-2"), loop(), 3e-4)
+    printed = capsys.readouterr().out
+    first, second = (line for line in printed.splitlines() if line.startswith("│"))
+    assert "1.000" in first and "0.894" not in first
+    assert "1.000" in second and "-1.000" not in second
+    assert "least damping of eigenvalues beyond 0.0003 1.000, at alt" in printed
+    print_loop(find_mission("sx-2"), dataclasses.replace(loop(), eigenvalues=SLOW), 1.0)
+    assert "least damping of eigenvalues beyond 1: there are none" in (
+        capsys.readouterr().out
+    )
 
 
 def test_the_figure_and_every_number_are_written(tmp_path):

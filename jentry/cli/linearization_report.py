@@ -39,8 +39,11 @@ def index_over(name: str, scenario: Scenario) -> AbstractIndex:
     }[name]
 
 
-def print_loop(mission: Mission, loop: FrozenLoop) -> None:
-    """Each point of the flight with its eigenvalues and zeros, and the worst of all."""
+def print_loop(mission: Mission, loop: FrozenLoop, faster_than: float = 0.0) -> None:
+    """Each point of the flight with its eigenvalues and zeros, and the worst of all.
+
+    The damping is of modes with eigenvalues beyond a magnitude, per unit of the index.
+    """
     console = new_console()
     index, unit = at_edge(loop.index, loop.unit)
     seconds = units_of(Flight)["time"]
@@ -48,11 +51,13 @@ def print_loop(mission: Mission, loop: FrozenLoop) -> None:
     heads = [f"time, {seconds}", "largest real part", "least damping", "eigenvalues"]
     heads += ["zeros"] if loop.zeros is not None else []
     table = new_table(over, *heads)
+    counts = np.abs(loop.eigenvalues) >= faster_than
+    damping = np.where(counts, loop.damping, 1.0)
     for point, value in enumerate(index):
         eigenvalues = loop.per_span[point]
         cells = [f"{loop.time[point]:.1f}"]
         cells += [_shown(np.max(np.real(eigenvalues), initial=-np.inf))]
-        cells += [f"{np.min(loop.damping[point], initial=1.0):z.3f}"]
+        cells += [f"{np.min(damping[point], initial=1.0):z.3f}"]
         cells += [_in_short(eigenvalues)]
         if loop.zeros is not None:
             cells += [_in_short(loop.zeros[point] * loop.span)]
@@ -75,10 +80,16 @@ def print_loop(mission: Mission, loop: FrozenLoop) -> None:
             "deadbeat: gone within one guidance cycle, a multiplier of zero, which has no "
             "finite eigenvalue"
         )
-    grows, swings = loop.largest_real_part, loop.least_damping
+    grows, swings = loop.largest_real_part, loop.least_damping_of(faster_than)
     largest = _shown(grows.value * loop.span)
     console.print(f"largest real part {largest}, {_place(loop, grows)}")
-    console.print(f"least damping {swings.value:z.3f}, {_place(loop, swings)}")
+    which = "" if faster_than == 0.0 else f" of eigenvalues beyond {faster_than:g}"
+    if np.isnan(swings.value):
+        console.print(f"least damping{which}: there are none")
+    else:
+        console.print(
+            f"least damping{which} {swings.value:z.3f}, {_place(loop, swings)}"
+        )
     if loop.without_zeros:
         console.print(f"no zeros: {loop.without_zeros}")
 

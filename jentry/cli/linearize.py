@@ -38,6 +38,13 @@ def command(
     points: Annotated[
         int, typer.Option(help="Points of the flight, evenly spaced over it.")
     ] = 20,
+    faster_than: Annotated[
+        float,
+        typer.Option(
+            help="Modes whose damping counts, per SI unit of what errors are compared at: "
+            "what hardly changes, such as the heading, looks undamped."
+        ),
+    ] = 0.0,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -53,6 +60,8 @@ def command(
     """Eigenvalues of the closed loop along a flight, and zeros that no gain can move."""
     if out is not None and out.suffix != ".png":
         raise ValueError(f"out is {str(out)!r}: it must be the name of a PNG, loop.png")
+    if not faster_than >= 0.0:
+        raise ValueError(f"--faster-than is {faster_than}: it must not be negative")
     set_up(workers=1)
 
     from ..analysis.frozen_loop import linearize
@@ -63,7 +72,7 @@ def command(
     index = index_over(over, scenario)
     loop = linearize(scenario, index, points, solver=FixedStep(step))
     name = first_given(variant, overrides.variant, *chosen.variants)
-    print_loop(chosen, loop)
+    print_loop(chosen, loop, faster_than)
     if out is not None:
         for path in write_loop(out, chosen, name, loop):
             typer.echo(f"written: {path}")

@@ -129,9 +129,9 @@ class ShuttleModulation(AbstractContinuousLaw[None]):
     bank_gain: Scalar = scalar(4.0)
     """Bank for a deviation of the measured angle of attack from the reference, rad/rad"""
     dead_band: Scalar = scalar(0.0, unit="m/s2")
-    """Error of the drag within which the angle of attack stays"""
+    """Error of the drag within which the angle of attack stays as it is"""
     limit: Scalar = scalar(60.0 * degree, unit="rad", positive=True)
-    """Largest deviation from the reference angle of attack that is commanded"""
+    """Largest change of the measured angle of attack that is commanded at once"""
     gate: Gate = eqx.field(default_factory=Gate)
 
     def init(self, measurement: Measurement) -> None:
@@ -150,8 +150,9 @@ class ShuttleModulation(AbstractContinuousLaw[None]):
         off = jnp.abs(sensed - drag) > self.dead_band
         ratio = jnp.where(off, drag / sensed - 1.0, 0.0)
         away = measurement.angle_of_attack - angle
-        wish = away + coefficient * ratio / (self.divisor * slope)
-        wish = jnp.where(modulates, jnp.clip(wish, -self.limit, self.limit), 0.0)
+        change = coefficient * ratio / (self.divisor * slope)
+        change = jnp.clip(change, -self.limit, self.limit)
+        wish = jnp.where(modulates, away + change, 0.0)
         increment = jnp.where(modulates, self.bank_gain * away, 0.0)
         return AngleOfAttackCommand(angle + wish, increment), None
 

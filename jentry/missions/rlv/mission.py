@@ -2,7 +2,15 @@
 
 from ..mission import Mission
 from .dispersions import atmosphere, table_1, table_1_estimated_angle, table_1_noise
-from .scenario import a8, hard, hard_noise, r5, shuttle, shuttle_quarter
+from .scenario import (
+    a8,
+    hard,
+    hard_noise,
+    r5,
+    shuttle,
+    shuttle_as_flown,
+    shuttle_quarter,
+)
 
 
 MISSION = Mission(
@@ -17,6 +25,7 @@ MISSION = Mission(
         "hard-noise": hard_noise,
         "shuttle": shuttle,
         "shuttle-quarter": shuttle_quarter,
+        "shuttle-as-flown": shuttle_as_flown,
     },
     dispersions={
         "table-1": table_1,

@@ -30,7 +30,7 @@ from ...onboard.navigation import Accelerometers
 from ...onboard.reference import Reference
 from ...onboard.velocity_domain import VelocityDomain
 from ...planning.glide import plan_glide
-from ...units import degree, km, standard_gravity
+from ...units import degree, foot, km, standard_gravity
 from ...world.gravity import InverseSquareGravity
 from ...world.perturbed_atmosphere import (
     DensityWave,
@@ -212,6 +212,18 @@ def shuttle(divisor: float = 1.0) -> Scenario:
 def shuttle_quarter() -> Scenario:
     """The Shuttle's law with f = 0.25: by far the better baseline."""
     return shuttle(divisor=0.25)
+
+
+def shuttle_as_flown() -> Scenario:
+    """The Shuttle's law in its own cycle, with its dead band and its limit.
+
+    Within 0.15 ft/s2 the angle of attack stays, and a decision changes it by 2 degrees at
+    the most: as a limit of the deviation from the reference, a bank reversal would lose the
+    drag by a third of the gravity.
+    """
+    period = 1.92
+    law = ShuttleModulation(plan(), model(), dead_band=0.15 * foot, limit=2.0 * degree)
+    return entry(compose(Sampled(law, period), shuttle_bank(period), limits()), 5.0)
 
 
 def hard() -> Scenario:
