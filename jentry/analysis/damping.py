@@ -116,7 +116,9 @@ class Damping(eqx.Module):
         parts = []
         for block in self.blocks:
             rows = np.array(block)
-            parts.append(eigenvalues_of(matrices[:, rows[:, None], rows]))
+            # One by one: for a batch of matrices jaxlib waits, in a thread of its pool,
+            # for tasks in the same pool. Two such programs at once wait for ever.
+            parts.append(lax.map(eigenvalues_of, matrices[:, rows[:, None], rows]))
         found_values = jnp.concatenate(parts, axis=1)
         if not sampled:
             return found_values, jnp.zeros(found_values.shape, bool)
@@ -134,17 +136,17 @@ def _at_equal_index(gradient: Float[Array, "points n"], out: int) -> Array:
     return lifted.at[:, out].set(follows)
 
 
-def eigenvalues_of(matrices: Float[Array, "*n k k"]) -> Complex[Array, "*n k"]:
+def eigenvalues_of(matrix: Float[Array, "k k"]) -> Complex[Array, " k"]:
     """Eigenvalues, differentiable once wherever they are simple; else the slope is zero.
 
     JAX's own derivative of them is not finite as soon as one of them is a multiple one.
     """
-    frozen = lax.stop_gradient(matrices)
+    frozen = lax.stop_gradient(matrix)
     values, left, right = lax.linalg.eig(
         frozen, compute_left_eigenvectors=True, compute_right_eigenvectors=True
     )
-    moved = jnp.einsum("...ji,...jk,...ki->...i", left.conj(), matrices + 0j, right)
-    across = jnp.einsum("...ji,...ji->...i", left.conj(), right)
+    moved = jnp.einsum("ji,jk,ki->i", left.conj(), matrix + 0j, right)
+    across = jnp.einsum("ji,ji->i", left.conj(), right)
     simple = jnp.abs(across) > _SIMPLE
     change = (moved - lax.stop_gradient(moved)) / jnp.where(simple, across, 1.0)
     return values + jnp.where(simple, change, 0.0)

@@ -76,6 +76,8 @@ class Evaluator:
     def _penalty_with_slopes(self, free: Free) -> tuple[float, Free]:
         parameters = self._exact.parameters
         assert isinstance(parameters, Parameters) and self._penalty_of is not None
+        # Once, and not on every device that the flights are spread over.
+        free = {a: jnp.asarray(np.asarray(x)) for a, x in free.items()}
         value, slopes = penalty_and_slopes(self._penalty_of, parameters, free)
         if not all_finite((value, slopes)):
             # As of flights that are not finite: never the best point.
