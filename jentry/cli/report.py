@@ -31,7 +31,7 @@ from ..missions.mission import Mission
 from ..motion.constraints import AbstractPathConstraint
 from ..motion.state import EntryState
 from ..units import at_edge
-from .tables import new_console, new_table, print_under
+from .tables import in_digits, new_console, new_table, print_under
 
 
 _PERCENTILES = (1, 5, 50, 95, 99)
@@ -204,15 +204,7 @@ def _add_statistics(table: Table, words: str, unit: str, values: np.ndarray) -> 
     spread = np.std(values, ddof=1) if values.size > 1 else np.nan
     numbers = [values.min(), values.max(), values.mean(), spread]
     numbers += list(np.percentile(values, _PERCENTILES))
-    table.add_row(words, unit, *(_shown(number) for number in numbers))
-
-
-def _shown(number: float, sign: str = "") -> str:
-    """To four decimals, or in powers of ten where these are all zero; - for no number."""
-    if np.isnan(number):
-        return "-"
-    small = 0.0 < abs(number) < 5e-5
-    return f"{number:{sign}.1e}" if small else f"{number:{sign}z.4f}"
+    table.add_row(words, unit, *(in_digits(number) for number in numbers))
 
 
 def _print_published(console: Console, mission: Mission, results) -> None:
@@ -226,9 +218,9 @@ def _print_published(console: Console, mission: Mission, results) -> None:
         table.add_row(
             published.name,
             published.unit,
-            _shown(published.value),
-            _shown(ours.mean),
-            _shown(ours.spread),
+            in_digits(published.value),
+            in_digits(ours.mean),
+            in_digits(ours.spread),
             "-" if np.isnan(deviations) else f"{deviations:+.1f}",
             f"{ours.below(published.value)} of {len(sets)}",
         )

@@ -2,6 +2,7 @@
 
 import sys
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -24,3 +25,13 @@ def print_under(console: Console, title: str, table: Table) -> None:
     """A table under its title, which may be wider."""
     console.print(title, style="bold", markup=False)
     console.print(table)
+
+
+def in_digits(number: float, sign: str = "") -> str:
+    """To four decimals, or three digits of a small number; - for no number."""
+    if np.isnan(number):
+        return "-"
+    if 0.0 < abs(number) < 5e-5:
+        return f"{number:{sign}.1e}"
+    few = 0.0 < abs(number) < 0.01
+    return f"{number:{sign}#.3g}" if few else f"{number:{sign}z.4f}"

@@ -22,7 +22,7 @@ from ..tuning.judgement import Comparison
 from ..tuning.record import NUMBERS, Entry
 from ..tuning.tuning import Tuned
 from ..units import at_edge
-from .tables import new_console, new_table, print_under
+from .tables import in_digits, new_console, new_table, print_under
 
 
 _SAME = 1e-4
@@ -115,10 +115,10 @@ def print_judgement(scenario: Scenario, tuned: Tuned) -> None:
         table.add_row(
             name,
             unit,
-            f"{before:z.4f}",
-            f"{after:z.4f}",
-            f"{moved:+z.4f}",
-            f"{low:+z.4f} to {high:+z.4f}",
+            in_digits(before),
+            in_digits(after),
+            in_digits(moved, "+"),
+            f"{in_digits(low, '+')} to {in_digits(high, '+')}",
             _verdict(comparison),
         )
     title = f"{judgement.runs} held-out draws, exact law, the same for both"

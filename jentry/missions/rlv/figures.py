@@ -1,33 +1,31 @@
-"""Figures of the RLV mission: what is tracked over the velocity, and what it costs."""
+"""Figures of the RLV mission: how far it is off its reference, and what it flies."""
 
 from typing import TYPE_CHECKING
 
+from ...guidance.shuttle import Gate
 from ...plots.figure_data import FigureData
 from ...plots.style import NOMINAL, RUNS, panelled, scaled
-from .scenario import JUDGED_BELOW
+from .scenario import END_VELOCITY
 
 
 if TYPE_CHECKING:
     import matplotlib.figure
 
 
-TRACKED = "drag_deviation", "angle_of_attack_deviation"
-FLOWN = "angle_of_attack", "bank_angle", "flight_path_angle"
-
-
 def deviations(data: FigureData) -> "matplotlib.figure.Figure | None":
     """Every run over the velocity: how far drag and angle of attack are off."""
-    return _over_velocity(data, TRACKED)
+    return _over_velocity(data, ("drag_deviation", "angle_of_attack_deviation"))
 
 
 def flown(data: FigureData) -> "matplotlib.figure.Figure | None":
     """Every run over the velocity: angle of attack, bank and flight-path angle."""
-    return _over_velocity(data, FLOWN)
+    return _over_velocity(data, ("angle_of_attack", "bank_angle", "flight_path_angle"))
 
 
 def _over_velocity(
     data: FigureData, names: tuple[str, ...]
 ) -> "matplotlib.figure.Figure | None":
+    """From where the angle of attack is modulated; the nominal flight is black."""
     runs, nominal = data.trajectories, data.nominal
     if runs is None:
         return None
@@ -35,18 +33,13 @@ def _over_velocity(
     velocity = scaled(runs["velocity"])
     for axes, name in zip(panels, names, strict=True):
         drawn = scaled(runs[name])
-        axes.plot(
-            velocity.values.T, drawn.values.T, color=RUNS, lw=0.4, alpha=0.25
-        )
+        axes.plot(velocity.values.T, drawn.values.T, color=RUNS, lw=0.4, alpha=0.25)
         if nominal is not None:
-            alone = scaled(nominal[name])
-            axes.plot(
-                scaled(nominal["velocity"]).values.T,
-                alone.values.T * (alone.size / drawn.size),
-                color=NOMINAL,
-                lw=1.0,
-            )
+            at, alone = nominal["velocity"], nominal[name]
+            there = at.values.T / velocity.size, alone.values.T / drawn.size
+            axes.plot(*there, color=NOMINAL, lw=1.0)
         axes.set(xlabel=velocity.label, ylabel=drawn.label)
-        axes.set_xlim(JUDGED_BELOW / velocity.size, None)
-        axes.invert_xaxis()
+        axes.set_xlim(
+            float(Gate().velocity) / velocity.size, END_VELOCITY / velocity.size
+        )
     return data.noted(figure, histories=True)

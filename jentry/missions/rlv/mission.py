@@ -1,6 +1,8 @@
 """The mission RLV: both laws with attitudes of several bandwidths."""
 
+from ...plots.campaign import HISTORIES
 from ..mission import Mission
+from . import figures
 from .dispersions import atmosphere, table_1, table_1_estimated_angle, table_1_noise
 from .scenario import (
     a8,
@@ -42,4 +44,5 @@ MISSION = Mission(
         "guidance.angle_of_attack.gains.bank_rate",
     ),
     modes_faster_than=0.1,
+    figures={**HISTORIES, "deviations": figures.deviations, "flown": figures.flown},
 )
