@@ -97,6 +97,37 @@ def test_the_plan_obeys_the_motion(glide):
     np.testing.assert_allclose(found["lift_to_drag_up"], up / found["drag"], rtol=1e-6)
 
 
+def test_flight_conditions_along_the_plan():
+    """On the back side of the lift-to-drag ratio above 1255 m/s, as the notes have it."""
+    scenario = MISSION.scenario("r5")
+    domain = scenario.guidance.angle_of_attack.domain
+
+    @jax.jit
+    @jax.vmap
+    def conditions(velocity):
+        wanted = plan().over_index(velocity)
+        altitude = wanted["altitude"][0]
+        state = dataclasses.replace(
+            scenario.initial_state, velocity=velocity, altitude=altitude
+        )
+        point = domain.point(state, wanted)
+        gamma1, gamma2 = domain.zero_dynamics(point)
+        return domain.flight_condition(point), gamma1, gamma2
+
+    velocity = np.concatenate([np.arange(1100.0, 1250.0, 10.0), [1254.0, 1256.0]])
+    velocity = np.concatenate([velocity, np.arange(1260.0, 7300.0, 20.0)])
+    found, gamma1, gamma2 = conditions(jnp.asarray(velocity))
+    assert np.all(found[velocity < 1255.0] == 2)
+    assert np.all(gamma1[velocity < 1255.0] > 0.0)
+    above = velocity > 1255.0
+    assert np.all(gamma1[above] < 0.0)
+    # Where the two parts of the plan are blended the lift carries more than the weight.
+    blended = np.abs(velocity - 5000.0) < 110.0
+    assert np.all(found[above & ~blended] == 1)
+    np.testing.assert_array_equal(found[blended], np.where(gamma2[blended] < 0.0, 1, 0))
+    assert np.any(found[blended] == 0)
+
+
 @pytest.mark.parametrize(
     ("glide", "intervals", "message"),
     [
@@ -115,9 +146,18 @@ def test_a_glide_that_cannot_be_is_refused(glide, intervals, message):
 def test_readings_and_variants():
     assert set(MISSION.dispersions) == {
         "table-1",
+        "table-1-noise",
         "table-1-estimated-angle",
         "atmosphere",
     }
+    noise = set(MISSION.dispersion_table("table-1-noise"))
+    assert noise - set(MISSION.dispersion_table("table-1")) == {"noise seed"}
+    sensed = MISSION.scenario("hard-noise").accelerometers
+    assert float(sensed.noise) == pytest.approx(2e-4 * standard_gravity)
+    flown = MISSION.scenario("shuttle-as-flown").guidance.angle_of_attack
+    assert float(flown.cycle.period) == 1.92
+    assert float(flown.law.dead_band) == pytest.approx(0.15 * 0.3048)
+    assert float(flown.law.limit) == pytest.approx(2.0 * degree)
     table = MISSION.dispersion_table("table-1-estimated-angle")
     scenario = MISSION.scenario("shuttle")
     deviations = {name: d.distribution.moments()[1] for name, d in table.items()}

@@ -9,7 +9,7 @@ are in rad. The velocity falls: what is stable has eigenvalues with positive rea
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from .._math import sincos
 from ..fields import Scalar, scalar
@@ -133,6 +133,16 @@ class VelocityDomain(eqx.Module):
         chi = point.drag * point.drag_slope
         gamma1 = self.steepness * up / (point.drag * chi) * bracket
         return gamma1, ((v * v - 1.0) + up) / (v * point.drag**2)
+
+    def flight_condition(self, point: GlidePoint) -> Int[Array, ""]:
+        """1 or 2 where holding the drag by the angle of attack is unstable, else 0.
+
+        With condition 1, both Gammas below zero, the angle of attack swings away slowly:
+        on the back side of the lift-to-drag ratio. With condition 2, Gamma1 above zero, on
+        its front side, it goes away without swinging.
+        """
+        gamma1, gamma2 = self.zero_dynamics(point)
+        return jnp.where(gamma1 > 0.0, 2, jnp.where(gamma2 < 0.0, 1, 0))
 
     def _forces(
         self, point: GlidePoint, radius: Scalar, angle: Scalar
