@@ -138,15 +138,22 @@ def test_a_multiple_eigenvalue_leaves_the_others_their_derivative():
     np.testing.assert_allclose(slopes[~pair], 0.0)
 
 
-def test_the_penalty_is_of_the_worst_mode_at_each_point(case):
-    _, made, ratios, scenario = case
-    worst = np.asarray(ratios(jnp.asarray(GAINS)))[:, 0]
-    for least in (0.9 * worst.min(), 1.5 * worst.max()):
-        short = np.maximum(1.0 - worst / least, 0.0)
-        found = DampingBelow(made, least, weight=3.0)
+def test_the_penalty_is_of_the_worst_mode(case):
+    sampled, made, _, scenario = case
+    worst = by_hand(GAINS, sampled)[0]
+    for least in (0.9 * worst, 1.5 * worst):
+        short = max(1.0 - worst / least, 0.0)
+        found = DampingBelow(made, float(least), weight=3.0)
         assert float(eqx.filter_jit(found)(scenario)) == pytest.approx(
-            3.0 * np.mean(short**2), rel=1e-6, abs=1e-12
+            3.0 * short**2, rel=1e-5, abs=1e-12
         )
+    for given, message in (
+        ({"least": 0.0}, "least is 0.0: it must be above 0, at most 1"),
+        ({"least": 1.1}, "least is 1.1"),
+        ({"weight": 0.0}, "weight is 0.0: it must be positive"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            DampingBelow(made, **given)
 
 
 def test_what_has_no_damping_is_refused(monkeypatch):

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from ..analysis.damping import Damping
 from ..analysis.local_derivatives import QUICKLY
-from ..fields import Scalar, scalar
+from ..fields import Scalar
 from ..flight.scenario import Scenario
 from .parameters import Free, Parameters
 
@@ -20,25 +20,30 @@ differentiable by JAX in the tuned numbers, in forward mode"""
 
 
 class DampingBelow(eqx.Module):
-    """Mean, over points of the flight, of the square of how far damping falls short.
+    """Square of how far the least damped mode falls short, of all points of the flight.
 
-    At each point it is the least damped mode that counts, and what lacks is in units of
-    the damping that is wanted. Tracking errors hide a lost margin: a loop that hardly
-    damps tracks the nominal flight as well as another.
+    What lacks is in units of the damping that is wanted. Tracking errors hide a lost
+    margin: a loop that hardly damps tracks the nominal flight as well as another. Modes
+    that are slower than `damping.faster_than` do not count, also those that become so.
 
         damping = Damping.of(scenario, points=40, faster_than=0.1)
         tune(..., penalty=DampingBelow(damping, least=0.3))
     """
 
     damping: Damping
-    least: Scalar = scalar(0.3, positive=True)
-    weight: Scalar = scalar(1.0, positive=True)
+    least: float = eqx.field(default=0.3, static=True)
+    weight: float = eqx.field(default=100.0, static=True)
     """In units of the loss: the penalty of a loop without any damping"""
 
+    def __check_init__(self):
+        if not 0.0 < self.least <= 1.0:
+            raise ValueError(f"least is {self.least}: it must be above 0, at most 1")
+        if not self.weight > 0.0:
+            raise ValueError(f"weight is {self.weight}: it must be positive")
+
     def __call__(self, scenario: Scenario) -> Scalar:
-        worst = jnp.min(self.damping(scenario), axis=1)
-        lacks = jax.nn.relu(1.0 - worst / self.least)
-        return self.weight * jnp.mean(lacks * lacks)
+        lacks = jax.nn.relu(1.0 - self.damping.least(scenario) / self.least)
+        return self.weight * lacks * lacks
 
 
 @eqx.filter_jit(compiler_options=QUICKLY)  # pyright: ignore[reportCallIssue]
