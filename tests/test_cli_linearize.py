@@ -96,11 +96,12 @@ def test_the_damping_is_of_the_modes_that_count(capsys):
     first, second = (line for line in printed.splitlines() if line.startswith("│"))
     assert "1.000" in first and "0.894" not in first
     assert "1.000" in second and "-1.000" not in second
-    assert "least damping of eigenvalues beyond 0.0003 1.000, at alt" in printed
+    assert "least damping of eigenvalues beyond 0.0003 1/m 1.000, at alt" in printed
     print_loop(find_mission("sx-2"), dataclasses.replace(loop(), eigenvalues=SLOW), 1.0)
-    assert "least damping of eigenvalues beyond 1: there are none" in (
-        capsys.readouterr().out
-    )
+    printed = capsys.readouterr().out
+    assert "least damping of eigenvalues beyond 1 1/m: there are none" in printed
+    first, _ = (line for line in printed.splitlines() if line.startswith("│"))
+    assert first.split("│")[4].strip() == "-"
 
 
 def test_the_figure_and_every_number_are_written(tmp_path):

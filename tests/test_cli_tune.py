@@ -100,12 +100,13 @@ def test_a_damping_and_peaks_arrive(command, monkeypatch):
     assert isinstance(penalty, DampingBelow)
     assert penalty.least == 0.25 and penalty.damping.faster_than == 0.01
     missed = SimpleNamespace(altitude=jnp.array([1e3, -1e3]))
-    outputs = missed, {"load_factor": jnp.array([5.0, 10.0])}
+    outputs = {**vars(missed), "load_factor": jnp.array([5.0, 10.0])}
     loss = seen["given"][2]
     assert loss(outputs) == pytest.approx(1.0 + (1.0 + 4.0) / 2.0)
     flight = SimpleNamespace(peaks={"load_factor": 7.0, "heat_rate": 1.0})
-    monkeypatch.setattr("jentry.tuning.losses.misses", lambda scenario, flight: missed)
-    assert seen["outputs"](None, flight) == (missed, {"load_factor": 7.0})
+    alone = SimpleNamespace(altitude=3.0, crossrange=None)
+    monkeypatch.setattr("jentry.tuning.losses.misses", lambda scenario, flight: alone)
+    assert seen["outputs"](None, flight) == {"altitude": 3.0, "load_factor": 7.0}
 
 
 def test_no_damping_is_looked_at_unless_asked(command, monkeypatch):
@@ -115,14 +116,18 @@ def test_no_damping_is_looked_at_unless_asked(command, monkeypatch):
     assert seen["penalty"] is None and seen["outputs"] is misses
 
 
-def test_tuning_tells_damping_and_peaks(command):
+def test_tuning_tells_damping_and_peaks(command, tmp_path):
     """Of an open-loop law, whose phugoid no gain damps."""
     words = ("--least-damping", 0.01, "--faster-than", 1e-4)
     code, printed, _ = tune(command, *words, "--of", "load_factor=5", "--steps", 1)
     assert code == 0
     assert "peak load factor, mean" in printed
     assert "least damping of modes faster than 0.0001 rad/s, frozen: " in printed
-    assert "penalty " in printed
+    assert "of it the penalty " in printed
+    assert (
+        "penalty_at_start = "
+        in (tmp_path / "results/cheap-tuned/tuned.toml").read_text()
+    )
 
 
 def test_differences_arrive_with_their_surrogate(command, monkeypatch):
@@ -149,7 +154,11 @@ def test_tune_resumes_and_refuses_another_run(command):
         (("--of", "range=1km"), "no miss or path constraint 'range'; nearest"),
         (("--least-damping", 0), "--least-damping is 0.0: it must be above 0"),
         (("--least-damping", 1.1), "--least-damping is 1.1: it must be above 0"),
-        (("--faster-than", -1), "faster_than is -1.0: it must not be negative"),
+        (("--least-damping", 0.3), "--least-damping needs --faster-than 0.1"),
+        (
+            ("--least-damping", 0.3, "--faster-than", -1),
+            "faster_than is -1.0: it must not be negative",
+        ),
         (("--of", "altitude=-1km"), "the scale must be greater than zero"),
         (("--bounds", "guidance.bank_angle=1"), "write ADDRESS=LOW:HIGH"),
         (("--bounds", "guidance.bank_angle=2:3"), "on both sides of its value"),

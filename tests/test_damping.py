@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from level_hold import GAINS, PERIOD, held_map, hold, level, with_integral
 
-from jentry.analysis import Damping, damping, linearize
+from jentry.analysis import Damping, linearize
 from jentry.analysis.damping import eigenvalues_of
 from jentry.flight import FixedStep
 from jentry.guidance import Sampled
+from jentry.motion.index import DownrangeIndex
 from jentry.tuning import DampingBelow
 
 
@@ -141,7 +142,8 @@ def test_a_multiple_eigenvalue_leaves_the_others_their_derivative():
 def test_the_penalty_is_of_the_worst_mode(case):
     sampled, made, _, scenario = case
     worst = by_hand(GAINS, sampled)[0]
-    for least in (0.9 * worst, 1.5 * worst):
+    assert worst < 0.0  # the phugoid of the level flight grows
+    for least in (0.2, 0.9):
         short = max(1.0 - worst / least, 0.0)
         found = DampingBelow(made, float(least), weight=3.0)
         assert float(eqx.filter_jit(found)(scenario)) == pytest.approx(
@@ -156,23 +158,46 @@ def test_the_penalty_is_of_the_worst_mode(case):
             DampingBelow(made, **given)
 
 
-def test_what_has_no_damping_is_refused(monkeypatch):
+def test_what_has_no_damping_is_refused():
     with pytest.raises(
         ValueError, match="faster_than is -1.0: it must not be negative"
     ):
         Damping.of(flown(), faster_than=-1.0)
     with pytest.raises(ValueError, match="faster_than is nan"):
         Damping.of(flown(), faster_than=np.nan)
-    alone = lambda linked, connection: (len(linked), np.arange(len(linked)))
-    monkeypatch.setattr(damping, "connected_components", alone)
-    with pytest.raises(ValueError, match="nothing can swing"):
-        Damping.of(flown(), points=2, solver=SOLVER)
+    with pytest.raises(ValueError, match="points is 0: it must be 1 or more"):
+        Damping.of(flown(), points=0)
 
 
-def test_only_coordinates_that_depend_on_one_another_swing(case):
-    """Not the heading of a flight in its plane, nor a longitude that nothing reads."""
+def test_coordinates_that_depend_on_one_another_are_one_block(case):
+    """Altitude, velocity, path angle and integral; the others stand alone."""
     sampled, made, _, scenario = case
     loop = linearize(scenario, points=2, solver=FixedStep(0.1) if sampled else SOLVER)
-    (block,) = made.blocks
-    assert len(block) == len(loop.coordinates)
-    assert eqx.tree_equal(made.index, type(made.index)())
+    (block,) = (block for block in made.blocks if len(block) > 1)
+    assert len(block) == len(loop.coordinates) == 4
+    alone = [place for block in made.blocks for place in block if len(block) == 1]
+    assert not set(alone) & set(block)
+    assert sorted([*alone, *block]) == list(range(len(alone) + 4))
+
+
+def test_a_dependence_that_was_not_there_is_not_passed_over():
+    """A gain of zero links no integral: with another gain the modes are others."""
+    without = GAINS * np.array([1.0, 1.0, 1.0, 0.0])
+    made = Damping.of(flown(without), points=2, faster_than=1e-6, solver=SOLVER)
+    expected = by_hand(without, False)
+    found = np.sort(made(flown(without)), axis=1)
+    for row in found:
+        np.testing.assert_allclose(row[: len(expected)], expected, rtol=0, atol=1e-6)
+    assert np.isnan(made(flown())).all()
+
+
+def test_over_the_ground_the_ratios_are_the_same(case):
+    """In level flight over the ground each rate is divided by one number."""
+    sampled, _, _, scenario = case
+    if sampled:
+        pytest.skip("one form is enough: a map of a cycle has no other rates")
+    index = DownrangeIndex(scenario.initial_state)
+    made = Damping.of(scenario, index, 2, faster_than=1e-9, solver=SOLVER)
+    expected = by_hand(GAINS, False)
+    for row in np.sort(made(scenario), axis=1):
+        np.testing.assert_allclose(row[: len(expected)], expected, rtol=0, atol=1e-5)

@@ -1,5 +1,7 @@
 """How well a closed loop is damped along its flight, as a function of its gains."""
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -28,10 +30,14 @@ one and has no derivative"""
 class Damping(eqx.Module):
     """Damping ratios of the modes of a closed loop, at points of a flight.
 
-    The modes are those of `linearize`, of what swings: of coordinates that depend on one
-    another. They are differentiable, once, in the gains of the law and in all other
-    numbers of the scenario. The points stay where the loop was flown that this was made
-    of: with other gains the vehicle is taken to pass there as well.
+    The modes are those of `linearize`, counted in the motion and not in the errors of a
+    law; over the time both are the same. They are differentiable, once, in the gains of
+    the law and in all other numbers of the scenario. The points stay where the loop was
+    flown that this was made of: with other gains the vehicle is taken to pass there as
+    well. NaN where coordinates depend on one another that did not do so there, as the
+    integral of a gain that was zero.
+
+    Take one scenario at a time, and no `vmap` over several: see `eigenvalues`.
 
         damping = Damping.of(scenario, faster_than=0.1)
         damping(scenario).min()
@@ -43,6 +49,8 @@ class Damping(eqx.Module):
     out: int = eqx.field(static=True)
     blocks: tuple[tuple[int, ...], ...] = eqx.field(static=True)
     """Places of the coordinates, without the eliminated one, that depend on one another"""
+    unlinked: Bool[Array, "n n"]
+    """Dependences that would make two blocks one"""
     faster_than: float = eqx.field(static=True)
     """Magnitude of an eigenvalue from which on it counts, per unit of the index"""
 
@@ -65,7 +73,7 @@ class Damping(eqx.Module):
         - `faster_than`: slower modes do not count. Frozen, what hardly changes along a
             whole flight looks undamped, such as the heading and the phugoid.
 
-        **Raises:** `ValueError` as `linearize`, and where nothing swings.
+        **Raises:** `ValueError` as `linearize`.
         """
         if not faster_than >= 0.0:
             raise ValueError(f"faster_than is {faster_than}: it must not be negative")
@@ -79,27 +87,42 @@ class Damping(eqx.Module):
         matrices = np.delete(found.derivative @ np.asarray(equal), out, axis=1)
         linked = np.any(matrices != 0.0, axis=0)
         count, label = connected_components(linked, connection="strong")
-        blocks = [tuple(np.flatnonzero(label == i).tolist()) for i in range(count)]
-        blocks = tuple(sorted(block for block in blocks if len(block) > 1))
-        if not blocks:
-            raise ValueError(
-                "no coordinate of the closed loop depends on another that depends on it: "
-                "nothing can swing"
-            )
-        return cls(index, flown.plan, flown.lanes, out, blocks, float(faster_than))
+        blocks = (tuple(np.flatnonzero(label == i).tolist()) for i in range(count))
+        # Row i depends on column j, and so does whatever depends on i.
+        reached = (
+            np.linalg.matrix_power(linked + np.eye(len(linked)), len(linked)) > 0.0
+        )
+        return cls(
+            index,
+            flown.plan,
+            flown.lanes,
+            out,
+            tuple(sorted(blocks)),
+            jnp.asarray(reached.T & (label[:, None] != label[None, :])),
+            float(faster_than),
+        )
 
     def __call__(self, scenario: Scenario) -> Float[Array, "points modes"]:
         """Damping ratios, from 1, aperiodic, to -1; 1 for a mode that does not count."""
         rates, deadbeat = self.eigenvalues(scenario)
         size = jnp.abs(rates)
-        counts = ~deadbeat & (size > self.faster_than)
-        ratio = -jnp.real(rates) / jnp.where(counts, size, 1.0)
-        return jnp.where(counts, ratio, 1.0)
+        # What is not a number is neither, and stays so.
+        passed_over = deadbeat | (size <= self.faster_than)
+        ratio = -jnp.real(rates) / jnp.where(passed_over, 1.0, size)
+        return jnp.where(passed_over, 1.0, ratio)
 
     @property
     def points(self) -> int:
         """How many."""
-        return len(np.asarray(self.lanes.flown))
+        return jnp.shape(self.lanes.flown)[0]
+
+    def described(self) -> dict[str, Any]:
+        """What it is, without the numbers of the flight."""
+        return {
+            "index": type(self.index).__name__,
+            "points": self.points,
+            "faster_than": self.faster_than,
+        }
 
     def least(self, scenario: Scenario) -> Scalar:
         """The smallest of all modes and points."""
@@ -108,11 +131,16 @@ class Damping(eqx.Module):
     def eigenvalues(
         self, scenario: Scenario
     ) -> tuple[Complex[Array, "points modes"], Bool[Array, "points modes"]]:
-        """Per unit of the index that has passed, and which of them are deadbeat."""
+        """Per unit of the index that has passed, and which of them are deadbeat.
+
+        A batch of scenarios may wait for ever on a machine of few cores.
+        """
         sampled = isinstance(scenario.guidance, AbstractSampledLaw)
         found = derivatives_at(scenario, self.index, self.plan, self.lanes)
         equal = _at_equal_index(found.gradient, self.out)
         matrices = jnp.delete(found.derivative @ equal, self.out, axis=1)
+        merged = jnp.any((matrices != 0.0) & self.unlinked[None])
+        matrices = jnp.where(merged, jnp.nan, matrices)
         parts = []
         for block in self.blocks:
             rows = np.array(block)
@@ -137,7 +165,9 @@ def _at_equal_index(gradient: Float[Array, "points n"], out: int) -> Array:
 
 
 def eigenvalues_of(matrix: Float[Array, "k k"]) -> Complex[Array, " k"]:
-    """Eigenvalues, differentiable once wherever they are simple; else the slope is zero.
+    """Eigenvalues, differentiable once wherever they are simple.
+
+    Of a multiple one the slope is one of those that it may have, or zero.
 
     JAX's own derivative of them is not finite as soon as one of them is a multiple one.
     """

@@ -109,7 +109,7 @@ class FrozenLoop:
     @property
     def least_damping(self) -> Worst:
         """The smallest damping ratio of all points."""
-        return self.least_damping_of(0.0)
+        return self._worst(-self.damping, self.damping)
 
     def least_damping_of(self, faster_than: float) -> Worst:
         """Likewise of the modes with eigenvalues that are larger, per unit of the index.
@@ -117,7 +117,9 @@ class FrozenLoop:
         What hardly changes along a whole flight, such as the heading, looks undamped. NaN
         where no mode is as fast.
         """
-        counts = np.abs(self.eigenvalues) >= faster_than
+        counts = np.abs(self.eigenvalues) > faster_than
+        if not counts.any():
+            return Worst(np.nan, complex(np.nan), np.nan, np.nan)
         return self._worst(np.where(counts, -self.damping, -np.inf), self.damping)
 
     @property
@@ -127,7 +129,7 @@ class FrozenLoop:
         return self._worst(real, real)
 
     def _worst(self, badness: np.ndarray, value: np.ndarray) -> Worst:
-        if not np.any(badness > -np.inf):
+        if not badness.size:
             return Worst(np.nan, complex(np.nan), np.nan, np.nan)
         point, place = np.unravel_index(np.argmax(badness), badness.shape)
         return Worst(
@@ -195,8 +197,6 @@ def linearize(
         loop = linearize(scenario, EnergyIndex())
         loop.per_span, loop.least_damping
     """
-    if points < 1:
-        raise ValueError(f"points is {points}: it must be 1 or more")
     scenario = checked(scenario)
     flown = fly_points(scenario, index, points, solver)
     found = loop_derivatives(scenario, index, flown.plan, flown.lanes)

@@ -54,6 +54,8 @@ def fly_points(
     scenario: Scenario, index: AbstractIndex, points: int, solver: AbstractSolver
 ) -> FlownPoints:
     """Fly a scenario, and keep points of the flight; see `linearize` for its errors."""
+    if points < 1:
+        raise ValueError(f"points is {points}: it must be 1 or more")
     sampled = isinstance(scenario.guidance, AbstractSampledLaw)
     plan = Plan.of(scenario, solver, None)
     if not sampled:

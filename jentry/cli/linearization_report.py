@@ -51,13 +51,14 @@ def print_loop(mission: Mission, loop: FrozenLoop, faster_than: float = 0.0) -> 
     heads = [f"time, {seconds}", "largest real part", "least damping", "eigenvalues"]
     heads += ["zeros"] if loop.zeros is not None else []
     table = new_table(over, *heads)
-    counts = np.abs(loop.eigenvalues) >= faster_than
-    damping = np.where(counts, loop.damping, 1.0)
+    counts = (np.abs(loop.eigenvalues) > faster_than) | (faster_than == 0.0)
+    damping = np.where(counts, loop.damping, np.inf)
     for point, value in enumerate(index):
         eigenvalues = loop.per_span[point]
         cells = [f"{loop.time[point]:.1f}"]
         cells += [_shown(np.max(np.real(eigenvalues), initial=-np.inf))]
-        cells += [f"{np.min(damping[point], initial=1.0):z.3f}"]
+        least = np.min(damping[point], initial=np.inf)
+        cells += [f"{least:z.3f}" if np.isfinite(least) else "-"]
         cells += [_in_short(eigenvalues)]
         if loop.zeros is not None:
             cells += [_in_short(loop.zeros[point] * loop.span)]
@@ -80,10 +81,13 @@ def print_loop(mission: Mission, loop: FrozenLoop, faster_than: float = 0.0) -> 
             "deadbeat: gone within one guidance cycle, a multiplier of zero, which has no "
             "finite eigenvalue"
         )
-    grows, swings = loop.largest_real_part, loop.least_damping_of(faster_than)
+    grows, swings = loop.largest_real_part, _least(loop, faster_than)
     largest = _shown(grows.value * loop.span)
     console.print(f"largest real part {largest}, {_place(loop, grows)}")
-    which = "" if faster_than == 0.0 else f" of eigenvalues beyond {faster_than:g}"
+    per = "1" if loop.unit == "1" else f"1/{loop.unit}"
+    which = (
+        "" if faster_than == 0.0 else f" of eigenvalues beyond {faster_than:g} {per}"
+    )
     if np.isnan(swings.value):
         console.print(f"least damping{which}: there are none")
     else:
@@ -92,6 +96,10 @@ def print_loop(mission: Mission, loop: FrozenLoop, faster_than: float = 0.0) -> 
         )
     if loop.without_zeros:
         console.print(f"no zeros: {loop.without_zeros}")
+
+
+def _least(loop: FrozenLoop, faster_than: float) -> Worst:
+    return loop.least_damping_of(faster_than) if faster_than else loop.least_damping
 
 
 def _place(loop: FrozenLoop, worst: Worst) -> str:
@@ -120,7 +128,11 @@ def _in_short(numbers: np.ndarray) -> str:
 
 
 def write_loop(
-    path: Path, mission: Mission, variant: str, loop: FrozenLoop
+    path: Path,
+    mission: Mission,
+    variant: str,
+    loop: FrozenLoop,
+    faster_than: float = 0.0,
 ) -> tuple[Path, Path]:
     """Write the figure, and beside it every number to its last digit as JSON."""
     title = f"{mission.name} {variant}: closed loop at equal {loop.over}"
@@ -129,6 +141,9 @@ def write_loop(
     told = {"mission": mission.name, "variant": variant} | {
         name: _plain(value) for name, value in vars(loop).items()
     }
+    least = _least(loop, faster_than).value
+    told["faster_than"] = faster_than
+    told["least_damping"] = None if np.isnan(least) else least
     write_whole(numbers, (json.dumps(told, indent=1, allow_nan=False) + "\n").encode())
     return figure, numbers
 

@@ -39,12 +39,13 @@ def command(
         int, typer.Option(help="Points of the flight, evenly spaced over it.")
     ] = 20,
     faster_than: Annotated[
-        float,
+        float | None,
         typer.Option(
             help="Modes whose damping counts, per SI unit of what errors are compared at: "
-            "what hardly changes, such as the heading, looks undamped."
+            "what hardly changes, such as the heading, looks undamped. Over the time what "
+            "the mission names, or all, if not given."
         ),
-    ] = 0.0,
+    ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -60,7 +61,7 @@ def command(
     """Eigenvalues of the closed loop along a flight, and zeros that no gain can move."""
     if out is not None and out.suffix != ".png":
         raise ValueError(f"out is {str(out)!r}: it must be the name of a PNG, loop.png")
-    if not faster_than >= 0.0:
+    if faster_than is not None and not faster_than >= 0.0:
         raise ValueError(f"--faster-than is {faster_than}: it must not be negative")
     set_up(workers=1)
 
@@ -70,9 +71,12 @@ def command(
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
     index = index_over(over, scenario)
+    if faster_than is None:
+        named = chosen.modes_faster_than if over is Over.TIME else None
+        faster_than = named or 0.0
     loop = linearize(scenario, index, points, solver=FixedStep(step))
     name = first_given(variant, overrides.variant, *chosen.variants)
     print_loop(chosen, loop, faster_than)
     if out is not None:
-        for path in write_loop(out, chosen, name, loop):
+        for path in write_loop(out, chosen, name, loop, faster_than):
             typer.echo(f"written: {path}")

@@ -28,7 +28,7 @@ def print_under(console: Console, title: str, table: Table) -> None:
 
 
 def in_digits(number: float, sign: str = "") -> str:
-    """To four decimals, or three digits of a small number; - for no number."""
+    """To four decimals, or fewer digits of a small number; - for no number."""
     if np.isnan(number):
         return "-"
     if 0.0 < abs(number) < 5e-5:

@@ -47,7 +47,8 @@ def command(
             metavar="QUANTITY=SCALE",
             help="What the loss is of: a miss, or the peak of a path constraint, and how "
             "much of it counts as 1, such as altitude=500m. May be repeated; "
-            "downrange=1km, and crossrange=1km out of the plane, if not given.",
+            "what the mission names, or downrange=1km, and crossrange=1km out of the "
+            "plane, if not given.",
         ),
     ] = None,
     out: Annotated[
@@ -142,7 +143,6 @@ def command(
         AutomaticDifferentiation,
         Budget,
         CentralDifferences,
-        DampingBelow,
         Draws,
         Record,
         smoothing,
@@ -151,7 +151,12 @@ def command(
     from ..tuning.tuning import tune
     from .dispersions_report import print_what_is_flown
     from .overrides import AtAddresses
-    from .tuning_options import damping_of, outputs_for, parse_ranges, parse_scales
+    from .tuning_options import (
+        damping_penalty,
+        outputs_for,
+        parse_ranges,
+        parse_scales,
+    )
     from .tuning_report import print_damping, print_tuned, report_step, write_course
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
@@ -178,8 +183,10 @@ def command(
     gradient = AutomaticDifferentiation(surrogate=followed)
     if differences is not None:
         gradient = CentralDifferences(differences, followed)
-    scaled, solver = parse_scales(of or (), scenario), FixedStep(step)
-    damping = damping_of(chosen, scenario, solver, least_damping, faster_than)
+    scaled = parse_scales(of or chosen.tuned_for, scenario)
+    solver = FixedStep(step)
+    modes = chosen.modes_faster_than if faster_than is None else faster_than
+    penalty = damping_penalty(scenario, solver, least_damping, modes)
     labels = {
         "loss": loss,
         "optimizer": wanted,
@@ -202,16 +209,12 @@ def command(
             outputs=outputs_for(scaled, scenario),
             solver=solver,
             gradient=gradient,
-            penalty=None
-            if least_damping is None or damping is None
-            else DampingBelow(damping, least_damping),
+            penalty=penalty,
             budget=Budget(steps, patience),
             record=Record(folder / "tuning.npz", labels, report),
         )
     print_what_is_flown(chosen, scenario, overrides, reading, table)
     print_tuned(chosen, scenario, tuned)
-    if damping is not None:
-        print_damping(damping, scenario, tuned, solver)
     write_course(folder / "course.csv", tuned)
     stepped = "" if step is None else f", --step {step:g}"
     tuned.save(
@@ -224,3 +227,5 @@ def command(
         f"jentry monte-carlo {shlex.quote(mission)} --config FILE",
     )
     typer.echo(f"tuned scenario: {folder / 'tuned.toml'}")
+    if modes is not None:
+        print_damping(modes, scenario, tuned, solver)

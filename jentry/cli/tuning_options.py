@@ -9,10 +9,10 @@ from ..fields import units_of
 from ..flight.miss import Misses, misses
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
-from ..missions.mission import Mission
 from ..tuning.batch_gradients import Outputs
 from ..tuning.losses import MissesAndPeaks, ScaledMisses
 from ..tuning.maps import Bounds, Scale
+from ..tuning.penalties import DampingBelow
 from ..units import km, parse_quantity
 
 
@@ -32,6 +32,11 @@ def parse_scales(options: Iterable[str], scenario: Scenario) -> ScaledMisses:
             raise ValueError(
                 f"--of {option}: no miss or path constraint {name!r}; "
                 f"{nearest(name, units)}"
+            )
+        if name in _MISSES and name in scenario.constraints:
+            raise ValueError(
+                f"--of {option}: {name} is a miss and a path constraint: give the "
+                "constraint another name"
             )
         unit = units[name]
         if name in scales:
@@ -57,26 +62,30 @@ def outputs_for(scaled: ScaledMisses, scenario: Scenario) -> Outputs:
     return MissesAndPeaks(peaks) if peaks else misses
 
 
-_POINTS = 60
+DAMPING_POINTS = 60
 """Of a flight, at which its damping is looked at"""
 
 
-def damping_of(
-    mission: Mission,
+def damping_penalty(
     scenario: Scenario,
     solver: AbstractSolver,
     least: float | None,
     faster_than: float | None,
-) -> Damping | None:
-    """The modes whose damping is penalized or told; None where none is."""
-    if least is not None and not 0.0 < least <= 1.0:
-        raise ValueError(f"--least-damping is {least}: it must be above 0, at most 1")
-    wanted = faster_than if faster_than is not None else mission.modes_faster_than
-    if wanted is None and least is None:
+) -> DampingBelow | None:
+    """The penalty that is asked for. Raises `ValueError` where it is not told of what."""
+    if least is None:
         return None
-    return Damping.of(
-        scenario, points=_POINTS, faster_than=wanted or 0.0, solver=solver
+    if not 0.0 < least <= 1.0:
+        raise ValueError(f"--least-damping is {least}: it must be above 0, at most 1")
+    if faster_than is None:
+        raise ValueError(
+            "--least-damping needs --faster-than 0.1, or another magnitude in rad/s: "
+            "frozen, what hardly changes along a flight looks undamped"
+        )
+    damping = Damping.of(
+        scenario, points=DAMPING_POINTS, faster_than=faster_than, solver=solver
     )
+    return DampingBelow(damping, least)
 
 
 def parse_ranges(

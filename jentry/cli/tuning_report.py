@@ -10,7 +10,6 @@ from rich.console import Console
 from .._files import write_whole
 from .._printed import in_words
 from ..addresses import unit_of
-from ..analysis.damping import Damping
 from ..analysis.frozen_loop import linearize
 from ..campaign.outputs import error_of, peak_of
 from ..fields import units_of
@@ -23,6 +22,7 @@ from ..tuning.record import NUMBERS, Entry
 from ..tuning.tuning import Tuned
 from ..units import at_edge
 from .tables import in_digits, new_console, new_table, print_under
+from .tuning_options import DAMPING_POINTS
 
 
 _SAME = 1e-4
@@ -52,6 +52,9 @@ def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
         f"stopped: {tuned.stopped}; best of {len(tuned.course)} steps is number "
         f"{tuned.best + 1}, loss {first.loss:.6g} -> {best.loss:.6g}"
     )
+    if tuned.penalties is not None:
+        was, is_ = tuned.penalties
+        console.print(f"of it the penalty {was:.4g} -> {is_:.4g}")
     for remark in tuned.remarks:
         console.print(f"NOTE: {remark}")
     most = max(tuned.course, key=lambda entry: entry.gradients_failed)
@@ -83,8 +86,13 @@ def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
     unfelt = [a for a, share in tuned.gradient_shares.items() if share == 0.0]
     if unfelt:
         console.print(
-            f"no gradient feels {', '.join(unfelt)}: it acts through a discrete "
-            "choice or behind a limit, and stays as it was"
+            f"no flight's gradient feels {', '.join(unfelt)}: it acts through a "
+            "discrete choice or behind a limit, and "
+            + (
+                "stays as it was"
+                if tuned.penalties is None
+                else "is left to the penalty"
+            )
         )
     print_judgement(before, tuned)
 
@@ -127,32 +135,36 @@ def print_judgement(scenario: Scenario, tuned: Tuned) -> None:
         console.print(
             "the loss is NOT lower on held-out draws, beyond the interval: tune on more "
             "runs, or leave it as it was"
+            + ("" if tuned.penalties is None else "; the penalty is not in this loss")
         )
 
 
 def _quantity(name: str, scenario: Scenario) -> tuple[str, str]:
     """Unit and words of an output: of `Misses`, or of `MissesAndPeaks`."""
-    name = name.rpartition(".")[2]
-    if name in scenario.constraints:
-        return scenario.constraints[name].unit, in_words(peak_of(name))
+    if name not in units_of(Misses):
+        constraint = scenario.constraints[name]
+        return constraint.shown_unit or constraint.unit, in_words(peak_of(name))
     return units_of(Misses)[name], in_words(error_of(name))
 
 
 def print_damping(
-    damping: Damping, before: Scenario, tuned: Tuned, solver: AbstractSolver
+    faster_than: float, before: Scenario, tuned: Tuned, solver: AbstractSolver
 ) -> None:
     """The least damped modes that count, each along the flight of its own scenario."""
-    console, least = new_console(), []
+    told = []
     for scenario in (before, tuned.scenario):
-        loop = linearize(scenario, damping.index, damping.points, solver=solver)
-        least.append(loop.least_damping_of(damping.faster_than))
-    console.print(
-        f"least damping of modes faster than {damping.faster_than:g} rad/s, frozen: "
-        f"{least[0].value:.3f} at {least[0].time:.0f} s -> "
-        f"{least[1].value:.3f} at {least[1].time:.0f} s"
+        try:
+            loop = linearize(scenario, points=DAMPING_POINTS, solver=solver)
+        except ValueError as error:
+            told.append(f"not known ({error})")
+            continue
+        least = loop.least_damping_of(faster_than)
+        none = np.isnan(least.value)
+        told.append("none" if none else f"{least.value:.3f} at {least.time:.0f} s")
+    new_console().print(
+        f"least damping of modes faster than {faster_than:g} rad/s, frozen: "
+        f"{told[0]} -> {told[1]}"
     )
-    if tuned.penalties is not None:
-        console.print(f"penalty {tuned.penalties[0]:.4g} -> {tuned.penalties[1]:.4g}")
 
 
 def _is_nothing(comparison: Comparison) -> bool:

@@ -147,7 +147,7 @@ class ShuttleModulation(AbstractContinuousLaw[None]):
         )
         modulates = self.gate.modulates(measurement)
         sensed = jnp.where(modulates, measurement.drag, drag)
-        off = jnp.abs(sensed - drag) > self.dead_band
+        off = jnp.abs(sensed - drag) >= self.dead_band
         ratio = jnp.where(off, drag / sensed - 1.0, 0.0)
         away = measurement.angle_of_attack - angle
         change = coefficient * ratio / (self.divisor * slope)

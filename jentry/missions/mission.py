@@ -63,6 +63,9 @@ class Mission:
     gains: tuple[str, ...] = ("guidance.gains", "guidance.observer")
     """What `jentry tune` tunes unless told otherwise: addresses, or the beginnings of
     some; those that a variant does not have are left out"""
+    tuned_for: tuple[str, ...] = ()
+    """What `jentry tune --of` is unless told otherwise, such as `drag_deviation=0.5`; the
+    misses where it is empty"""
     modes_faster_than: float | None = None
     """Modes of the closed loop, in rad/s, whose least damping every `jentry tune` tells;
     None for a mission whose tuning does not tell any"""

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from ..fields import Scalar
 from ..flight.flight import Flight, History
-from ..flight.miss import Misses, misses
+from ..flight.miss import misses
 from ..flight.scenario import Scenario
 
 
@@ -177,14 +177,15 @@ class OfDistance(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class MissesAndPeaks:
-    """Outputs of a flight: its misses, and the peaks of some path constraints by name."""
+    """Outputs of a flight by name: its misses, and the peaks of some path constraints."""
 
     peaks: tuple[str, ...]
 
-    def __call__(
-        self, scenario: Scenario, flight: Flight
-    ) -> tuple[Misses, dict[str, Scalar]]:
-        return misses(scenario, flight), {n: flight.peaks[n] for n in self.peaks}
+    def __call__(self, scenario: Scenario, flight: Flight) -> dict[str, Scalar]:
+        missed = {
+            n: x for n, x in vars(misses(scenario, flight)).items() if x is not None
+        }
+        return missed | {n: flight.peaks[n] for n in self.peaks}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -197,10 +198,10 @@ class ScaledMisses:
     scales: tuple[tuple[str, float], ...]
 
     def __call__(self, outputs: Any) -> tuple[Values, ...]:
-        missed, peaks = outputs if isinstance(outputs, tuple) else (outputs, {})
+        known = outputs if isinstance(outputs, dict) else vars(outputs)
 
         def value(name: str) -> Values:
-            found = peaks[name] if name in peaks else getattr(missed, name)
+            found = known.get(name)
             if found is None:
                 raise ValueError(
                     f"the target has no {name}: give it one, or leave the miss out"

@@ -87,7 +87,9 @@ class Entry:
         return lacking > least
 
     def better_than(self, other: "Entry") -> bool:
-        """Fewer flights that are not finite, or as many and less loss."""
+        """Finite; then fewer flights that are not finite, or as many and less loss."""
+        if np.isfinite(self.loss) != np.isfinite(other.loss):
+            return bool(np.isfinite(self.loss))
         if self.failed != other.failed:
             return self.failed < other.failed
         return self.loss < other.loss
@@ -222,6 +224,8 @@ def told(thing: Any) -> Any:
     """In plain values, what can be told of a loss, a map or an optimizer."""
     if isinstance(thing, functools.partial):
         return [told(thing.func), told(thing.args), told(thing.keywords)]
+    if hasattr(thing, "described") and not isinstance(thing, type):
+        return {"type": type(thing).__qualname__, **thing.described()}
     if dataclasses.is_dataclass(thing) and not isinstance(thing, type):
         fields = {
             f.name: told(getattr(thing, f.name)) for f in dataclasses.fields(thing)

@@ -65,6 +65,11 @@ def _what_was_tuned(tuned: "Tuned") -> dict[str, Any]:
         "best_step": tuned.best + 1,
         "loss_at_start": first.loss,
         "loss": best.loss,
+        **(
+            {}
+            if tuned.penalties is None
+            else {"penalty_at_start": tuned.penalties[0], "penalty": tuned.penalties[1]}
+        ),
         "remarks": list(tuned.remarks),
         "parameters": {a: parameter(a, x) for a, x in tuned.values.items()},
         "judgement": _told(tuned.judgement),

@@ -43,6 +43,7 @@ MISSION = Mission(
         "guidance.angle_of_attack.gains.bank_deviation",
         "guidance.angle_of_attack.gains.bank_rate",
     ),
-    modes_faster_than=0.1,
+    tuned_for=("drag_deviation=4e-4", "angle_of_attack_deviation=10deg"),
+    modes_faster_than=0.2,
     figures={**HISTORIES, "deviations": figures.deviations, "flown": figures.flown},
 )
