@@ -2,14 +2,17 @@
 
 import dataclasses
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from first_sets import populations
 
-from jentry import find_mission, monte_carlo
+from jentry import find_mission, fly, linearize, monte_carlo
 from jentry.addresses import leaves_by_address
 from jentry.campaign.campaign import drawn_inputs
+from jentry.cli.overrides import apply_values, in_si, read_overrides
 from jentry.flight import Outcome
 from jentry.missions.rlv.airframe import ScheduledAngleOfAttack, vehicle
 from jentry.missions.rlv.scenario import earth, plan
@@ -182,9 +185,10 @@ def test_readings_and_variants():
 RUNS = 500
 
 
-def drag_errors(variant, reading, seed):
-    """Largest error of the drag below 7000 m/s of each run, g; nominal flight last."""
-    scenario, table = MISSION.scenario(variant), MISSION.dispersion_table(reading)
+def peaks(scenario, reading, seed):
+    """Largest error of the drag below 7000 m/s of each run (1e-3 g), and largest deviation
+    of the angle of attack (deg); nominal flight last."""
+    table = MISSION.dispersion_table(reading)
     drawn = drawn_inputs(scenario, table, jax.random.key(seed), np.arange(RUNS))
     known = leaves_by_address(scenario)
     inputs = {
@@ -193,7 +197,12 @@ def drag_errors(variant, reading, seed):
     }
     found = monte_carlo(scenario, inputs=inputs)
     assert np.all(np.asarray(found.flights.outcome) == Outcome.REACHED)
-    return np.asarray(found.flights.peaks.drag_deviation)
+    known = found.flights.peaks
+    return 1e3 * known["drag_deviation"], known["angle_of_attack_deviation"] / degree
+
+
+def drag_errors(variant, reading, seed):
+    return peaks(MISSION.scenario(variant), reading, seed)[0]
 
 
 SLOW = [pytest.mark.slow, pytest.mark.optimized]
@@ -233,7 +242,7 @@ def test_both_laws_track_the_drag_as_well_as_an_independent_program_does(
     """Three sets of 500 runs, each. The notes have nominal errors of 2.0 and 8.0, medians
     of 2.0 and 17 and bounds of 2.6 and 20."""
     for seed in range(3):
-        *errors, alone = 1e3 * drag_errors(variant, reading, seed)
+        *errors, alone = drag_errors(variant, reading, seed)
         assert alone == pytest.approx(nominal, abs=0.05)
         assert np.median(errors) == pytest.approx(median, abs=0.05)
         assert np.percentile(errors, share) <= most
@@ -244,6 +253,53 @@ def test_both_laws_track_the_drag_as_well_as_an_independent_program_does(
 def test_a_fast_attitude_keeps_the_error_of_the_paper():
     """Below 2e-3 g in all runs."""
     for seed in range(3):
-        errors = 1e3 * drag_errors("a8", "table-1", seed)
+        errors = drag_errors("a8", "table-1", seed)
         assert np.max(errors) < 2.0
         assert errors[-1] == pytest.approx(1.3, abs=0.05)
+
+
+def tuned(variant):
+    given = read_overrides(populations.SAVED.with_name("tuned-rlv.toml"))
+    start = MISSION.scenario(variant)
+    return apply_values(start, in_si(given, start).values)
+
+
+@pytest.mark.slow
+@pytest.mark.optimized
+@pytest.mark.parametrize(
+    ("variant", "reading", "nominal", "median", "most"),
+    [
+        ("hard", "table-1", 0.26, 0.26, 0.45),
+        ("hard-noise", "table-1-noise", 0.60, 0.57, 0.83),
+    ],
+)
+def test_tuned_gains_of_a_slow_attitude(variant, reading, nominal, median, most):
+    """Three sets of 500 runs, none of which is that of the tuning, as the README has it.
+
+    Asked for are 0.4 nominally, and 0.5 in all runs or 0.7 with noise: that, and 7 degrees
+    of the angle of attack, are missed.
+    """
+    scenario = tuned(variant)
+    loop = linearize(scenario, points=200)
+    assert loop.least_damping_of(0.2).value == pytest.approx(0.32, abs=0.01)
+    for seed in range(1, 4):
+        errors, angles = peaks(scenario, reading, seed)
+        assert errors[-1] == pytest.approx(nominal, abs=0.01)
+        assert np.median(errors) == pytest.approx(median, abs=0.01)
+        assert np.max(errors) < most
+        assert angles[-1] == pytest.approx(7.0, abs=0.05)
+        assert np.median(angles) == pytest.approx(7.0, abs=0.1)
+        assert np.max(angles) < 12.5
+
+
+@pytest.mark.slow
+def test_the_bank_feedback_brings_the_angle_of_attack_back():
+    """Nominal, with and without k1 and k2, as the README has it; the Shuttle as flown."""
+    gains = "guidance.angle_of_attack.gains"
+    inputs = {f"{gains}.bank_deviation": [4.0, 0.0], f"{gains}.bank_rate": [-0.15, 0.0]}
+    inputs = {name: np.array(values) for name, values in inputs.items()}
+    found = monte_carlo(MISSION.scenario("r5"), inputs=inputs).flights.peaks
+    angles = found["angle_of_attack_deviation"] / degree
+    assert angles == pytest.approx([8.9, 16.9], abs=0.1)
+    flight = eqx.filter_jit(fly)(MISSION.scenario("shuttle-as-flown"))
+    assert 1e3 * float(flight.peaks["drag_deviation"]) == pytest.approx(34.6, abs=0.1)

@@ -205,15 +205,14 @@ def test_replanned_where_the_air_is_not_a_factor_off():
     scenario = MISSION.scenario("replanned")
     height = float(scenario.planet.atmosphere.scale_height)
     surface = float(scenario.planet.atmosphere.surface_density)
-    for seed in range(3):
-        inputs = populated(scenario, "air-and-vehicle", seed)
-        other = height * np.random.default_rng(seed).uniform(0.95, 1.05, RUNS)
-        inputs["planet.atmosphere.scale_height"] = other
-        same_at = 50e3
-        rise = np.exp(same_at / other - same_at / height)
-        inputs["planet.atmosphere.surface_density"] = surface * rise
-        miss, _ = miss_of(scenario, inputs)
-        assert np.percentile(miss, 99) < 0.01 and np.max(miss) < 0.2
+    inputs = populated(scenario, "air-and-vehicle", 0)
+    other = height * np.random.default_rng(0).uniform(0.95, 1.05, RUNS)
+    inputs["planet.atmosphere.scale_height"] = other
+    same_at = 50e3
+    rise = np.exp(same_at / other - same_at / height)
+    inputs["planet.atmosphere.surface_density"] = surface * rise
+    miss, _ = miss_of(scenario, inputs)
+    assert np.percentile(miss, 99) < 0.01 and np.max(miss) < 0.2
 
 
 def test_replanned_cases_of_the_paper():

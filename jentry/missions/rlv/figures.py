@@ -2,10 +2,9 @@
 
 from typing import TYPE_CHECKING
 
-from ...guidance.shuttle import Gate
 from ...plots.figure_data import FigureData
 from ...plots.style import NOMINAL, RUNS, panelled, scaled
-from .scenario import END_VELOCITY
+from .scenario import END_VELOCITY, gate
 
 
 if TYPE_CHECKING:
@@ -40,6 +39,6 @@ def _over_velocity(
             axes.plot(*there, color=NOMINAL, lw=1.0)
         axes.set(xlabel=velocity.label, ylabel=drawn.label)
         axes.set_xlim(
-            float(Gate().velocity) / velocity.size, END_VELOCITY / velocity.size
+            float(gate().velocity) / velocity.size, END_VELOCITY / velocity.size
         )
     return data.noted(figure, histories=True)

@@ -124,10 +124,15 @@ def model() -> OnboardModel:
     return OnboardModel(earth(), vehicle())
 
 
+def gate() -> Gate:
+    """The same for the bank, for both angle-of-attack laws, and for what judges them."""
+    return Gate()
+
+
 def shuttle_bank(period: float = CYCLE) -> Sampled:
     """Both laws bank like this: six reversals."""
     lateral = VelocityReversals(jnp.array(REVERSALS))
-    return Sampled(ShuttleBank(plan(), lateral=lateral), period)
+    return Sampled(ShuttleBank(plan(), gate=gate(), lateral=lateral), period)
 
 
 def limits() -> BankLimits:
@@ -169,7 +174,7 @@ def entry(law: AbstractLaw, frequency: float) -> Scenario:
             **usual_constraints(),
             "drag_deviation": DragDeviation(reference=plan(), below=JUDGED_BELOW),
             "angle_of_attack_deviation": AngleOfAttackDeviation(
-                reference=plan(), below=Gate().velocity
+                reference=plan(), below=gate().velocity
             ),
         },
         step=STEP,
@@ -188,6 +193,7 @@ def modulated(
         domain=VelocityDomain(model()),
         gains=gains,
         lag=lag,
+        gate=gate(),
         cycle=FixedCycle(period),
     )
     return entry(compose(law, shuttle_bank(period), limits()), frequency)
@@ -205,7 +211,7 @@ def a8() -> Scenario:
 
 def shuttle(divisor: float = 1.0) -> Scenario:
     """The Shuttle's law with f = 1, and an attitude of 5 rad/s."""
-    law = ShuttleModulation(plan(), model(), divisor)
+    law = ShuttleModulation(plan(), model(), divisor, gate=gate())
     return entry(compose(Sampled(law, CYCLE), shuttle_bank(), limits()), 5.0)
 
 
@@ -222,7 +228,9 @@ def shuttle_as_flown() -> Scenario:
     drag by a third of the gravity.
     """
     period = 1.92
-    law = ShuttleModulation(plan(), model(), dead_band=0.15 * foot, limit=2.0 * degree)
+    law = ShuttleModulation(
+        plan(), model(), dead_band=0.15 * foot, limit=2.0 * degree, gate=gate()
+    )
     return entry(compose(Sampled(law, period), shuttle_bank(period), limits()), 5.0)
 
 
