@@ -12,7 +12,9 @@ from first_sets import populations
 from jentry import find_mission, fly, linearize, monte_carlo
 from jentry.addresses import leaves_by_address
 from jentry.campaign.campaign import drawn_inputs
+from jentry.campaign.dispersions import check_dispersions
 from jentry.cli.overrides import apply_values, in_si, read_overrides
+from jentry.cli.tuning_options import parse_scales
 from jentry.flight import Outcome
 from jentry.missions.rlv.airframe import ScheduledAngleOfAttack, vehicle
 from jentry.missions.rlv.scenario import earth, plan
@@ -180,6 +182,28 @@ def test_readings_and_variants():
         trend = dataclasses.replace(air, trend=jnp.asarray(1.0))
         factor = float(trend.factor(jnp.asarray(altitude)))
         assert factor == pytest.approx(1.0 + share)
+
+
+def test_noise_is_another_in_each_flight():
+    scenario = MISSION.scenario("hard-noise")
+    check_dispersions(scenario, MISSION.dispersion_table("table-1-noise"))
+    with pytest.raises(ValueError, match="all runs would have the same: disperse"):
+        check_dispersions(scenario, MISSION.dispersion_table("table-1"))
+
+
+def test_tuning_is_of_the_deviations_and_not_of_the_range():
+    scaled = parse_scales(MISSION.tuned_for, MISSION.scenario("hard"))
+    names = {"drag_deviation", "angle_of_attack_deviation"}
+    assert {name for name, _ in scaled.scales} == names
+    missed = {"drag_deviation": 8e-4, "angle_of_attack_deviation": 5.0 * degree}
+    assert scaled(missed) == pytest.approx((2.0, 0.5))
+
+
+def test_the_published_bound_is_of_the_worst_run():
+    (published,) = MISSION.published
+    assert (published.value, MISSION.published_runs) == (2e-3, 500)
+    runs = {"peak_drag_deviation": np.array([1e-3, 3e-3, 2e-3])}
+    assert published.statistic(runs) == 3e-3
 
 
 RUNS = 500
