@@ -266,7 +266,7 @@ TUNE = {
     "--gains guidance.bank": "no leaf 'guidance.bank'",
     "--gains=": "no leaf ''",
     "--gains vehicle.mass": "the dispersion 'mass' moves it",
-    "--of range=1km": "no miss 'range'",
+    "--of range=1km": "no miss or path constraint 'range'",
     "--of altitude=-1km": "the scale must be greater than zero",
     "--of altitude=inf": "the scale must be greater than zero",
     "--of altitude=5kg": "a number in m",
