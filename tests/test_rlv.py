@@ -298,7 +298,7 @@ def tuned(variant):
     ],
 )
 def test_tuned_gains_of_a_slow_attitude(variant, reading, nominal, median, most):
-    """Three sets of 500 runs, as the README has it, with other keys than the tuning had.
+    """Three sets of 500 runs, as the README has it.
 
     Asked for are 0.4 nominally, 0.5 in all runs and 7 degrees of the angle of attack, which
     the nominal flight keeps; and 0.7 with noise, which is missed.
@@ -307,7 +307,7 @@ def test_tuned_gains_of_a_slow_attitude(variant, reading, nominal, median, most)
     if variant == "hard":
         least = linearize(scenario, points=120).least_damping_of(0.2)
         assert least.value == pytest.approx(0.63, abs=0.02)
-    for seed in range(3):
+    for seed in range(1, 4):  # that of the tuning is 0
         errors, angles = peaks(scenario, reading, seed)
         assert errors[-1] == pytest.approx(nominal, abs=0.01)
         assert np.median(errors) == pytest.approx(median, abs=0.01)
