@@ -95,6 +95,8 @@ def test_what_is_slower_does_not_count():
     counted = rates[np.abs(rates) > between]
     expected = np.min(-counted.real / np.abs(counted))
     assert float(made.least(scenario)) == pytest.approx(expected, abs=1e-7)
+    # What is damped better than asked for costs nothing.
+    assert expected > 0.5 and float(DampingBelow(made, 0.4)(scenario)) == 0.0
     loop = linearize(scenario, points=2, solver=SOLVER)
     found = loop.least_damping_of(between)
     assert found.value == pytest.approx(expected, abs=1e-7)
