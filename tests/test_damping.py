@@ -193,11 +193,9 @@ def test_a_dependence_that_was_not_there_is_not_passed_over():
     assert np.isnan(made(flown())).all()
 
 
-def test_over_the_ground_the_ratios_are_the_same(case):
+def test_over_the_ground_the_ratios_are_the_same():
     """In level flight over the ground each rate is divided by one number."""
-    sampled, _, _, scenario = case
-    if sampled:
-        pytest.skip("one form is enough: a map of a cycle has no other rates")
+    scenario = flown()
     index = DownrangeIndex(scenario.initial_state)
     made = Damping.of(scenario, index, 2, faster_than=1e-9, solver=SOLVER)
     expected = by_hand(GAINS, False)
