@@ -115,6 +115,20 @@ def test_a_damping_and_peaks_arrive(command, monkeypatch):
     assert float(found["load_factor"]) == float(flight.peaks["load_factor"])
 
 
+def test_a_mission_says_what_its_tuning_is_of(command, monkeypatch):
+    """And an option says otherwise."""
+    seen = intercepted(monkeypatch, "jentry.tuning.tuning", "tune")
+    peaks = {
+        "drag_deviation": jnp.array([8e-4]),
+        "angle_of_attack_deviation": jnp.array([0.0]),
+        "downrange": jnp.array([5e3]),
+    }
+    for words, expected in (((), 4.0), (("--of", "downrange=1km"), 25.0)):
+        with pytest.raises(Arrived):
+            command("tune", "rlv", "--runs", 4, "--held-out", 4, *words)
+        assert seen["given"][2](peaks) == pytest.approx(expected)
+
+
 def test_no_damping_is_looked_at_unless_asked(command, monkeypatch):
     seen = intercepted(monkeypatch, "jentry.tuning.tuning", "tune")
     with pytest.raises(Arrived):

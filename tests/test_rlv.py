@@ -194,6 +194,7 @@ def test_noise_is_another_in_each_flight():
 def test_tuning_is_of_the_deviations_and_not_of_the_range():
     scaled = parse_scales(MISSION.tuned_for, MISSION.scenario("hard"))
     names = {"drag_deviation", "angle_of_attack_deviation"}
+    assert MISSION.modes_faster_than == 0.2  # rad/s: the phugoid is slower
     assert {name for name, _ in scaled.scales} == names
     missed = {
         "drag_deviation": jnp.array([8e-4]),
