@@ -101,3 +101,18 @@ def held_map(gains):
     a, b, k = with_integral(gains)
     whole = linalg.expm(PERIOD * np.block([[a, b[:, None]], [np.zeros(5)]]))
     return whole[:4, :4] - np.outer(whole[:4, 4], k)
+
+
+def deadbeat_gains():
+    """With which one combination of altitude and path angle is gone after a cycle, and one
+    is halved; the energy and, without a gain of its own, the integral stay."""
+
+    def of(altitude, path):
+        reduced = held_map(np.array([altitude, 0.0, path, 0.0]))[:3, :3]
+        return np.poly(reduced)[1:3]
+
+    # The polynomial is affine in the gains: wanted is (x - 1) (x - 0.5) x.
+    base = of(0.0, 0.0)
+    slopes = np.stack([of(1.0, 0.0) - base, of(0.0, 1.0) - base], axis=1)
+    altitude, path = np.linalg.solve(slopes, np.array([-1.5, 0.5]) - base)
+    return np.array([altitude, 0.0, path, 0.0])

@@ -5,7 +5,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from level_hold import GAINS, PERIOD, held_map, hold, level, with_integral
+from level_hold import (
+    GAINS,
+    PERIOD,
+    deadbeat_gains,
+    held_map,
+    hold,
+    level,
+    with_integral,
+)
 
 from jentry.analysis import Damping, linearize
 from jentry.analysis.damping import eigenvalues_of
@@ -105,16 +113,7 @@ def test_what_is_slower_does_not_count():
 
 
 def test_a_deadbeat_mode_is_damped_and_has_a_derivative():
-    """One combination of altitude and path angle is gone after a cycle, one is halved."""
-
-    def of(altitude, path):
-        reduced = held_map(np.array([altitude, 0.0, path, 0.0]))[:3, :3]
-        return np.poly(reduced)[1:3]
-
-    base = of(0.0, 0.0)
-    slopes = np.stack([of(1.0, 0.0) - base, of(0.0, 1.0) - base], axis=1)
-    altitude, path = np.linalg.solve(slopes, np.array([-1.5, 0.5]) - base)
-    gains = jnp.array([altitude, 0.0, path, 0.0])
+    gains = jnp.asarray(deadbeat_gains())
     scenario = level(Sampled(hold(gains), PERIOD))
     made = Damping.of(scenario, points=2, faster_than=1e-3, solver=FixedStep(0.1))
 

@@ -15,6 +15,7 @@ from level_hold import (
     PERIOD,
     RADIUS,
     VELOCITY,
+    deadbeat_gains,
     held_map,
     hold,
     level,
@@ -153,19 +154,9 @@ def test_the_multipliers_of_a_held_command_are_those_of_the_discrete_closed_form
 
 
 def test_a_deadbeat_loop_says_so(capsys):
-    """One combination of altitude and path angle is gone after a cycle, one is halved; the
-    energy and, without a gain of its own, the integral stay."""
     from jentry.cli.linearization_report import print_loop
 
-    def of(altitude, path):
-        reduced = held_map(np.array([altitude, 0.0, path, 0.0]))[:3, :3]
-        return np.poly(reduced)[1:3]
-
-    # The polynomial is affine in the gains: wanted is (x - 1) (x - 0.5) x.
-    base = of(0.0, 0.0)
-    slopes = np.stack([of(1.0, 0.0) - base, of(0.0, 1.0) - base], axis=1)
-    altitude, path = np.linalg.solve(slopes, np.array([-1.5, 0.5]) - base)
-    gains = np.array([altitude, 0.0, path, 0.0])
+    gains = deadbeat_gains()
     law = Sampled(hold(gains), PERIOD)
     loop = linearize(level(law), points=2, solver=FixedStep(0.1))
     assert "memory" in loop.ignorable

@@ -332,3 +332,16 @@ def test_the_bank_feedback_brings_the_angle_of_attack_back():
     assert angles == pytest.approx([8.9, 16.9], abs=0.1)
     flight = eqx.filter_jit(fly)(MISSION.scenario("shuttle-as-flown"))
     assert 1e3 * float(flight.peaks["drag_deviation"]) == pytest.approx(34.6, abs=0.1)
+
+
+@pytest.mark.slow
+def test_what_the_gains_need_of_the_attitude():
+    """Least damping with those for 5 rad/s, as the README has it."""
+    scenario = MISSION.scenario("r5")
+    least = []
+    for frequency in (5.0, 3.0, 2.0):
+        response = lambda s: s.attitude.angle_of_attack_response.frequency
+        slower = eqx.tree_at(response, scenario, frequency)
+        least.append(linearize(slower, points=120).least_damping_of(0.2).value)
+    assert least[:2] == pytest.approx([0.28, 0.05], abs=0.005)
+    assert least[2] < 0.0

@@ -3,23 +3,21 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Complex, Float
-from scipy.sparse.csgraph import connected_components
 
 from .._setup import needs_float64
 from ..fields import Scalar
 from ..flight.closed_loop import Lane
 from ..flight.cycle import Plan
-from ..flight.scenario import Scenario, checked
+from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
 from ..guidance.law import AbstractSampledLaw
 from ..motion.index import AbstractIndex, TimeIndex
-from .frozen_loop import DEADBEAT, require_finite, steepest
-from .local_derivatives import derivatives_at, fly_points, loop_derivatives
+from .frozen_loop import DEADBEAT, at_equal_index
+from .local_derivatives import derivatives_at
 
 
 _SIMPLE = 1e-12
@@ -30,12 +28,12 @@ one and has no derivative"""
 class Damping(eqx.Module):
     """Damping ratios of the modes of a closed loop, at points of a flight.
 
-    The modes are those of `linearize`, counted in the motion and not in the errors of a
-    law; over the time both are the same. They are differentiable, once, in the gains of
-    the law and in all other numbers of the scenario. The points stay where the loop was
-    flown that this was made of: with other gains the vehicle is taken to pass there as
-    well. NaN where coordinates depend on one another that did not do so there, as the
-    integral of a gain that was zero.
+    The modes are those of `linearize`, but always counted in the motion: they differ where
+    that counts in the errors that a law feeds back. They are differentiable, once, in the
+    gains of the law and in all other numbers of the scenario. The points stay where the
+    loop was flown that this was made of: with other gains the vehicle is taken to pass
+    there as well. NaN where coordinates depend on one another that did not do so there, as
+    the integral of a gain that was zero.
 
     Take one scenario at a time, and no `vmap` over several: see `eigenvalues`.
 
@@ -77,21 +75,14 @@ class Damping(eqx.Module):
         """
         if not faster_than >= 0.0:
             raise ValueError(f"faster_than is {faster_than}: it must not be negative")
-        scenario = checked(scenario)
-        flown = fly_points(scenario, index, points, solver)
-        found = loop_derivatives(scenario, index, flown.plan, flown.lanes)
-        found = jax.tree.map(np.asarray, found)
-        require_finite(found, flown)
-        out = steepest(found)
-        equal = _at_equal_index(jnp.asarray(found.gradient), out)
-        matrices = np.delete(found.derivative @ np.asarray(equal), out, axis=1)
+        _, flown, _, out, matrices = at_equal_index(scenario, index, points, solver)
         linked = np.any(matrices != 0.0, axis=0)
-        count, label = connected_components(linked, connection="strong")
-        blocks = (tuple(np.flatnonzero(label == i).tolist()) for i in range(count))
-        # Row i depends on column j, and so does whatever depends on i.
-        reached = (
-            np.linalg.matrix_power(linked + np.eye(len(linked)), len(linked)) > 0.0
-        )
+        # Whether i depends on j, by whatever stands between: in steps of twice the length.
+        reached = linked | np.eye(len(linked), dtype=bool)
+        for _ in range(len(linked).bit_length()):
+            reached = reached @ reached
+        _, label = np.unique(reached & reached.T, axis=0, return_inverse=True)
+        blocks = (tuple(np.flatnonzero(label == i).tolist()) for i in set(label))
         return cls(
             index,
             flown.plan,

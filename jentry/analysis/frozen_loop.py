@@ -197,15 +197,10 @@ def linearize(
         loop = linearize(scenario, EnergyIndex())
         loop.per_span, loop.least_damping
     """
-    scenario = checked(scenario)
-    flown = fly_points(scenario, index, points, solver)
-    found = loop_derivatives(scenario, index, flown.plan, flown.lanes)
-    found = jax.tree.map(np.asarray, found)
-    require_finite(found, flown)
-    out = steepest(found)
-    others = np.arange(len(flown.coordinates)) != out
-    matrices = (found.derivative @ lift(found.gradient, out))[:, others]
-    names = np.array(flown.coordinates)[others]
+    scenario, flown, found, out, matrices = at_equal_index(
+        scenario, index, points, solver
+    )
+    names = np.delete(np.array(flown.coordinates), out)
     sampled = isinstance(scenario.guidance, AbstractSampledLaw)
     same = np.eye(len(names)) if sampled else np.zeros((len(names), len(names)))
     kept, ignorable = without(matrices, same, np.arange(len(names)))
@@ -242,7 +237,25 @@ def linearize(
     )
 
 
-def require_finite(found: LoopDerivatives, flown: FlownPoints) -> None:
+def at_equal_index(
+    scenario: Scenario, index: AbstractIndex, points: int, solver: AbstractSolver
+) -> tuple[Scenario, FlownPoints, LoopDerivatives, int, np.ndarray]:
+    """The scenario as checked, the points of its flight and the derivatives there.
+
+    Then the place of the coordinate that is eliminated, and the matrices without it. Raises
+    `ValueError` as `linearize`.
+    """
+    scenario = checked(scenario)
+    flown = fly_points(scenario, index, points, solver)
+    found = loop_derivatives(scenario, index, flown.plan, flown.lanes)
+    found = jax.tree.map(np.asarray, found)
+    _require_finite(found, flown)
+    out = _steepest(found)
+    matrices = np.delete(found.derivative @ lift(found.gradient, out), out, axis=1)
+    return scenario, flown, found, out, matrices
+
+
+def _require_finite(found: LoopDerivatives, flown: FlownPoints) -> None:
     known = [
         np.isfinite(x).reshape(len(x), -1).all(axis=1)
         for x in map(np.asarray, jax.tree.leaves(found))
@@ -255,7 +268,7 @@ def require_finite(found: LoopDerivatives, flown: FlownPoints) -> None:
         )
 
 
-def steepest(found: LoopDerivatives) -> int:
+def _steepest(found: LoopDerivatives) -> int:
     """The coordinate that has most of the rate of the index, where it has least of it."""
     shares = np.abs(found.shares)
     least = np.min(shares / np.sum(shares, axis=1, keepdims=True), axis=0)
