@@ -99,6 +99,17 @@ def setup(
         jax.config.update("jax_compilation_cache_dir", str(directory))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
+    global _PROGRAMS
+    _PROGRAMS = cache_directory() / "programs" if cache else None
+
+
+_PROGRAMS: Path | None = None
+"""Where programs are kept that need not be traced again; nowhere before `setup`"""
+
+
+def programs_directory() -> Path | None:
+    """Where programs are kept that need not be traced again, if they are."""
+    return _PROGRAMS
 
 
 _SAID: contextvars.ContextVar[bool] = contextvars.ContextVar("_SAID", default=False)

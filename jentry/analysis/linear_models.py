@@ -16,12 +16,12 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+from .._programs import kept
 from ..addresses import leaves_by_address
 from ..campaign.batch import LANES, over_runs
 from ..campaign.campaign import fly_run
@@ -55,7 +55,7 @@ Pairs = tuple[tuple[str, Dispersion], ...]
 """Dispersions in their order, which a dictionary loses under `jit`"""
 
 
-@eqx.filter_jit
+@kept
 def draw_many(pairs: Pairs, key: Key[Array, ""], runs: Array) -> Draws:
     return jax.vmap(lambda run: draw(dict(pairs), key, run))(runs)
 
@@ -166,7 +166,7 @@ def linear_model(
     )
 
 
-@eqx.filter_jit
+@kept
 def _linearize(scenario, pairs: Pairs, outputs, solver):
     moments = {name: d.distribution.moments() for name, d in pairs}
 

@@ -1,6 +1,7 @@
 """Exact derivatives of a closed loop and of its vehicle, at points of a flight."""
 
 import dataclasses
+import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -11,6 +12,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from .._programs import kept
 from ..addresses import leaves_by_address
 from ..fields import Count, Scalar, Vector
 from ..flight.closed_loop import Lane, command, sense, start, vector_field
@@ -99,7 +101,7 @@ def fly_points(
     )
 
 
-@eqx.filter_jit
+@kept
 def _flown(
     scenario: Scenario, plan: Plan, index: AbstractIndex
 ) -> tuple[Lane, Count, Vector, Scalar, Count, Count]:
@@ -158,7 +160,7 @@ class LoopDerivatives(eqx.Module):
     """Likewise for the errors"""
 
 
-@eqx.filter_jit(compiler_options=QUICKLY)  # pyright: ignore[reportCallIssue]
+@functools.partial(kept, compiler_options=QUICKLY)
 def loop_derivatives(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> LoopDerivatives:
@@ -250,7 +252,7 @@ class PlantDerivatives(eqx.Module):
     """Of these errors, over angle of attack and bank"""
 
 
-@eqx.filter_jit(compiler_options=QUICKLY)  # pyright: ignore[reportCallIssue]
+@functools.partial(kept, compiler_options=QUICKLY)
 def plant_derivatives(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> PlantDerivatives:

@@ -4,12 +4,12 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._programs import kept
 from .._setup import needs_float64
 from ..addresses import addresses_of, leaves_by_address
 from ..campaign.campaign import fly_run
@@ -115,7 +115,7 @@ def named(address: str) -> str:
     return address or "output"
 
 
-@eqx.filter_jit
+@kept
 def _jacobian(
     leaves: dict[str, Array],
     scenario: Scenario,

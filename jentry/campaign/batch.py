@@ -16,6 +16,8 @@ from jax import lax
 from jax.sharding import AxisType, PartitionSpec
 from jaxtyping import PyTree
 
+from .._programs import kept
+
 
 LANES = 64
 """Number of flights side by side: few enough to stay in the cache, and always as many,
@@ -94,7 +96,7 @@ def _filled_up(runs: PyTree, devices: int) -> PyTree:
     return jax.tree.map(filled, runs)
 
 
-@eqx.filter_jit
+@kept
 def _mapped(function, shared, runs, devices: int):
     def on_one_device(shared, runs):
         return lax.map(lambda run: function(shared, run), runs, batch_size=LANES)
@@ -102,7 +104,7 @@ def _mapped(function, shared, runs, devices: int):
     return _on_devices(on_one_device, shared, runs, devices)
 
 
-@eqx.filter_jit
+@kept
 def _summed(function, shared, runs, devices: int):
     def on_one_device(shared, runs):
         batches = jax.tree.map(lambda x: x.reshape(-1, LANES, *x.shape[1:]), runs)

@@ -15,6 +15,7 @@ from jax.core import Tracer
 from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Float, Int, Key
 
+from .._programs import kept
 from ..addresses import (
     addresses_of,
     field_metadata,
@@ -448,7 +449,7 @@ def dispersed_inputs(
     return _dispersed_inputs(scenario, tuple(dispersions.items()), key, runs)
 
 
-@eqx.filter_jit
+@kept
 def _dispersed_inputs(
     scenario: Scenario,
     pairs: tuple[tuple[str, Dispersion], ...],

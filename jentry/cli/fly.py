@@ -34,8 +34,8 @@ def command(
 ) -> None:
     """Fly a mission once, without dispersions."""
     set_up(workers=1)
-    import equinox as eqx
 
+    from .._programs import kept
     from ..campaign.store import write_flight
     from ..flight.flight import fly
     from ..flight.solver import FixedStep
@@ -45,7 +45,7 @@ def command(
         history = 1.0
     chosen, scenario, _ = chosen_scenario(mission, variant, config, set_)
     solver = FixedStep(step)
-    flight = eqx.filter_jit(fly)(scenario, solver, history)
+    flight = kept(fly)(scenario, solver, history)
     print_flight(chosen, scenario, flight)
     if out is not None:
         write_flight(out, scenario, flight, solver, history, **chosen.labels)

@@ -11,6 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Key
 
+from .._programs import kept
 from ..addresses import leaves_by_address
 from ..analysis.sensitivities import named
 from ..campaign.batch import LANES
@@ -162,7 +163,7 @@ def _estimate(values: np.ndarray) -> Estimate:
     return Estimate(float(values[0]), float(low), float(high))
 
 
-@eqx.filter_jit
+@kept
 def _resampled(pair: tuple[Any, Any], loss: Loss, count: int) -> tuple[Any, Any]:
     """Losses, and statistics by quantity: of the sample, then of draws from it."""
 

@@ -1,5 +1,6 @@
 """Penalties: what a scenario is not to be, beside what its flights are to do."""
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -7,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from .._programs import kept
 from ..analysis.damping import Damping
 from ..analysis.local_derivatives import QUICKLY
 from ..fields import Scalar
@@ -46,7 +48,7 @@ class DampingBelow(eqx.Module):
         return self.weight * lacks * lacks
 
 
-@eqx.filter_jit(compiler_options=QUICKLY)  # pyright: ignore[reportCallIssue]
+@functools.partial(kept, compiler_options=QUICKLY)
 def penalty_and_slopes(
     penalty: Penalty, parameters: Parameters, free: Free
 ) -> tuple[Scalar, Free]:

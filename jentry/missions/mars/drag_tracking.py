@@ -10,6 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from ..._programs import kept
 from ...campaign.dispersions import Dispersion, Uniform, multiply
 from ...flight.scenario import Scenario, Target
 from ...flight.termination import (
@@ -116,7 +117,7 @@ def entry() -> Scenario:
     )
 
 
-@eqx.filter_jit
+@kept
 def _plan(
     entry: Scenario, index: AbstractIndex, gate: float, curvature: float
 ) -> DragReference:

@@ -9,6 +9,7 @@ import functools
 
 import equinox as eqx
 
+from ..._programs import kept
 from ...flight.scenario import Scenario
 from ...guidance.drag_tracking import ObserverGains
 from ...guidance.lateral import CrossrangeCorridor
@@ -40,7 +41,7 @@ LAST_RANGE = 10.0 * km
 """The limit that `ScaleLimits` explains is 7 km at the end of the reference."""
 
 
-@eqx.filter_jit
+@kept
 def _plan(
     start: Scenario, cos_bank: PolynomialProfile
 ) -> tuple[DragReference, QuinticProfile]:

@@ -10,6 +10,7 @@ import functools
 import equinox as eqx
 import jax.numpy as jnp
 
+from ..._programs import kept
 from ...flight.scenario import Scenario, Target
 from ...flight.termination import AltitudeBelow, Termination, VelocityBelow
 from ...guidance.angle_of_attack_modulation import (
@@ -62,7 +63,7 @@ _RADIUS = 6371.0 * km
 @functools.cache
 def air() -> SmoothedAtmosphere:
     """The US Standard Atmosphere 1976, smoothed over 1.5 km."""
-    return eqx.filter_jit(smoothed)(USStandardAtmosphere1976())
+    return kept(smoothed)(USStandardAtmosphere1976())
 
 
 def earth() -> Planet:
@@ -99,7 +100,7 @@ def actual_earth() -> Planet:
 @functools.cache
 def plan() -> Reference:
     """Constant heating, then a glide near equilibrium."""
-    return eqx.filter_jit(plan_glide)(earth(), vehicle(), ScheduledAngleOfAttack())
+    return kept(plan_glide)(earth(), vehicle(), ScheduledAngleOfAttack())
 
 
 def attitude(frequency: float) -> SecondOrderAttitude:

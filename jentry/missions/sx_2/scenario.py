@@ -11,6 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..._math import smoothstep
+from ..._programs import kept
 from ...fields import Scalar, scalar
 from ...flight.scenario import Scenario, Target
 from ...flight.termination import AltitudeAbove, AltitudeBelow, EnergyBelow, Termination
@@ -243,7 +244,7 @@ def entry() -> Scenario:
     )
 
 
-_plan = eqx.filter_jit(plan_ground_track)
+_plan = kept(plan_ground_track)
 
 
 @functools.cache

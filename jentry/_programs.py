@@ -1,0 +1,175 @@
+"""Programs that have been traced once, for the processes to come as well.
+
+JAX's compilation cache spares the compiler. Before it can be asked a program must be
+traced, which for a guided flight takes seconds of Python. A program kept here is found by
+what it is made of instead (`_provenance.py`), as `jax.export` has written it down.
+"""
+
+import contextlib
+import functools
+import hashlib
+import os
+import pickle
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Generic, ParamSpec, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import export
+from jax.core import Tracer
+from jax.sharding import NamedSharding, PartitionSpec
+
+from ._files import write_whole
+from ._provenance import Untold, made_of, provenance
+from ._setup import programs_directory
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_LOOKED_AT = "jax_disable_jit", "jax_debug_nans", "jax_debug_infs"
+"""Settings of JAX with which `jit` does more than to run a program"""
+
+_UNUSED = 60 * 86400.0
+"""s, after which a program that nobody has asked for is removed"""
+
+
+def kept(function: Callable[P, R], **options: Any) -> "Kept[P, R]":
+    """Compile a function as `eqx.filter_jit` does, and keep what was traced.
+
+    Kept are programs with nothing in them of the user's own, in the folder that
+    `jentry.setup` settles. What lies there is run: nobody else must be able to write there.
+    """
+    return Kept(function, options)
+
+
+class Kept(Generic[P, R]):
+    """A compiled function whose programs are kept, see `kept`."""
+
+    def __init__(self, function: Callable[P, R], options: dict[str, Any]):
+        functools.update_wrapper(self, function)
+        self._function = function
+        self._options = options
+        self._traced = eqx.filter_jit(function, **options)
+        self._programs: dict[str, _Program | None] = {}
+
+    def __call__(self, *given: P.args, **named: P.kwargs) -> R:
+        leaves, structure = jax.tree.flatten((given, named))
+        program = self._program(leaves, structure)
+        return program(leaves) if program else self._traced(*given, **named)
+
+    def _program(self, leaves: list[Any], structure: Any) -> "_Program | None":
+        """The program for what is given; none where it is not kept."""
+        folder = programs_directory()
+        if folder is None or _looked_at(leaves):
+            return None
+        try:
+            made = made_of(self._function, leaves, structure)
+            if made not in self._programs:
+                name = f"{self._function.__name__.strip('_')}-{provenance(made)}"
+                self._programs[made] = self._found(folder / name, leaves, structure)
+        except Untold:
+            return None
+        return self._programs[made]
+
+    def _found(
+        self, file: Path, leaves: list[Any], structure: Any
+    ) -> "_Program | None":
+        contents = _read(file)
+        if contents is None:
+            contents = _traced(self._function, leaves, structure)
+            if contents is None:
+                return None
+            _write(file, contents)
+        return _Program(contents, self._options)
+
+
+def _looked_at(leaves: list[Any]) -> bool:
+    """Whether somebody follows what happens in the function: JAX itself, or its checks."""
+    if any(isinstance(leaf, Tracer) for leaf in leaves):
+        return True
+    return any(getattr(jax.config, name) for name in _LOOKED_AT)
+
+
+class _Place:
+    """Where in the results of a program an array is."""
+
+    def __init__(self, index: int):
+        self.index = index
+
+
+class _Program:
+    """A program with the form of what it returns."""
+
+    def __init__(self, contents: bytes, options: dict[str, Any]):
+        written, self._form = pickle.loads(contents)
+        exported = export.deserialize(bytearray(written))
+        self._count = exported.nr_devices
+        if self._count > 1:
+            devices = jax.devices()[: self._count]
+            mesh = jax.make_mesh((self._count,), ("devices",), devices=devices)
+            options = {**options, "in_shardings": NamedSharding(mesh, PartitionSpec())}
+        self._run = jax.jit(exported.call, **options)
+
+    def __call__(self, leaves: list[Any]) -> Any:
+        numbers = self._run(*filter(eqx.is_array, leaves))
+        if self._count == 1:  # an exported program ties what it returns to its device
+            numbers = [jnp.asarray(np.asarray(x)) for x in numbers]
+        return jax.tree.map(
+            lambda x: numbers[x.index] if isinstance(x, _Place) else x, self._form
+        )
+
+
+def _traced(function: Callable, leaves: list[Any], structure: Any) -> bytes | None:
+    """A program as it is written; none where it cannot be, or warns when it is traced.
+
+    Of the leaves the arrays are what varies.
+    """
+    forms = []
+
+    def of_arrays(*arrays):
+        following = iter(arrays)
+        inside = [next(following) if eqx.is_array(x) else x for x in leaves]
+        given, named = jax.tree.unflatten(structure, inside)
+        out = function(*given, **named)
+        numbers = [x for x in jax.tree.leaves(out) if eqx.is_array(x)]
+        places = map(_Place, range(len(numbers)))
+        forms.append(
+            jax.tree.map(lambda x: next(places) if eqx.is_array(x) else x, out)
+        )
+        return numbers
+
+    of_arrays.__name__ = of_arrays.__qualname__ = function.__name__
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # would be said once, and never again
+            exported = export.export(jax.jit(of_arrays))(*filter(eqx.is_array, leaves))
+        return pickle.dumps((bytes(exported.serialize()), forms[-1]))
+    except Exception:  # whatever it was, the function itself says it better
+        return None
+
+
+def _read(file: Path) -> bytes | None:
+    """What has been kept; none if there is nothing, or not what was written."""
+    try:
+        contents = file.read_bytes()
+        os.utime(file)
+    except OSError:
+        return None
+    digest, program = contents[:32], contents[32:]
+    return program if hashlib.sha256(program).digest() == digest else None
+
+
+def _write(file: Path, program: bytes) -> None:
+    """Keep a program, and remove those that nobody has asked for in months."""
+    with contextlib.suppress(OSError):  # a folder that is full, or not to be written in
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(file, hashlib.sha256(program).digest() + program)
+        for other in file.parent.iterdir():
+            if time.time() - other.stat().st_mtime > _UNUSED:
+                other.unlink(missing_ok=True)
