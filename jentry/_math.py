@@ -51,8 +51,10 @@ def _sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
     odd = (turn == 1.0) | (turn == 3.0)
     sine, cosine = jnp.where(odd, cosine, sine), jnp.where(odd, sine, cosine)
     return (
-        jnp.where(turn >= 2.0, -sine, sine),
-        jnp.where((turn == 1.0) | (turn == 2.0), -cosine, cosine),
+        # Not where(turn >= 2, -sine, sine): what ends in a division the compiler does not
+        # compute again wherever it is used. SX-2 and the RLV fly 10 to 20 % faster so.
+        sine / jnp.where(turn >= 2.0, -1.0, 1.0),
+        cosine / jnp.where((turn == 1.0) | (turn == 2.0), -1.0, 1.0),
     )
 
 
@@ -73,6 +75,80 @@ def _sincos_jvp(primals, tangents):
     return (sine, cosine), (cosine * rate, -sine * rate)
 
 
+# arcsin(x) = x + x z P(z) / Q(z) with z = x^2 up to 1/4, highest power first: the
+# published values of fdlibm.
+_ARCSINE_ABOVE = (
+    3.47933107596021167570e-05,
+    7.91534994289814532176e-04,
+    -4.00555345006794114027e-02,
+    2.01212532134862925881e-01,
+    -3.25565818622400915405e-01,
+    1.66666666666666657415e-01,
+)
+_ARCSINE_BELOW = (
+    7.70381505559019352791e-02,
+    -6.88283971605453293030e-01,
+    2.02094576023350569471e00,
+    -2.40339491173441421878e00,
+    1.0,
+)
+
+
+def _half_arc(x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+    """Whether |x| is nearer to one, and a quotient in two parts: arcsin of
+    sqrt((1 - |x|) / 2) where it is, of |x| where it is not.
+
+    In two parts so that what is made of it ends in the division, see `_sincos`: the RLV
+    flies a seventh faster with these, and a third slower if the quotient comes first.
+    """
+    size = jnp.abs(x)
+    near_one = size > 0.5
+    z = jnp.where(near_one, 0.5 * (1.0 - size), size * size)
+    root = jnp.where(near_one, jnp.sqrt(z), size)
+    below = horner(_ARCSINE_BELOW, z)
+    return near_one, root * (below + z * horner(_ARCSINE_ABOVE, z)), below
+
+
+@functools.partial(jax.jit, inline=True)
+def _arcsin(x: Scalar) -> Scalar:
+    near_one, above, below = _half_arc(x)
+    turned = _HALF_PI_HIGH * below - (2.0 * above - _HALF_PI_LOW * below)
+    return jnp.copysign(jnp.where(near_one, turned, above), x) / below
+
+
+@functools.partial(jax.jit, inline=True)
+def _arccos(x: Scalar) -> Scalar:
+    near_one, above, below = _half_arc(x)
+    small = 2.0 * above
+    turned = 2.0 * _HALF_PI_HIGH * below - (small - 2.0 * _HALF_PI_LOW * below)
+    middle = _HALF_PI_HIGH * below - (jnp.copysign(above, x) - _HALF_PI_LOW * below)
+    return jnp.where(near_one, jnp.where(x > 0.0, small, turned), middle) / below
+
+
+@jax.custom_jvp
+def arcsin(x: Scalar) -> Scalar:
+    """Arc sine, to 5e-16; a tenth of the cost of `jnp.arcsin` on a CPU."""
+    return _arcsin(x)
+
+
+@arcsin.defjvp
+def _arcsin_jvp(primals, tangents):
+    (x,), (rate,) = primals, tangents
+    return arcsin(x), rate / jnp.sqrt((1.0 - x) * (1.0 + x))
+
+
+@jax.custom_jvp
+def arccos(x: Scalar) -> Scalar:
+    """Arc cosine, to 8e-16, and to 4e-16 of itself; a tenth of the cost of `jnp.arccos`."""
+    return _arccos(x)
+
+
+@arccos.defjvp
+def _arccos_jvp(primals, tangents):
+    (x,), (rate,) = primals, tangents
+    return arccos(x), -rate / jnp.sqrt((1.0 - x) * (1.0 + x))
+
+
 def smoothstep(x: Scalar) -> Scalar:
     """From 0, for x of 0 and less, to 1, for x of 1 and more; twice continuously
     differentiable."""
@@ -90,7 +166,7 @@ def safe_arccos(x: Scalar) -> Scalar:
     """Arc cosine of x clipped to [-1, 1], with derivative zero outside; NaN of NaN."""
     inside = jnp.abs(x) < 1.0
     end = jnp.where(x >= 1.0, 0.0, jnp.where(x <= -1.0, jnp.pi, jnp.nan))
-    return jnp.where(inside, jnp.arccos(jnp.where(inside, x, 0.0)), end)
+    return jnp.where(inside, arccos(jnp.where(inside, x, 0.0)), end)
 
 
 def derivatives_along(flow, output, point):

@@ -5,7 +5,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry._math import derivatives_along, horner, safe_arccos, safe_sqrt, sincos
+from jentry._math import (
+    arccos,
+    arcsin,
+    derivatives_along,
+    horner,
+    safe_arccos,
+    safe_sqrt,
+    sincos,
+)
 
 
 def test_sincos_is_accurate_where_angles_lie():
@@ -30,6 +38,40 @@ def test_sincos_lies_on_the_unit_circle():
     sine, cosine = jax.jit(jax.vmap(sincos))(jnp.linspace(-10.0, 10.0, 4001))
     # Two squares of numbers that are each good to a few roundings.
     np.testing.assert_allclose(sine**2 + cosine**2, 1.0, rtol=0.0, atol=4e-15)
+
+
+@pytest.mark.parametrize(
+    ("ours", "exact", "bound"), [(arcsin, np.arcsin, 5e-16), (arccos, np.arccos, 8e-16)]
+)
+def test_arcs_are_accurate(ours, exact, bound):
+    near = 10.0 ** np.linspace(-16.0, 0.0, 4001)
+    x = np.concatenate([np.linspace(-1.0, 1.0, 40001), 1.0 - near, near - 1.0, near])
+    x = np.concatenate([x, [0.0, 0.5, -0.5, np.nextafter(0.5, 1.0)]])
+    angle = np.asarray(jax.jit(jax.vmap(ours))(x), np.longdouble)
+    true = exact(x.astype(np.longdouble))
+    assert np.max(np.abs(angle - true)) < bound
+    # Small angles are not lost either.
+    small = (np.abs(true) > 0.0) & (np.abs(true) < 1e-3)
+    assert np.sum(small) > 100
+    assert np.max(np.abs(angle / np.where(small, true, 1.0) - 1.0)[small]) < 8e-16
+
+
+@pytest.mark.parametrize(("ours", "sign"), [(arcsin, 1.0), (arccos, -1.0)])
+@pytest.mark.parametrize("x", [-0.9, -0.5, 0.0, 0.3, 0.999])
+def test_derivatives_of_arcs(ours, sign, x):
+    # The closed forms, to some roundings.
+    first = sign / np.sqrt(1.0 - x**2)
+    second = sign * x / (1.0 - x**2) ** 1.5
+    assert jax.jvp(ours, (x,), (1.0,))[1] == pytest.approx(first, rel=1e-14)
+    assert jax.grad(ours)(x) == pytest.approx(first, rel=1e-14)
+    found = jax.jacfwd(jax.grad(ours))(x)
+    assert found == pytest.approx(second, rel=1e-13, abs=1e-16)
+
+
+@pytest.mark.parametrize("ours", [arcsin, arccos])
+@pytest.mark.parametrize("x", [np.nan, 1.0 + 1e-12, -2.0])
+def test_arcs_of_what_has_none(ours, x):
+    assert np.isnan(ours(jnp.asarray(x)))
 
 
 @pytest.mark.parametrize("angle", [-3.0, 0.0, np.pi / 4, 1.5, 7.0])

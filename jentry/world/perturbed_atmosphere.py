@@ -5,7 +5,7 @@ import dataclasses
 import equinox as eqx
 import jax.numpy as jnp
 
-from .._math import safe_sqrt, sincos
+from .._math import arcsin, safe_sqrt, sincos
 from ..fields import Scalar, scalar
 from ..units import km
 from .atmosphere import AbstractAtmosphere
@@ -47,7 +47,7 @@ class GroundWave(eqx.Module):
         _, here = sincos(latitude)
         _, there = sincos(self.latitude)
         square = across * across + here * there * along * along
-        distance = 2.0 * jnp.arcsin(jnp.minimum(safe_sqrt(square), 1.0))
+        distance = 2.0 * arcsin(jnp.minimum(safe_sqrt(square), 1.0))
         waves = distance * self.radius * (1.0 / self.wavelength)
         return self.amplitude * sincos(2.0 * jnp.pi * waves + self.phase)[0]
 

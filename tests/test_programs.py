@@ -1,0 +1,338 @@
+"""Programs that are kept: found again by what they are made of, and by nothing less."""
+
+import os
+import subprocess
+import sys
+import time
+import types
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jentry import _math, _programs, _provenance, _setup
+
+
+SOURCE = """
+import types
+import warnings
+import jax
+import jax.numpy as jnp
+from jentry import _math
+
+TRACED = types.SimpleNamespace(times=0)
+FACTOR = 3.0
+
+def times(x, factor=2.0):
+    TRACED.times += 1
+    total = jnp.sum(x)
+    return {"twice": factor * x, "none": None, "said": ("as it is", factor), "sum": total}
+
+def warns(x):
+    warnings.warn("of this")
+    return x
+
+def fails(x):
+    raise ValueError("x is what it is")
+
+def sine(x):
+    TRACED.times += 1
+    return jax.vmap(_math.sincos)(x)[0]
+
+def cosine(x):
+    return jax.vmap(_math.sincos)(x)[1]
+
+def by_factor(x):
+    TRACED.times += 1
+    return FACTOR * x
+
+class Law:
+    def by(self, x):
+        return x
+"""
+
+
+@pytest.fixture
+def folder(monkeypatch, tmp_path):
+    monkeypatch.setattr(_setup, "_PROGRAMS", tmp_path / "programs")
+    return tmp_path / "programs"
+
+
+@pytest.fixture
+def ours(monkeypatch):
+    """A module that is jentry's by its name."""
+    module = types.ModuleType("jentry._made_by_a_test")
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    exec(SOURCE, vars(module))
+    return module
+
+
+def files(folder):
+    return sorted(folder.iterdir()) if folder.exists() else []
+
+
+X = np.linspace(0.1, 1.0, 7)
+
+
+def test_kept_and_found(folder, ours):
+    x = jnp.asarray(X)
+    first = _programs.kept(ours.times)(x)
+    assert len(files(folder)) == 1 and ours.TRACED.times == 1
+    again = _programs.kept(ours.times)(x)
+    assert len(files(folder)) == 1 and ours.TRACED.times == 1
+    for found in (first, again):
+        assert list(found) == ["none", "said", "sum", "twice"] or set(found) == set(
+            first
+        )
+        assert found["none"] is None and found["said"] == ("as it is", 2.0)
+        np.testing.assert_array_equal(found["twice"], 2.0 * X)
+        np.testing.assert_allclose(found["sum"], X.sum(), rtol=1e-15)
+
+
+def test_what_is_found_is_run(folder, ours):
+    """A sine whose file holds a cosine: proof that the file is what counts."""
+    x = jnp.asarray(X)
+    _programs.kept(ours.sine)(x)
+    (sine,) = files(folder)
+    _programs.kept(ours.cosine)(x)
+    (cosine,) = set(files(folder)) - {sine}
+    sine.write_bytes(cosine.read_bytes())
+    np.testing.assert_allclose(_programs.kept(ours.sine)(x), np.cos(X), rtol=1e-14)
+
+
+def test_results_are_as_free_as_others(folder, ours):
+    """Not tied to a device, nor to what was given: they go into the next program."""
+    out = _programs.kept(ours.times)(jnp.asarray(X))["twice"]
+    assert isinstance(out, jax.Array) and not out.committed
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        lambda: (jnp.asarray(X[:3]),),
+        lambda: (jnp.asarray(X, jnp.float32),),
+        lambda: (jnp.asarray(X), 2.5),
+        lambda: (jnp.asarray(X), 2),
+        lambda: (jnp.asarray(X), jnp.asarray(2.0)),
+    ],
+    ids=["shape", "dtype", "number", "type", "array"],
+)
+def test_another_program(folder, ours, given):
+    times = _programs.kept(ours.times)
+    times(jnp.asarray(X), 2.0)
+    arguments = given()
+    out = times(*arguments)
+    assert len(files(folder)) == 2
+    factor = arguments[1] if len(arguments) > 1 else 2.0
+    expected = np.asarray(arguments[0]) * factor
+    np.testing.assert_array_equal(out["twice"], expected)
+
+
+def test_constant_changed_in_memory(folder, ours, monkeypatch):
+    x = jnp.asarray(X)
+    np.testing.assert_array_equal(_programs.kept(ours.by_factor)(x), 3.0 * X)
+    monkeypatch.setattr(ours, "FACTOR", 4.0)
+    np.testing.assert_array_equal(_programs.kept(ours.by_factor)(x), 4.0 * X)
+    assert len(files(folder)) == 2
+
+
+def test_function_replaced_in_memory(folder, ours, monkeypatch):
+    x = jnp.asarray(X)
+    _programs.kept(ours.sine)(x)
+    monkeypatch.setattr(_math, "sincos", lambda x: (x, x))
+    np.testing.assert_array_equal(_programs.kept(ours.sine)(x), X)
+    assert len(files(folder)) == 1
+
+
+def test_method_replaced_in_memory(ours, monkeypatch):
+    made = _provenance.provenance("a program")
+    monkeypatch.setattr(ours.Law, "by", lambda self, x: 2.0 * x)
+    with pytest.raises(_provenance.Untold):
+        _provenance.provenance("a program")
+    monkeypatch.undo()
+    assert made != _provenance.provenance("another")
+
+
+def test_function_of_ours_in_the_place_of_another(ours, monkeypatch):
+    made = _provenance.provenance("a program")
+    monkeypatch.setattr(ours, "sine", ours.cosine)
+    assert _provenance.provenance("a program") != made
+
+
+def test_file_changed_since_the_import(folder, ours, monkeypatch):
+    monkeypatch.setattr(_provenance, "_IMPORTED", 0.0)
+    np.testing.assert_array_equal(
+        _programs.kept(ours.by_factor)(jnp.asarray(X)), 3.0 * X
+    )
+    assert not files(folder)
+
+
+def test_source_and_settings_count(ours, monkeypatch):
+    made = _provenance.provenance("a program")
+    assert made == _provenance.provenance("a program")
+    with jax.numpy_rank_promotion("allow"):
+        assert made != _provenance.provenance("a program")
+    monkeypatch.setattr(_provenance, "_versions", lambda: "jax 0")
+    assert made != _provenance.provenance("a program")
+    monkeypatch.undo()
+    monkeypatch.setattr(_provenance, "_digest_of_files", lambda files: "other")
+    assert made != _provenance.provenance("a program")
+
+
+def test_every_file_counts(tmp_path, monkeypatch):
+    """One more letter in one of them, or another name for it."""
+    monkeypatch.setattr(_provenance, "_HERE", tmp_path)
+    digests = set()
+    for name, text in [("a.py", "x = 1"), ("a.py", "x = 2"), ("b.py", "x = 2")]:
+        for old in tmp_path.iterdir():
+            old.unlink()
+        (tmp_path / name).write_text(text)
+        os.utime(tmp_path / name, (0, 0))
+        _provenance._digest_of_files.cache_clear()
+        digests.add(_provenance._source())
+    _provenance._digest_of_files.cache_clear()
+    assert len(digests) == 3
+
+
+class Mine(eqx.Module):
+    x: jax.Array
+
+
+def mine(x):
+    return 2.0 * x
+
+
+@pytest.mark.parametrize(
+    "of_my_own", [lambda x: 2.0 * x, mine], ids=["lambda", "function"]
+)
+def test_functions_of_the_users_own_are_not_kept(folder, of_my_own):
+    out = _programs.kept(of_my_own)(jnp.asarray(X))
+    np.testing.assert_array_equal(out, 2.0 * X)
+    assert not files(folder)
+
+
+@pytest.mark.parametrize(
+    "given", [Mine(jnp.ones(2)), mine, Mine, np.ones(2), object()], ids=str
+)
+def test_what_cannot_be_told(given):
+    leaves, structure = jax.tree.flatten(((given,), {}))
+    with pytest.raises(_provenance.Untold):
+        _provenance.made_of(_math.horner, leaves, structure)
+
+
+def test_arrays_on_a_device_of_their_own(folder, ours):
+    x = jax.device_put(jnp.asarray(X), jax.devices()[0])
+    np.testing.assert_array_equal(_programs.kept(ours.by_factor)(x), 3.0 * X)
+    assert not files(folder)
+
+
+def test_inside_of_other_functions(folder, ours):
+    sine = _programs.kept(ours.sine)
+    x = jnp.asarray(X)
+    np.testing.assert_allclose(jax.jit(sine)(x), np.sin(X), rtol=1e-14)
+    np.testing.assert_allclose(
+        jax.grad(lambda x: jnp.sum(sine(x)))(x), np.cos(X), rtol=1e-14
+    )
+    assert not files(folder)
+
+
+def test_where_jax_looks_on(folder, ours):
+    with jax.debug_nans(True), pytest.raises(FloatingPointError):
+        _programs.kept(ours.by_factor)(jnp.asarray([np.nan]))
+    with jax.disable_jit():
+        _programs.kept(ours.sine)(jnp.asarray(X))
+    assert not files(folder)
+
+
+def test_what_warns_is_not_kept(folder, ours):
+    """It would be said in the first process, and in no other."""
+    with pytest.warns(UserWarning, match="of this"):
+        _programs.kept(ours.warns)(jnp.asarray(X))
+    assert not files(folder)
+
+
+def test_errors_are_the_functions_own(folder, ours):
+    with pytest.raises(ValueError, match="x is what it is"):
+        _programs.kept(ours.fails)(jnp.asarray(X))
+    assert not files(folder)
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        lambda sound: b"",
+        lambda sound: sound[:-1],
+        lambda sound: sound[:200] + bytes([sound[200] ^ 1]) + sound[201:],
+        lambda sound: b"not a program",
+    ],
+    ids=["empty", "cut", "a letter", "other"],
+)
+def test_damaged_file(folder, ours, harm):
+    x = jnp.asarray(X)
+    _programs.kept(ours.by_factor)(x)
+    (file,) = files(folder)
+    sound = file.read_bytes()
+    file.write_bytes(harm(sound))
+    np.testing.assert_array_equal(_programs.kept(ours.by_factor)(x), 3.0 * X)
+    assert ours.TRACED.times == 2
+    np.testing.assert_array_equal(_programs.kept(ours.by_factor)(x), 3.0 * X)
+    assert ours.TRACED.times == 2
+
+
+def test_folder_that_cannot_be(folder, ours):
+    folder.write_text("a file in its place")
+    np.testing.assert_array_equal(
+        _programs.kept(ours.by_factor)(jnp.asarray(X)), 3.0 * X
+    )
+
+
+def test_what_nobody_asks_for_is_removed(folder, ours):
+    x = jnp.asarray(X)
+    _programs.kept(ours.sine)(x)
+    _programs.kept(ours.cosine)(x)
+    old, young = sorted(files(folder), key=lambda file: "cosine" in file.name)
+    for file in (old, young):
+        os.utime(file, (time.time() - 61 * 86400,) * 2)
+    _programs.kept(ours.cosine)(x)  # asked for: young again
+    _programs.kept(ours.times)(x)
+    assert not old.exists() and young.exists() and len(files(folder)) == 2
+
+
+def test_nowhere_before_setup(ours):
+    assert _setup.programs_directory() is None
+    _programs.kept(ours.by_factor)(jnp.asarray(X))
+
+
+CAMPAIGN = """
+import sys, jentry
+jentry.setup(workers=2)
+import jax, numpy as np
+spent = []
+jax.monitoring.register_event_duration_secs_listener(
+    lambda name, seconds, **more: spent.append(seconds) if "jaxpr_trace" in name else None
+)
+mission = jentry.find_mission("mars-drag-tracking")
+scenario = mission.scenario()
+campaign = jentry.monte_carlo(scenario, mission.dispersion_table(), jax.random.key(1), 3)
+np.save(sys.argv[1], np.array([campaign.flights.state.altitude, campaign.flights.time]))
+print(sum(spent))
+"""
+
+
+def test_next_process_traces_no_flight(tmp_path):
+    environment = {**os.environ, "JENTRY_CACHE": str(tmp_path / "cache")}
+    environment.pop("JAX_COMPILATION_CACHE_DIR", None)
+    spent = []
+    for run in range(2):
+        command = [sys.executable, "-c", CAMPAIGN, str(tmp_path / f"{run}.npy")]
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=True
+        )
+        spent.append(float(done.stdout))
+    kept = [file.name.split("-")[0] for file in files(tmp_path / "cache" / "programs")]
+    assert sorted(kept) == ["mapped", "plan"]
+    first, second = (np.load(tmp_path / f"{run}.npy") for run in range(2))
+    np.testing.assert_array_equal(first, second)
+    assert spent[1] < 0.2 * spent[0]
