@@ -5,7 +5,7 @@ import functools
 import jax
 import jax.numpy as jnp
 
-from .fields import Scalar
+from .fields import Flag, Scalar
 
 
 # pi / 2 in two parts, for a range reduction that loses nothing (Cody and Waite).
@@ -94,7 +94,7 @@ _ARCSINE_BELOW = (
 )
 
 
-def _half_arc(x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def _half_arc(x: Scalar) -> tuple[Flag, Scalar, Scalar]:
     """Whether |x| is nearer to one, and a quotient in two parts: arcsin of
     sqrt((1 - |x|) / 2) where it is, of |x| where it is not.
 

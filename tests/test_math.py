@@ -62,7 +62,8 @@ def test_derivatives_of_arcs(ours, sign, x):
     # The closed forms, to some roundings.
     first = sign / np.sqrt(1.0 - x**2)
     second = sign * x / (1.0 - x**2) ** 1.5
-    assert jax.jvp(ours, (x,), (1.0,))[1] == pytest.approx(first, rel=1e-14)
+    x = jnp.asarray(x)
+    assert jax.jvp(ours, (x,), (jnp.ones(()),))[1] == pytest.approx(first, rel=1e-14)
     assert jax.grad(ours)(x) == pytest.approx(first, rel=1e-14)
     found = jax.jacfwd(jax.grad(ours))(x)
     assert found == pytest.approx(second, rel=1e-13, abs=1e-16)
