@@ -51,9 +51,9 @@ def toy(z):
     return jnp.stack([carry.x, *carry.vector])
 
 
-def toy_with_history(z):
+def toy_with_history(z, every=1):
     last, path = while_running_with_history(
-        toy_cycle, lambda c: c.running, *toy_start(z), CYCLES
+        toy_cycle, lambda c: c.running, *toy_start(z), CYCLES, every
     )
     x = jnp.where(path.running, path.x, 0.0)
     return jnp.stack([last.x, jnp.sum(x**2), jnp.sum(x * path.vector[:, 1])])
@@ -67,10 +67,11 @@ def scanned(z):
     return jnp.stack([carry.x, *carry.vector])
 
 
-def scanned_with_history(z):
+def scanned_with_history(z, every=1):
     parameters, carry = toy_start(z)
     cycle = lambda carry, _: (toy_cycle(parameters, carry), carry)
     last, path = lax.scan(cycle, carry, length=CYCLES)
+    path = jax.tree.map(lambda x: x[::every], path)
     x = jnp.where(path.running, path.x, 0.0)
     return jnp.stack([last.x, jnp.sum(x**2), jnp.sum(x * path.vector[:, 1])])
 
@@ -80,7 +81,29 @@ MODES = {"forward": jax.jacfwd, "reverse": jax.jacrev}
 LOOPS = {
     "end": (toy, scanned),
     "history": (toy_with_history, scanned_with_history),
+    "every third": (
+        lambda z: toy_with_history(z, 3),
+        lambda z: scanned_with_history(z, 3),
+    ),
 }
+
+
+@pytest.mark.parametrize("every", [1, 2, 3, 5, CYCLES, CYCLES + 1])
+def test_starts_of_some_cycles(every):
+    """The same entries, as far as the loop went, and the same end."""
+    last, path = while_running_with_history(
+        toy_cycle, lambda c: c.running, *toy_start(Z), CYCLES
+    )
+    again, some = while_running_with_history(
+        toy_cycle, lambda c: c.running, *toy_start(Z), CYCLES, every
+    )
+    assert eqx.tree_equal(again, last)
+    assert len(some.x) == -(-CYCLES // every)
+    whole = jax.tree.map(lambda x: x[::every], path)
+    assert eqx.tree_equal(some, whole)
+    first = jax.jacfwd(lambda z: toy_with_history(z, every))(Z)
+    truth = jax.jacfwd(lambda z: scanned_with_history(z, every))(Z)
+    np.testing.assert_allclose(first, truth, rtol=1e-13, atol=1e-14)
 
 
 def test_the_toy_stops_within_its_cycles():

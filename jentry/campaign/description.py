@@ -1,5 +1,6 @@
 """What a campaign is, in plain values: kept beside its results, compared on resumption."""
 
+import base64
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from typing import Any
@@ -12,6 +13,9 @@ from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
 from .dispersions import Dispersion, static_fields
 
+
+_LONG = 100
+"""Numbers of a table that are written in digits"""
 
 _PACKAGES = ("jentry", "jax", "equinox", "diffrax", "numpy")
 
@@ -56,13 +60,23 @@ def describe(
             for address, values in (inputs or {}).items()
         },
         "scenario": {
-            address: {
-                "value": np.asarray(leaf).tolist(),
-                "unit": unit_of(scenario, address),
-            }
+            address: {"value": _plain(leaf), "unit": unit_of(scenario, address)}
             for address, leaf in leaves.items()
         },
         "versions": {name: version(name) for name in _PACKAGES},
+    }
+
+
+def _plain(leaf: Any) -> Any:
+    """Numbers as JSON has them; of a long table, the bytes: in digits they take seconds."""
+    values = np.asarray(leaf)
+    if values.size <= _LONG:
+        return values.tolist()
+    little_endian = values.astype(values.dtype.newbyteorder("<"))
+    return {
+        "shape": list(values.shape),
+        "type": values.dtype.name,
+        "base64": base64.b64encode(little_endian.tobytes()).decode(),
     }
 
 
@@ -80,6 +94,8 @@ def _name(function: Callable) -> str:
 def first_difference(known: Any, wanted: Any, place: str = "") -> str | None:
     """Words for the first place where two descriptions differ; None if they are equal."""
     if isinstance(known, dict) and isinstance(wanted, dict):
+        if "base64" in known and known != wanted:
+            return f"{place.removesuffix('.value')} differs"
         for name in [*known, *(n for n in wanted if n not in known)]:
             inner = f"{place}.{name}" if place else name
             if name not in known or name not in wanted:

@@ -222,7 +222,7 @@ def _write_part(
     scalars = {
         address: leaf
         for address, leaf in description["scenario"].items()
-        if not isinstance(leaf["value"], list)
+        if not isinstance(leaf["value"], list | dict)
     }
     part.attrs["scenario"] = json.dumps(scalars)
     part.attrs["campaign_digest"] = campaign

@@ -130,10 +130,15 @@ class Plan(eqx.Module):
         keep_every = 1 if history is None else round(history / duration)
         return cls(duration, scheduled, cycles, decide_every, keep_every, solver)
 
+    def stacked_every(self, scenario: Scenario) -> int:
+        """How many cycles lie between those whose starts are stacked for a history."""
+        return 1 if varies(scenario.guidance) else self.keep_every
+
     def kept(self, scenario: Scenario, lanes: Lane) -> Lane:
-        """Lanes that the history keeps, of those at the starts of all cycles."""
+        """Lanes that the history keeps, of those that are stacked."""
         if not varies(scenario.guidance):
-            return jax.tree.map(lambda x: x[: self.scheduled : self.keep_every], lanes)
+            count = math.ceil(self.scheduled / self.keep_every)
+            return jax.tree.map(lambda x: x[:count], lanes)
         interval = self.duration * self.keep_every
         count = math.ceil(scenario.termination.time_limit / interval - 1e-9)
         grid = interval * jnp.arange(count)

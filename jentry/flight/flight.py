@@ -111,8 +111,9 @@ def fly(
         kept = None
         lane = while_running(plan.cycle, _running, scenario, lane, plan.cycles)
     else:
+        every = plan.stacked_every(scenario)
         lane, lanes = while_running_with_history(
-            plan.cycle, _running, scenario, lane, plan.cycles
+            plan.cycle, _running, scenario, lane, plan.cycles, every
         )
         lanes = plan.kept(scenario, lanes)
         kept = lax.map(lambda lane: _observe(scenario, plan, lane), lanes)

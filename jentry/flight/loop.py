@@ -6,6 +6,7 @@ has both: its derivative is stated once, as the solution of a linear system with
 transpose. Since the system is stated too, derivatives of any order follow from it.
 """
 
+import math
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -56,7 +57,7 @@ def while_running(
     goes on until no flight of the batch runs. Memory in reverse mode is one carry per
     cycle; the inside of a cycle is computed again.
     """
-    return _loop(parameters, carry, cycle, running, max_cycles, False)[0]
+    return _loop(parameters, carry, cycle, running, max_cycles, 0)[0]
 
 
 def while_running_with_history(
@@ -65,12 +66,14 @@ def while_running_with_history(
     parameters: Parameters,
     carry: Carry,
     max_cycles: int,
+    every: int = 1,
 ) -> tuple[Carry, Carry]:
-    """Loop as `while_running` does, and stack the carry at the start of every cycle.
+    """Loop as `while_running` does, and stack the carry at the starts of cycles.
 
-    Of the `max_cycles` entries those count for which `running(entry)` holds.
+    These are the first and each `every`-th after it; of the entries those count for which
+    `running(entry)` holds.
     """
-    return _loop(parameters, carry, cycle, running, max_cycles, True)[:2]
+    return _loop(parameters, carry, cycle, running, max_cycles, every)[:2]
 
 
 @eqx.filter_jit
@@ -81,18 +84,33 @@ def _advance(cycle, parameters, carry):
 
 
 def _run(parameters, carry, cycle, running, max_cycles, keep):
-    def going(loop):
-        index, carry, _ = loop
-        return any_lane(running(carry)) & (index < max_cycles)
+    """The last carry, each `keep`-th stacked, none for zero, and the number of cycles."""
+
+    def until(last):
+        def going(loop):
+            index, carry, *_ = loop
+            return any_lane(running(carry)) & (index < last)
+
+        return going
 
     def body(loop):
-        index, carry, history = loop
-        if keep:
-            history = _put(history, index, carry)
-        return index + 1, _advance(cycle, parameters, carry), history
+        index, carry = loop
+        return index + 1, _advance(cycle, parameters, carry)
 
-    history = _stack_of(carry, max_cycles) if keep else None
-    count, carry, history = lax.while_loop(going, body, (0, carry, history))
+    def kept_body(loop):
+        index, carry, history = loop
+        history = _put(history, index // keep, carry)
+        if keep == 1:
+            return *body((index, carry)), history
+        last = jnp.minimum(index + keep, max_cycles)
+        return *lax.while_loop(until(last), body, (index, carry)), history
+
+    going = until(max_cycles)
+    if not keep:
+        count, carry = lax.while_loop(going, body, (0, carry))
+        return carry, None, count
+    history = _stack_of(carry, math.ceil(max_cycles / keep))
+    count, carry, history = lax.while_loop(going, kept_body, (0, carry, history))
     return carry, history, count
 
 
@@ -133,7 +151,7 @@ def _loop_jvp(primals, tangents):
     parameter_tangents, carry_tangents, *_ = tangents
     # The function with this rule, and not its body: the places about which the cycles are
     # linearized depend on the parameters too, which is what higher derivatives need.
-    final, history, count = _loop(parameters, carry, cycle, running, max_cycles, True)
+    final, history, count = _loop(parameters, carry, cycle, running, max_cycles, 1)
 
     differentiated = jax.tree.map(
         lambda t: t is not None, parameter_tangents, is_leaf=lambda t: t is None
@@ -231,6 +249,8 @@ def _loop_jvp(primals, tangents):
         jax.tree.map(jnp.zeros_like, moving),
     )
     path = linear_solve(equations, push, pull, flown, given)
-    stack = jax.tree.map(lambda x: x[:-1], path.stack) if keep else None
-    out = final, history if keep else None, count
-    return out, (path.final, stack, None)
+    if not keep:
+        return (final, None, count), (path.final, None, None)
+    history = jax.tree.map(lambda x: x[::keep], history)
+    stack = jax.tree.map(lambda x: x[:-1:keep], path.stack)
+    return (final, history, count), (path.final, stack, None)
