@@ -214,7 +214,9 @@ def test_functions_of_the_users_own_are_not_kept(folder, of_my_own):
 
 
 @pytest.mark.parametrize(
-    "given", [Mine(jnp.ones(2)), mine, Mine, np.ones(2), object()], ids=str
+    "given",
+    [Mine(jnp.ones(2)), mine, Mine, np.ones(2), object()],
+    ids=["module", "function", "class", "array of numpy", "object"],
 )
 def test_what_cannot_be_told(given):
     leaves, structure = jax.tree.flatten(((given,), {}))
