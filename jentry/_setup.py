@@ -40,7 +40,10 @@ assert np.allclose(x, a, rtol=1e-12) and np.allclose(y, b, rtol=1e-12)
 
 
 def cache_directory() -> Path:
-    """Where compiled programs are kept: `JENTRY_CACHE`, or the user's cache folder."""
+    """Where programs are kept: `JENTRY_CACHE`, or the user's cache folder.
+
+    They are run as they are found: it must be a folder in which nobody else can write.
+    """
     given = os.environ.get("JENTRY_CACHE")
     if given:
         return Path(given)
@@ -72,7 +75,9 @@ def setup(
       tried in a process of their own first, and left off with a warning if that fails.
       An environment with `JENTRY_FAST=0` keeps them off. XLA cannot compile the
       `Adaptive` solver with them.
-    - `cache`: keep compiled programs in `cache_directory()`.
+    - `cache`: keep compiled programs in `cache_directory()`, and what was traced for them:
+      the next process compiles and traces nothing of what this one has. Programs with a
+      law, an atmosphere or a function of your own in them are traced by every process.
 
     **Raises:** `RuntimeError` if JAX has been used before with other settings.
     """
