@@ -22,7 +22,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import export
 from jax.core import Tracer
-from jax.sharding import NamedSharding, PartitionSpec
+from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from ._files import write_whole
 from ._provenance import Untold, made_of, provenance
@@ -109,17 +109,20 @@ class _Program:
     def __init__(self, contents: bytes, options: dict[str, Any]):
         written, self._form = pickle.loads(contents)
         exported = export.deserialize(bytearray(written))
-        self._count = exported.nr_devices
-        if self._count > 1:
-            devices = jax.devices()[: self._count]
-            mesh = jax.make_mesh((self._count,), ("devices",), devices=devices)
+        if (count := exported.nr_devices) > 1:
+            mesh = jax.make_mesh(
+                (count,),
+                ("devices",),
+                axis_types=(AxisType.Auto,),
+                devices=jax.devices()[:count],
+            )
             options = {**options, "in_shardings": NamedSharding(mesh, PartitionSpec())}
         self._run = jax.jit(exported.call, **options)
 
     def __call__(self, leaves: list[Any]) -> Any:
         numbers = self._run(*filter(eqx.is_array, leaves))
-        if self._count == 1:  # an exported program ties what it returns to its device
-            numbers = [jnp.asarray(np.asarray(x)) for x in numbers]
+        # An exported program ties what it returns to its devices.
+        numbers = [jnp.asarray(np.asarray(x)) for x in numbers]
         return jax.tree.map(
             lambda x: numbers[x.index] if isinstance(x, _Place) else x, self._form
         )
