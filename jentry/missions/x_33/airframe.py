@@ -1,0 +1,60 @@
+"""The vehicle of the X-33 mission, and the angle of attack at which it flies."""
+
+import jax
+import jax.numpy as jnp
+
+from ...fields import Scalar, scalar
+from ...onboard.profiles import AbstractProfile
+from ...units import degree
+from ...world.aerodynamics import PolynomialAerodynamics
+from ...world.vehicle import Vehicle
+
+
+_LIFT = -0.041065, 0.016292, 0.00026024
+"""Equation (61), over the angle of attack in degrees"""
+_DRAG = 0.080505, -0.03026, 0.86495
+"""Equation (62), over the lift coefficient"""
+
+
+def vehicle() -> Vehicle:
+    """104 305 kg and 391.22 m2: 290 kg/m2 over the drag coefficient at 40 degrees."""
+    lift = jnp.array([c / degree**power for power, c in enumerate(_LIFT)])
+    # The drag is a polynomial of the lift, so of the angle of attack as well.
+    constant, first, second = _DRAG
+    drag = second * jnp.convolve(lift, lift)
+    drag = drag.at[:3].add(first * lift).at[0].add(constant)
+    return Vehicle(
+        mass=104_305.0,
+        reference_area=391.22,
+        aerodynamics=PolynomialAerodynamics(lift, drag),
+        trim_angle_of_attack=40.0 * degree,
+    )
+
+
+class ScheduledAngleOfAttack(AbstractProfile):
+    """Over the velocity (m/s): 40 degrees, and less below 4570 m/s, 14 degrees at 760.
+
+    The paper says that it falls monotonically. Here it is a parabola with its top at
+    4570 m/s, where its second derivative jumps. Below 760 m/s it keeps its value.
+    """
+
+    high: Scalar = scalar(40.0 * degree, unit="rad")
+    fall: Scalar = scalar(26.0 * degree, unit="rad")
+    """From the top to the last velocity"""
+    top: Scalar = scalar(4570.0, unit="m/s", positive=True)
+    last: Scalar = scalar(760.0, unit="m/s", positive=True)
+
+    def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        def first(velocity):
+            return jax.jvp(self._angle, (velocity,), (jnp.ones_like(velocity),))
+
+        (angle, slope), (_, bend) = jax.jvp(first, (index,), (jnp.ones_like(index),))
+        return angle, slope, bend
+
+    def _angle(self, velocity: Scalar) -> Scalar:
+        below = (velocity - self.top) / (self.top - self.last)
+        falling = (velocity < self.top) & (velocity >= self.last)
+        share = jnp.where(
+            falling, below * below, jnp.where(velocity < self.last, 1.0, 0.0)
+        )
+        return self.high - self.fall * share
