@@ -8,12 +8,11 @@ import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
-
-from .._programs import kept
 
 
 _ROUNDS = 50
@@ -160,13 +159,13 @@ def _stationary(objective, equations, problem, x, active, lower, upper):
     raise NoOptimumError("Newton's method does not converge at what SLSQP has found")
 
 
-@kept
+@eqx.filter_jit
 def _values_and_slopes(objective, equations, problem, x):
     value, slope = jax.value_and_grad(objective, argnums=1)(problem, x)
     return value, slope, equations(problem, x), jax.jacrev(equations, 1)(problem, x)
 
 
-@kept
+@eqx.filter_jit
 def _lagrangian(objective, equations, problem, x, multipliers):
     """Slope and curvature of the Lagrangian in x; the equations and their rows."""
 

@@ -114,6 +114,10 @@ def plan_drag_profile(
     - `distance`: the range, m.
     - `degree`: of the polynomial, one less than there are nodes.
 
+    The limits hold at the nodes alone. Where one binds at some of them the profile has a
+    corner on either side, and the range of the polynomial between the nodes is not quite
+    that of (60): half a kilometre off in the paper's case, begun at 1 m/s2.
+
     A hundredth of the smaller drag at the ends bounds the drag too, as `least_drag`: the
     range stays finite so.
 
