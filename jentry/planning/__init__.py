@@ -6,10 +6,20 @@ from .bezier_curve import (
     plan_parameters as plan_parameters,
     velocity_map as velocity_map,
 )
+from .drag_profile import (
+    CollocatedProfile as CollocatedProfile,
+    DragPlan as DragPlan,
+    plan_drag_profile as plan_drag_profile,
+)
 from .glide import Glide as Glide, plan_glide as plan_glide
 from .ground_track import (
     GroundTrackPlan as GroundTrackPlan,
     plan_ground_track as plan_ground_track,
+)
+from .inverse_dynamics import (
+    ExactInverse as ExactInverse,
+    InversePoint as InversePoint,
+    SmallAngleInverse as SmallAngleInverse,
 )
 from .reference_flight import (
     ReferenceFlight as ReferenceFlight,
