@@ -112,7 +112,7 @@ def _half_arc(x: Scalar) -> tuple[Flag, Scalar, Scalar]:
 @functools.partial(jax.jit, inline=True)
 def _arcsin(x: Scalar) -> Scalar:
     near_one, above, below = _half_arc(x)
-    turned = _HALF_PI_HIGH * below - (2.0 * above - _HALF_PI_LOW * below)
+    turned = 0.5 * jnp.pi * below - 2.0 * above
     return jnp.copysign(jnp.where(near_one, turned, above), x) / below
 
 
@@ -120,8 +120,8 @@ def _arcsin(x: Scalar) -> Scalar:
 def _arccos(x: Scalar) -> Scalar:
     near_one, above, below = _half_arc(x)
     small = 2.0 * above
-    turned = 2.0 * _HALF_PI_HIGH * below - (small - 2.0 * _HALF_PI_LOW * below)
-    middle = _HALF_PI_HIGH * below - (jnp.copysign(above, x) - _HALF_PI_LOW * below)
+    turned = jnp.pi * below - small
+    middle = 0.5 * jnp.pi * below - jnp.copysign(above, x)
     return jnp.where(near_one, jnp.where(x > 0.0, small, turned), middle) / below
 
 

@@ -39,7 +39,7 @@ _AT_HOME = _KNOWN | sys.stdlib_module_names | {"jaxtyping", "optax", "scipy"}
 _PLAIN = bool, int, float, complex, str, bytes, tuple, list, dict, frozenset
 """Types of constants"""
 
-_OF_NO_PROGRAM = "cache", "dump", "log", "traceback", "error", "explain"
+_OF_NO_PROGRAM = "cache", "dump", "log", "traceback", "explain"
 """In the names of JAX's settings that change no compiled program"""
 
 

@@ -106,6 +106,18 @@ def test_starts_of_some_cycles(every):
     np.testing.assert_allclose(first, truth, rtol=1e-13, atol=1e-14)
 
 
+@pytest.mark.parametrize("every", [2, 3, 4])
+def test_no_more_cycles_than_asked_for(every):
+    """Where it is that number that stops the loop, and no multiple of `every`."""
+    loop = while_running_with_history
+    runs = lambda c: c.running
+    last, path = loop(toy_cycle, runs, *toy_start(Z), 5)
+    again, some = loop(toy_cycle, runs, *toy_start(Z), 5, every)
+    assert bool(last.running)
+    assert eqx.tree_equal(again, last)
+    assert eqx.tree_equal(some, jax.tree.map(lambda x: x[::every], path))
+
+
 def test_the_toy_stops_within_its_cycles():
     _, path = while_running_with_history(
         toy_cycle, lambda c: c.running, *toy_start(Z), CYCLES

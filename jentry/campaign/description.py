@@ -80,6 +80,15 @@ def _plain(leaf: Any) -> Any:
     }
 
 
+def scalars_of(description: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of a described scenario, by address, without its tables."""
+    return {
+        address: leaf
+        for address, leaf in description["scenario"].items()
+        if not isinstance(leaf["value"], list | dict)
+    }
+
+
 def _name(function: Callable) -> str:
     """By which a function is known again. Raises `ValueError` where it has no name."""
     name = getattr(function, "__qualname__", "<lambda>")

@@ -22,7 +22,7 @@ from ..flight.miss import misses
 from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
 from .campaign import Campaign, fly_in_blocks
-from .description import describe
+from .description import describe, scalars_of
 from .dispersions import Dispersion, key_of
 from .errors import CampaignError
 from .parts import (
@@ -219,12 +219,7 @@ def _write_part(
     part = dataset(scenario, block, description["history_interval"])
     for name in ("seed", "versions"):
         part.attrs[name] = json.dumps(description[name])
-    scalars = {
-        address: leaf
-        for address, leaf in description["scenario"].items()
-        if not isinstance(leaf["value"], list | dict)
-    }
-    part.attrs["scenario"] = json.dumps(scalars)
+    part.attrs["scenario"] = json.dumps(scalars_of(description))
     part.attrs["campaign_digest"] = campaign
     contents = _netcdf(part)
     first, last = int(block.runs[0]), int(block.runs[-1])

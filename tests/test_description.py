@@ -1,0 +1,71 @@
+"""What a campaign is, in plain values: nothing is lost, and every difference is named."""
+
+import base64
+import json
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import mars_scenario
+
+from jentry import FixedStep
+from jentry.campaign.description import describe, first_difference, scalars_of
+from jentry.campaign.parts import claim
+from jentry.onboard.profiles import quintic_profile
+
+
+LONG = "guidance.cos_bank.coefficients"
+
+
+def with_table(nodes, last=0.3):
+    """A scenario with a table of six numbers for each interval."""
+    x = np.linspace(0.0, 1.0, nodes)
+    value = np.append(np.sin(x[:-1]), last)
+    profile = quintic_profile(
+        *map(jnp.asarray, (0.0, x[1], value, np.cos(x), -np.sin(x)))
+    )
+    scenario = mars_scenario()
+    return eqx.tree_at(lambda s: s.guidance.cos_bank, scenario, profile)
+
+
+def described(nodes, last=0.3):
+    scenario = with_table(nodes, last)
+    # As it is read from the file that it is written to.
+    return json.loads(json.dumps(describe(scenario, None, 0, FixedStep(), None)))
+
+
+def test_long_tables_by_their_bytes():
+    value = described(40)["scenario"][LONG]["value"]
+    table = with_table(40).guidance.cos_bank.coefficients
+    assert value["shape"] == [39, 6] and value["type"] == "float64"
+    read = np.frombuffer(base64.b64decode(value["base64"]), "<f8").reshape(39, 6)
+    np.testing.assert_array_equal(read, table)
+
+
+def test_short_tables_in_digits():
+    value = described(10)["scenario"][LONG]["value"]
+    np.testing.assert_array_equal(value, with_table(10).guidance.cos_bank.coefficients)
+
+
+@pytest.mark.parametrize("nodes", [10, 40])
+def test_scalars_without_tables(nodes):
+    """What a part of a campaign says of its scenario, where HDF5 takes 64 kB."""
+    known = described(nodes)
+    scalars = scalars_of(known)
+    assert LONG in known["scenario"] and LONG not in scalars
+    assert scalars["vehicle.mass"] == known["scenario"]["vehicle.mass"]
+    assert all(isinstance(x["value"], float | int) for x in scalars.values())
+
+
+@pytest.mark.parametrize("nodes", [10, 40])
+def test_a_table_that_differs_is_named(nodes, tmp_path):
+    known, wanted = described(nodes), described(nodes, 0.3 + 1e-12)
+    assert first_difference(known, known) is None
+    assert first_difference(known, wanted) in (
+        f"scenario.{LONG} differs",
+        f"scenario.{LONG}.value differs",
+    )
+    claim(tmp_path, known)
+    agreed, _ = claim(tmp_path, wanted)  # no runs yet: it is taken over
+    assert first_difference(agreed, wanted) is None
