@@ -103,20 +103,15 @@ def minimise(
         x, multipliers, push = _stationary(
             objective, equations, problem, x, active, lower, upper
         )
-        # The bound that is crossed the most becomes active; if none is, the one that pulls
-        # the most, where it should push, no longer is.
-        beyond = np.maximum(lower - x, x - upper)
-        pulls = np.where(active != 0, active * push, -np.inf)
-        if np.max(beyond) > 0.0:
-            worst = np.argmax(beyond)
-            active[worst] = -1 if x[worst] < lower[worst] else 1
-            x = np.clip(x, lower, upper)
-        elif np.max(pulls) > 0.0:
-            active[np.argmax(pulls)] = 0
-        else:
+        # What is crossed becomes active, and what pulls where it should push no longer is.
+        crossed = np.where(x < lower, -1, np.where(x > upper, 1, 0))
+        pulls = active * push > 0.0
+        after = np.where(active == 0, crossed, np.where(pulls, 0, active))
+        if np.array_equal(after, active):
             value = float(at(x)[0])
             bounds = np.where(active != 0, push, 0.0)
             return Optimum(x, value, multipliers, bounds, int(found.nit))
+        active, x = after, np.clip(x, lower, upper)
     raise NoOptimumError(f"the active bounds still change after {_ROUNDS} rounds")
 
 
