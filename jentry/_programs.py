@@ -10,6 +10,7 @@ import functools
 import hashlib
 import os
 import pickle
+import threading
 import time
 import warnings
 from collections.abc import Callable
@@ -21,11 +22,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import export
+from jax._src.core import trace_state_clean  # jax.core has it no longer
 from jax.core import Tracer
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from ._files import write_whole
-from ._provenance import Untold, made_of, provenance
+from ._provenance import Untold, made_of, provenance, settings
 from ._setup import programs_directory
 
 
@@ -34,6 +36,12 @@ R = TypeVar("R")
 
 _LOOKED_AT = "jax_disable_jit", "jax_debug_nans", "jax_debug_infs"
 """Settings of JAX with which `jit` does more than to run a program"""
+
+_GROUND = jax.make_user_context(None)
+"""Part of what JAX finds its traces by"""
+
+_ONE_AT_A_TIME = threading.RLock()
+"""Of the threads: warnings are of the whole process"""
 
 _UNUSED = 60 * 86400.0
 """s, after which a program that nobody has asked for is removed"""
@@ -56,7 +64,7 @@ class Kept(Generic[P, R]):
         self._function = function
         self._options = options
         self._traced = eqx.filter_jit(function, **options)
-        self._programs: dict[str, _Program | None] = {}
+        self._programs: dict[tuple[str, str], _Program | None] = {}
 
     def __call__(self, *given: P.args, **named: P.kwargs) -> R:
         leaves, structure = jax.tree.flatten((given, named))
@@ -70,19 +78,24 @@ class Kept(Generic[P, R]):
             return None
         try:
             made = made_of(self._function, leaves, structure)
-            if made not in self._programs:
-                name = f"{self._function.__name__.strip('_')}-{provenance(made)}"
-                self._programs[made] = self._found(folder / name, leaves, structure)
+            known = made, settings()
+            with _ONE_AT_A_TIME:
+                if known not in self._programs:
+                    key = provenance(made)
+                    self._programs[known] = self._found(folder, key, leaves, structure)
+                return self._programs[known]
         except Untold:
             return None
-        return self._programs[made]
 
     def _found(
-        self, file: Path, leaves: list[Any], structure: Any
+        self, folder: Path, key: str, leaves: list[Any], structure: Any
     ) -> "_Program | None":
+        file = folder / f"{self._function.__name__.strip('_')}-{key}"
         contents = _read(file)
         if contents is None:
-            contents = _traced(self._function, leaves, structure)
+            # What JAX has traced before, in a jentry that was another, does not count.
+            with _GROUND(key):
+                contents = _traced(self._function, leaves, structure)
             if contents is None:
                 return None
             _write(file, contents)
@@ -91,7 +104,8 @@ class Kept(Generic[P, R]):
 
 def _looked_at(leaves: list[Any]) -> bool:
     """Whether somebody follows what happens in the function: JAX itself, or its checks."""
-    if any(isinstance(leaf, Tracer) for leaf in leaves):
+    inside = any(isinstance(leaf, Tracer) for leaf in leaves)
+    if inside or not trace_state_clean():
         return True
     return any(getattr(jax.config, name) for name in _LOOKED_AT)
 
@@ -122,10 +136,18 @@ class _Program:
     def __call__(self, leaves: list[Any]) -> Any:
         numbers = self._run(*filter(eqx.is_array, leaves))
         # An exported program ties what it returns to its devices.
-        numbers = [jnp.asarray(np.asarray(x)) for x in numbers]
+        numbers = [
+            jnp.asarray(x.item() if x.weak_type else np.asarray(x)) for x in numbers
+        ]
         return jax.tree.map(
             lambda x: numbers[x.index] if isinstance(x, _Place) else x, self._form
         )
+
+
+def _comes_back(x: Any) -> bool:
+    """Whether a result is the same after its way through numpy, but for `_as_it_was`."""
+    is_key = jnp.issubdtype(x.dtype, jax.dtypes.extended)
+    return not is_key and (x.ndim == 0 or not x.weak_type)
 
 
 def _traced(function: Callable, leaves: list[Any], structure: Any) -> bytes | None:
@@ -141,6 +163,8 @@ def _traced(function: Callable, leaves: list[Any], structure: Any) -> bytes | No
         given, named = jax.tree.unflatten(structure, inside)
         out = function(*given, **named)
         numbers = [x for x in jax.tree.leaves(out) if eqx.is_array(x)]
+        if any(not _comes_back(x) for x in numbers):
+            raise TypeError
         places = map(_Place, range(len(numbers)))
         forms.append(
             jax.tree.map(lambda x: next(places) if eqx.is_array(x) else x, out)
@@ -148,13 +172,19 @@ def _traced(function: Callable, leaves: list[Any], structure: Any) -> bytes | No
         return numbers
 
     of_arrays.__name__ = of_arrays.__qualname__ = function.__name__
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # would be said once, and never again
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        try:
             exported = export.export(jax.jit(of_arrays))(*filter(eqx.is_array, leaves))
-        return pickle.dumps((bytes(exported.serialize()), forms[-1]))
-    except Exception:  # whatever it was, the function itself says it better
-        return None
+            contents = pickle.dumps((bytes(exported.serialize()), forms[-1]))
+        except Exception:  # whatever it was, the function itself says it better
+            contents = None
+    for warning in said:  # it would be said once, and never again
+        contents = None
+        warnings.warn_explicit(
+            warning.message, warning.category, warning.filename, warning.lineno
+        )
+    return contents
 
 
 def _read(file: Path) -> bytes | None:
@@ -171,8 +201,8 @@ def _read(file: Path) -> bytes | None:
 def _write(file: Path, program: bytes) -> None:
     """Keep a program, and remove those that nobody has asked for in months."""
     with contextlib.suppress(OSError):  # a folder that is full, or not to be written in
-        file.parent.mkdir(parents=True, exist_ok=True)
+        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_whole(file, hashlib.sha256(program).digest() + program)
-        for other in file.parent.iterdir():
+        for other in filter(Path.is_file, file.parent.iterdir()):
             if time.time() - other.stat().st_mtime > _UNUSED:
                 other.unlink(missing_ok=True)

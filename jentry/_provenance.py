@@ -6,12 +6,11 @@ versions of what it uses, the settings of JAX and the number of devices. Of a fu
 a class the name tells all where it belongs to one of these. Of the user's own it does not.
 """
 
-import contextlib
 import enum
 import functools
 import hashlib
 import importlib.metadata
-import inspect
+import os
 import sys
 import time
 import types
@@ -33,10 +32,14 @@ _INSTALLED = "jax", "jaxlib", "numpy", "equinox", "diffrax", "optimistix", "line
 _KNOWN = frozenset({_OURS, *_INSTALLED, "builtins", "functools", "math", "operator"})
 """Packages whose functions and classes are what their names say"""
 
-_AT_HOME = _KNOWN | sys.stdlib_module_names | {"jaxtyping", "optax", "scipy"}
+_AT_HOME = (
+    _KNOWN
+    | (sys.stdlib_module_names - {"unittest"})
+    | {"jaxtyping", "optax", "scipy", "beartype", "pint", "xarray", "rich", "typer"}
+)
 """Packages whose functions have a place in jentry's modules"""
 
-_PLAIN = bool, int, float, complex, str, bytes, tuple, list, dict, frozenset
+_PLAIN = bool, int, float, complex, str, bytes
 """Types of constants"""
 
 _OF_NO_PROGRAM = "cache", "dump", "log", "traceback", "explain"
@@ -61,19 +64,24 @@ def made_of(function: Callable, leaves: list[Any], structure: Any) -> str:
     return "\n".join(_parts(function, leaves, structure))
 
 
-def provenance(made: str) -> str:
-    """A digest of what a program is made of and of what it stands on.
-
-    **Raises:** `Untold` where jentry is no longer what its files say.
-    """
-    settings = {
+def settings() -> str:
+    """The settings of JAX now, those of its context managers included."""
+    told = {
         name: getattr(jax.config, name, value)
         for name, value in sorted(jax.config.values.items())
         if not any(word in name for word in _OF_NO_PROGRAM)
     }
     devices = f"{jax.default_backend()} {len(jax.devices())}"
-    told = [made, _source(), *_in_memory(), _versions(), devices, str(settings)]
-    return hashlib.sha256("\n".join(told).encode()).hexdigest()
+    return f"{devices} {os.environ.get('EQX_ON_ERROR')} {told}"
+
+
+def provenance(made: str) -> str:
+    """A digest of what a program is made of and of what it stands on.
+
+    **Raises:** `Untold` where jentry is no longer what its files say.
+    """
+    told = [made, settings(), _source(), *_in_memory(), _versions()]
+    return _digest("\n".join(told).encode())
 
 
 def _parts(function: Callable, leaves: list[Any], structure: Any) -> Iterator[str]:
@@ -120,7 +128,7 @@ def _constant(x: Any) -> Iterator[str]:
             yield type(x).__name__ + "("
             yield from sorted(told) if isinstance(x, frozenset) else told
             yield ")"
-        case functools.partial():
+        case functools.partial() if type(x) is functools.partial:
             yield "partial"
             yield from _constant((x.func, x.args, x.keywords))
         case _:
@@ -155,8 +163,9 @@ def _source() -> str:
     """
     kinds = "py", "npz"
     files = sorted(file for kind in kinds for file in _HERE.rglob(f"*.{kind}"))
-    if any(file.stat().st_mtime > _IMPORTED for file in files):
-        raise Untold
+    for status in (file.stat() for file in files):
+        if max(status.st_mtime, status.st_ctime) > _IMPORTED:
+            raise Untold
     return _digest_of_files(tuple(files))
 
 
@@ -172,43 +181,127 @@ def _digest_of_files(files: tuple[Path, ...]) -> str:
 def _in_memory() -> Iterator[str]:
     """The constants, functions and classes of jentry as they are now.
 
-    **Raises:** `Untold` where a function of somebody else's has taken a place.
+    **Raises:** `Untold` where something of somebody else's has taken a place.
     """
+    seen: dict[int, int] = {}
     for name, module in sorted(sys.modules.items()):
         package, *inside = name.split(".")
         if package != _OURS or inside[:1] in (["cli"], ["plots"], ["_provenance"]):
             continue
         for own, x in sorted(vars(module).items()):
             if not own.startswith("__"):
-                yield f"{name}.{own} {_in_place(x)}"
-            if isinstance(x, type) and x.__module__ == name:
-                for of_class, member in vars(x).items():
-                    if callable(member) or not of_class.startswith("__"):
-                        yield f"{name}.{own}.{of_class} {_in_place(member)}"
+                yield f"{name}.{own}"
+                yield from _living(x, seen)
 
 
-def _in_place(x: Any) -> str:
-    """Of what has a name in a module or a class."""
-    if isinstance(x, np.ndarray | jax.Array):
-        return hashlib.sha256(np.asarray(x).tobytes()).hexdigest()
-    if isinstance(x, _PLAIN):
-        with contextlib.suppress(Untold):
-            return " ".join(_constant(x))
-        return type(x).__name__
-    if not isinstance(x, type):
-        # Out of a property, a classmethod, a method of a module, a partial.
-        for inside in ("fget", "__func__", "method", "func"):
-            x = getattr(x, inside, x)
-    if not callable(x):
-        return type(x).__name__
-    x = inspect.unwrap(x)
-    module = getattr(x, "__module__", None) or "builtins"
+def _living(x: Any, seen: dict[int, int]) -> Iterator[str]:
+    """Of what has a name in a module, with all that it is made of."""
+    if isinstance(x, np.ndarray | np.generic | jax.Array):
+        values = np.asarray(x)
+        yield f"{values.dtype} {values.shape} {_digest(values.tobytes())}"
+        return
+    if x is None or type(x) in _PLAIN:
+        yield f"{type(x).__name__} {x!r}"
+        return
+    kind = type(x)
+    yield f"{kind.__module__}.{kind.__qualname__}"
+    if isinstance(x, types.ModuleType):
+        yield x.__name__
+    elif id(x) in seen:
+        yield f"again {seen[id(x)]}"
+    elif isinstance(x, dict | list | tuple | set | frozenset):
+        seen[id(x)] = len(seen)
+        members = x.items() if isinstance(x, dict) else x
+        told = ["\n".join(_living(member, seen)) for member in members]
+        yield from sorted(told) if isinstance(x, set | frozenset) else told
+    elif isinstance(x, types.FunctionType):
+        seen[id(x)] = len(seen)
+        yield from _function(x, seen)
+    elif isinstance(x, type):
+        seen[id(x)] = len(seen)
+        yield _of_home(x.__module__, x.__qualname__)
+        if x.__module__.split(".")[0] == _OURS:
+            for name, member in vars(x).items():
+                if callable(member) or not name.startswith("__"):
+                    yield name
+                    yield from _living(member, seen)
+    else:
+        seen[id(x)] = len(seen)
+        _of_home(kind.__module__, kind.__qualname__)
+        known = kind.__module__.split(".")[0] in _KNOWN
+        whole = sorted(getattr(x, "__dict__", ())) if known else ()
+        for name in _INSIDE.get(kind.__qualname__, whole):
+            yield name
+            yield from _living(getattr(x, name, None), seen)
+        if isinstance(wrapped := getattr(x, "__wrapped__", None), types.FunctionType):
+            yield from _living(wrapped, seen)
+
+
+_INSIDE = {
+    "property": ("fget", "fset", "fdel"),
+    "classmethod": ("__func__",),
+    "staticmethod": ("__func__",),
+    "method": ("__func__", "__self__"),
+    "partial": ("func", "args", "keywords"),
+    "cached_property": ("func",),
+    "Kept": ("_function", "_options"),
+}
+"""What these are made of, of which their `__dict__` says too little or too much"""
+
+
+def _function(x: types.FunctionType, seen: dict[int, int]) -> Iterator[str]:
+    # Where it was written: `functools.wraps` copies all names but this one.
+    home = x.__globals__.get("__name__", "")
+    yield _of_home(home, x.__qualname__)
+    if home.split(".")[0] != _OURS:
+        return
+    yield _code(x.__code__)
+    cells = [cell.cell_contents for cell in x.__closure__ or () if _is_filled(cell)]
+    for part in (x.__defaults__, x.__kwdefaults__, *cells, vars(x)):
+        yield from _living(part, seen)
+
+
+def _is_filled(cell: types.CellType) -> bool:
+    try:
+        cell.cell_contents  # noqa: B018
+    except ValueError:
+        return False
+    return True
+
+
+def _of_home(module: str, name: str) -> str:
     if module.split(".")[0] not in _AT_HOME and not module.startswith("namedtuple_"):
         raise Untold
-    return f"{module}:{getattr(x, '__qualname__', type(x).__name__)}"
+    return f"{module}:{name}"
+
+
+def _code(code: types.CodeType) -> str:
+    told = [code.co_code.hex(), repr((code.co_names, code.co_varnames, code.co_flags))]
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            told.append(_code(constant))
+        elif isinstance(constant, frozenset):
+            told.append(repr(sorted(map(repr, constant))))
+        else:
+            told.append(repr(constant))
+    return _digest("\n".join(told).encode())
+
+
+def _digest(contents: bytes) -> str:
+    return hashlib.sha256(contents).hexdigest()
 
 
 @functools.cache
 def _versions() -> str:
-    packages = [f"{name} {importlib.metadata.version(name)}" for name in _INSTALLED]
-    return " ".join([sys.version, *packages])
+    """Of Python and the packages below, installed and in memory.
+
+    **Raises:** `Untold` where one is installed to be edited: its version says too little.
+    """
+    told = [sys.version]
+    for name in _INSTALLED:
+        distribution = importlib.metadata.distribution(name)
+        if '"editable"' in (distribution.read_text("direct_url.json") or ""):
+            raise Untold
+        there = getattr(sys.modules.get(name), "__version__", None)
+        told.append(f"{name} {distribution.version} {there}")
+    return " ".join(told)

@@ -45,6 +45,11 @@ def cache_directory() -> Path:
     They are run as they are found: it must be a folder in which nobody else can write.
     """
     given = os.environ.get("JENTRY_CACHE")
+    if given and not os.path.isabs(given):
+        raise ValueError(
+            f"JENTRY_CACHE is {given!r}: programs are run from there, and it must be an "
+            "absolute path, not one below whatever folder jentry is started in"
+        )
     if given:
         return Path(given)
     base = Path(os.environ.get("XDG_CACHE_HOME") or "")
