@@ -122,6 +122,13 @@ def test_where_compiled_programs_are_kept(monkeypatch, environment, expected):
     assert _setup.cache_directory() == Path(expected)
 
 
+def test_relative_cache_is_refused(monkeypatch):
+    """It would be another in every folder that jentry is started in, and run from there."""
+    monkeypatch.setenv("JENTRY_CACHE", "here")
+    with pytest.raises(ValueError, match="JENTRY_CACHE is 'here'.*an absolute path"):
+        _setup.cache_directory()
+
+
 # The fast options.
 
 PLANTED = """
