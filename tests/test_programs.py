@@ -304,6 +304,22 @@ def test_file_changed_since_the_import(folder, ours, monkeypatch):
     assert not files(folder)
 
 
+def test_file_put_in_place_with_its_old_date(tmp_path, monkeypatch):
+    """As `rsync -t` does: when it was written is long ago, and yet it is another."""
+    monkeypatch.setattr(_provenance, "_HERE", tmp_path)
+    monkeypatch.setattr(_provenance, "_IMPORTED", time.time() - 60.0)
+    (tmp_path / "a.py").write_text("x = 1")
+    os.utime(tmp_path / "a.py", (0, 0))
+    with pytest.raises(_provenance.Untold):
+        _provenance._source()
+
+
+def test_what_equinox_does_of_errors_counts(ours, monkeypatch):
+    made = _provenance.provenance("a program")
+    monkeypatch.setenv("EQX_ON_ERROR", "off")
+    assert made != _provenance.provenance("a program")
+
+
 def test_source_and_settings_count(ours, monkeypatch):
     made = _provenance.provenance("a program")
     assert made == _provenance.provenance("a program")
