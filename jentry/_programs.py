@@ -145,7 +145,7 @@ class _Program:
 
 
 def _comes_back(x: Any) -> bool:
-    """Whether a result is the same after its way through numpy, but for `_as_it_was`."""
+    """Whether a result can be given its type again, after its way through numpy."""
     is_key = jnp.issubdtype(x.dtype, jax.dtypes.extended)
     return not is_key and (x.ndim == 0 or not x.weak_type)
 

@@ -178,12 +178,16 @@ def _digest_of_files(files: tuple[Path, ...]) -> str:
     return digest.hexdigest()
 
 
+Seen = dict[int, tuple[int, Any]]
+"""Number and object by identity, which is the object's only as long as it is there"""
+
+
 def _in_memory() -> Iterator[str]:
     """The constants, functions and classes of jentry as they are now.
 
     **Raises:** `Untold` where something of somebody else's has taken a place.
     """
-    seen: dict[int, int] = {}
+    seen: Seen = {}
     for name, module in sorted(sys.modules.items()):
         package, *inside = name.split(".")
         if package != _OURS or inside[:1] in (["cli"], ["plots"], ["_provenance"]):
@@ -194,7 +198,7 @@ def _in_memory() -> Iterator[str]:
                 yield from _living(x, seen)
 
 
-def _living(x: Any, seen: dict[int, int]) -> Iterator[str]:
+def _living(x: Any, seen: Seen) -> Iterator[str]:
     """Of what has a name in a module, with all that it is made of."""
     if isinstance(x, np.ndarray | np.generic | jax.Array):
         values = np.asarray(x)
@@ -208,17 +212,17 @@ def _living(x: Any, seen: dict[int, int]) -> Iterator[str]:
     if isinstance(x, types.ModuleType):
         yield x.__name__
     elif id(x) in seen:
-        yield f"again {seen[id(x)]}"
+        yield f"again {seen[id(x)][0]}"
     elif isinstance(x, dict | list | tuple | set | frozenset):
-        seen[id(x)] = len(seen)
+        seen[id(x)] = len(seen), x
         members = x.items() if isinstance(x, dict) else x
         told = ["\n".join(_living(member, seen)) for member in members]
         yield from sorted(told) if isinstance(x, set | frozenset) else told
     elif isinstance(x, types.FunctionType):
-        seen[id(x)] = len(seen)
+        seen[id(x)] = len(seen), x
         yield from _function(x, seen)
     elif isinstance(x, type):
-        seen[id(x)] = len(seen)
+        seen[id(x)] = len(seen), x
         yield _of_home(x.__module__, x.__qualname__)
         if x.__module__.split(".")[0] == _OURS:
             for name, member in vars(x).items():
@@ -226,7 +230,7 @@ def _living(x: Any, seen: dict[int, int]) -> Iterator[str]:
                     yield name
                     yield from _living(member, seen)
     else:
-        seen[id(x)] = len(seen)
+        seen[id(x)] = len(seen), x
         _of_home(kind.__module__, kind.__qualname__)
         known = kind.__module__.split(".")[0] in _KNOWN
         whole = sorted(getattr(x, "__dict__", ())) if known else ()
@@ -249,7 +253,7 @@ _INSIDE = {
 """What these are made of, of which their `__dict__` says too little or too much"""
 
 
-def _function(x: types.FunctionType, seen: dict[int, int]) -> Iterator[str]:
+def _function(x: types.FunctionType, seen: Seen) -> Iterator[str]:
     # Where it was written: `functools.wraps` copies all names but this one.
     home = x.__globals__.get("__name__", "")
     yield _of_home(home, x.__qualname__)

@@ -279,6 +279,7 @@ def raised(constraint, name):
         ({"first": (FIRST, -1.0)}, "velocity and drag must be positive and finite"),
         ({"last": (LAST, np.nan)}, "velocity and drag must be positive and finite"),
         ({"distance": 0.0}, "distance is 0.0 m"),
+        ({"degree": 2}, "degree is 2"),
         ({"distance": np.inf}, "distance is inf m"),
         (
             {"of": raised(EquilibriumGlide(limit=-500.0), "equilibrium_glide")},

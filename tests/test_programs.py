@@ -77,7 +77,7 @@ class Law:
 LAW = Law()
 TABLE = np.zeros(4)
 NUDGE = np.float64(1.0)
-STATISTICS = {"std": sine}
+STATISTICS = {f"of {n}": (sine, float(n)) for n in range(40)}
 """
 
 
@@ -204,7 +204,7 @@ def doubled(function):
         lambda ours: (ours, "NUDGE", np.float64(2.0)),
         lambda ours: (ours.sine, "__defaults__", (1.0,)),
         lambda ours: (ours.sine, "__code__", ours.cosine.__code__),
-        lambda ours: (ours.STATISTICS, "std", ours.cosine),
+        lambda ours: (ours.STATISTICS, "of 39", (ours.cosine, 39.0)),
     ],
     ids=[
         "wraps",

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._collocation import interpolate, legendre_gauss_lobatto
+from .._math import derivatives_along
 from .._printed import as_text
 from .._programs import kept
 from .._setup import needs_float64
@@ -53,11 +54,7 @@ class CollocatedProfile(AbstractProfile):
                 self.values, jnp.where(jnp.abs(x) <= 1.0, x, jnp.sign(x))
             )
 
-        def first(index: Scalar) -> tuple[Scalar, Scalar]:
-            return jax.jvp(value, (index,), (jnp.ones_like(index),))
-
-        (p, p1), (_, p2) = jax.jvp(first, (index,), (jnp.ones_like(index),))
-        return p, p1, p2
+        return derivatives_along(jnp.ones_like, value, index)
 
 
 class DragPlan(eqx.Module):
@@ -128,6 +125,8 @@ def plan_drag_profile(
     Reference: D.-W. Lee, K.-R. Cho, H. Yan, 2004, section 2 and equations (59), (60).
     """
     _check_ends(first, last, distance)
+    if degree < 3:
+        raise ValueError(f"degree is {degree}: a profile takes 3 or more")
     made = legendre_gauss_lobatto(degree)
     (v0, drag0), (vf, drag_f) = first, last
     half = 0.5 * (v0 - vf)

@@ -1,9 +1,8 @@
 """The vehicle of the RLV mission, and the angle of attack at which it flies."""
 
-import jax
 import jax.numpy as jnp
 
-from ..._math import smoothstep
+from ..._math import derivatives_along, smoothstep
 from ...fields import Scalar, scalar
 from ...onboard.profiles import AbstractProfile
 from ...units import degree
@@ -43,11 +42,7 @@ class ScheduledAngleOfAttack(AbstractProfile):
     """Half of the width of the blend, Mach"""
 
     def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        def first(mach):
-            return jax.jvp(self._angle, (mach,), (jnp.ones_like(mach),))
-
-        (angle, slope), (_, bend) = jax.jvp(first, (index,), (jnp.ones_like(index),))
-        return angle, slope, bend
+        return derivatives_along(jnp.ones_like, self._angle, index)
 
     def _angle(self, mach: Scalar) -> Scalar:
         known = jnp.maximum(mach, 3.0)

@@ -1,8 +1,8 @@
 """The vehicle of the X-33 mission, and the angle of attack at which it flies."""
 
-import jax
 import jax.numpy as jnp
 
+from ..._math import derivatives_along
 from ...fields import Scalar, scalar
 from ...onboard.profiles import AbstractProfile
 from ...units import degree
@@ -45,11 +45,7 @@ class ScheduledAngleOfAttack(AbstractProfile):
     last: Scalar = scalar(760.0, unit="m/s", positive=True)
 
     def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        def first(velocity):
-            return jax.jvp(self._angle, (velocity,), (jnp.ones_like(velocity),))
-
-        (angle, slope), (_, bend) = jax.jvp(first, (index,), (jnp.ones_like(index),))
-        return angle, slope, bend
+        return derivatives_along(jnp.ones_like, self._angle, index)
 
     def _angle(self, velocity: Scalar) -> Scalar:
         below = (velocity - self.top) / (self.top - self.last)
