@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Execute the notebooks, two at a time.
 
-Their kernels talk over sockets in the file system: two that start at once can be given one and
-the same TCP port.
+Their kernels talk over sockets in the file system: two that start at once can be given
+one and the same TCP port.
 """
 
 import sys
@@ -13,6 +13,7 @@ from pathlib import Path
 import nbformat
 from jupyter_client import AsyncKernelManager
 from nbclient import NotebookClient
+
 
 FOLDER = Path(__file__).parent.parent / "notebooks"
 
@@ -34,6 +35,8 @@ def execute(path: Path) -> None:
 
 
 if __name__ == "__main__":
-    paths = [Path(each).resolve() for each in sys.argv[1:]] or sorted(FOLDER.glob("*.ipynb"))
+    paths = [Path(each).resolve() for each in sys.argv[1:]] or sorted(
+        FOLDER.glob("*.ipynb")
+    )
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(execute, paths))
