@@ -92,11 +92,10 @@ def drag_of(r, v):
 
 def test_vehicle_and_schedule():
     """Equations (61) and (62), and the corners of the schedule."""
-    v = np.array([8000.0, 7450.0, 4571.0, 4569.0, 3000.0, 1000.0, 760.0])
+    v = np.array([8000.0, 7450.0, 4571.0, 4569.0, 3000.0, 1000.0, 760.0, 700.0])
     angle = jax.vmap(ScheduledAngleOfAttack())(jnp.asarray(v))
     np.testing.assert_allclose(np.degrees(angle), alpha(v), rtol=1e-14)
     assert np.degrees(ScheduledAngleOfAttack()(jnp.asarray(760.0))) == pytest.approx(14)
-    assert np.degrees(ScheduledAngleOfAttack()(jnp.asarray(700.0))) == pytest.approx(14)
     made = vehicle().aerodynamics.coefficients
     found = [made(a, jnp.ones(()), jnp.ones(())) for a in angle]
     np.testing.assert_allclose(found, np.transpose(coefficients(v)), rtol=1e-12)

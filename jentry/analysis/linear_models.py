@@ -27,7 +27,7 @@ from ..campaign.batch import LANES, over_runs
 from ..campaign.campaign import fly_run
 from ..campaign.dispersions import Dispersion, disperse, draw
 from ..flight.scenario import Scenario
-from ..flight.termination import Termination, has_end
+from ..flight.termination import has_end
 from ..tuning.batch_gradients import Outputs
 from .sensitivities import named
 
@@ -89,9 +89,8 @@ def ending_by(scenario: Scenario, name: str) -> Scenario:
     """The scenario with one of its end conditions alone."""
     termination = scenario.termination
     conditions = {n: c for n, c in termination.conditions.items() if n == name}
-    return dataclasses.replace(
-        scenario, termination=Termination(conditions, termination.time_limit)
-    )
+    alone = dataclasses.replace(termination, conditions=conditions)
+    return dataclasses.replace(scenario, termination=alone)
 
 
 def mean_model(

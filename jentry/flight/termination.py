@@ -222,6 +222,8 @@ class Termination(eqx.Module):
     time_limit: float = eqx.field(static=True)
     """Time after the start at which the flight ends at the latest, s; static, since it
     bounds the length of the loop"""
+    at_time_limit: Outcome = eqx.field(default=Outcome.TIMED_OUT, static=True)
+    """`Outcome.REACHED` for flights that are to last so long"""
 
     def __check_init__(self):
         if not 0.0 < self.time_limit < float("inf"):
@@ -268,4 +270,4 @@ class Termination(eqx.Module):
     def outcomes(self) -> tuple[Outcome, ...]:
         """Outcomes of the conditions and of the time limit, in the order of the margins."""
         ends = [condition.outcome for condition in self.conditions.values()]
-        return (*ends, Outcome.TIMED_OUT)
+        return (*ends, self.at_time_limit)

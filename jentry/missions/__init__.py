@@ -17,11 +17,12 @@ from .own import (
 )
 from .rlv import MISSION as RLV
 from .sx_2 import MISSION as SX_2
+from .x_33 import MISSION as X_33
 
 
 ALL = {
     mission.name: mission
-    for mission in (DRAG_TRACKING, RANGE_TRACKING, CAV_H, SX_2, RLV)
+    for mission in (DRAG_TRACKING, RANGE_TRACKING, CAV_H, SX_2, RLV, X_33)
 }
 """Every mission of jentry by its name."""
 

@@ -8,7 +8,7 @@ Reference: D.-W. Lee, K.-R. Cho, H. Yan, "Re-Entry Trajectory Tracking Via an In
 Dynamics Method", KSME International Journal 18(9), 2004, section 4.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import diffrax
 import equinox as eqx
@@ -18,13 +18,16 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._collocation import legendre_gauss_lobatto
-from ..fields import Scalar, table
+from ..fields import Count, Scalar, Vector, table
 
 
 Square = Float[Array, "states states"]
 Control = Float[Array, "states controls"]
 System = Callable[[Scalar], tuple[Square, Control]]
-"""A and B over the time, s"""
+"""A and B over the time"""
+SplitSystem = Callable[[Count, Scalar], tuple[Square, Control]]
+"""A and B by the part of the horizon, from 0, and over the time: smooth within each part.
+At the end of a part they are those of this side of a jump"""
 
 
 class Weights(eqx.Module):
@@ -51,26 +54,20 @@ class Weights(eqx.Module):
             )
 
     def gain(self, cost_to_go: Square, control: Control) -> Float[Array, "controls n"]:
-        """K of u = -K x, from S and B."""
+        """K of u = -K x, from S and B; and -u from costates and B, (29)."""
         return jnp.linalg.solve(self.controls, control.T @ cost_to_go)
 
 
-def _inside(times: Float[Array, " times"]) -> Float[Array, " times"]:
-    """The first and the last a hair nearer to each other: where A and B jump at an end,
-    those of this side count."""
-    first = jnp.nextafter(times[0], jnp.inf) - times[0]
-    last = jnp.nextafter(times[-1], -jnp.inf) - times[-1]
-    hair = jnp.zeros_like(times).at[0].set(first).at[-1].set(last)
-    return times + lax.stop_gradient(hair)
-
-
 class Plan(eqx.Module):
-    """The optimal motion from unit deviations at the start, at the nodes."""
+    """The optimal motion from unit deviations at the start, at the nodes; or in each part
+    of a horizon, along a leading axis."""
 
-    states: Float[Array, "nodes states states"]
+    states: Float[Array, "*parts nodes states states"]
     """W_1 of (57): each column of the last two axes from one unit deviation"""
-    costates: Float[Array, "nodes states states"]
+    costates: Float[Array, "*parts nodes states states"]
     """W_2 of (57); the one at the start is the cost to go"""
+    controls: Float[Array, "*parts nodes controls states"]
+    """M W_2 of (58)"""
 
 
 def collocated_plan(
@@ -80,16 +77,16 @@ def collocated_plan(
     end: Scalar | float,
     degree: int,
 ) -> Plan:
-    """Equations (33), (34) at the Legendre-Gauss-Lobatto nodes, as one linear system.
+    """The optimal motion by (33), (34) at the Legendre-Gauss-Lobatto nodes, all at once.
 
     Of (52) the equation of the states at the first node and that of the costates at the
     last one are left out, where the ends are given: with them there would be more
-    equations than unknowns. Between start and end (s) A and B must be smooth; where they
-    jump, see `cost_to_go`.
+    equations than unknowns. Between start and end A and B must be smooth; where they
+    jump, see `collocated_plans`.
     """
     made = legendre_gauss_lobatto(degree)
     half = 0.5 * (end - start)
-    a, b = jax.vmap(system)(_inside(start + half * (1.0 + jnp.asarray(made.nodes))))
+    a, b = jax.vmap(system)(start + half * (1.0 + jnp.asarray(made.nodes)))
     n = a.shape[-1]
     pushed = jax.vmap(lambda b: b @ jnp.linalg.solve(weights.controls, b.T))(b)
     eye, derivative = jnp.eye(n), jnp.asarray(made.first)
@@ -138,61 +135,83 @@ def collocated_plan(
     later = found[:size].reshape(degree, n, n)
     costates = found[size:].reshape(degree, n, n)
     last = weights.final @ later[-1]
+    costates = jnp.concatenate([costates, last[None]])
     return Plan(
-        jnp.concatenate([eye[None], later]), jnp.concatenate([costates, last[None]])
+        jnp.concatenate([eye[None], later]),
+        costates,
+        -jax.vmap(weights.gain)(costates, b),
     )
 
 
-def cost_to_go(
-    system: System,
-    weights: Weights,
-    ends: Sequence[Scalar | float],
-    degree: int = 30,
-) -> Square:
-    """S at the first of `ends` (s), by collocation between each two of them.
+def collocated_plans(
+    system: SplitSystem, weights: Weights, ends: Vector, degree: int
+) -> Plan:
+    """The optimal motion in each part of a horizon, from unit deviations at its start.
 
-    Between the ends A and B must be smooth: a horizon in which they jump is split there.
-    What is to be paid from a split on is the final weight of the part before it.
+    A horizon in which A or B jump is split there, and may be split elsewhere: many parts
+    of a low degree cost less than one of a high degree. What is to be paid from the end of
+    a part on is its final weight. A part may have no length.
+
+    **Arguments:**
+
+    - `ends`: of the parts, shape (parts + 1,), from the start of the horizon to its end.
+    - `degree`: of the polynomials in each part.
+
+    Returns the plans of the parts, along a leading axis.
     """
-    if len(ends) < 2:
-        raise ValueError(f"ends is {ends}: a horizon has a start and an end")
-    final = weights.final
-    for start, end in reversed(list(zip(ends[:-1], ends[1:], strict=True))):
-        part = eqx.tree_at(lambda w: w.final, weights, final)
-        final = collocated_plan(system, part, start, end, degree).costates[0]
-    return final
+
+    def one(final: Square, part: Count) -> tuple[Square, Plan]:
+        paying = eqx.tree_at(lambda w: w.final, weights, final)
+        plan = collocated_plan(
+            lambda time: system(part, time), paying, ends[part], ends[part + 1], degree
+        )
+        return plan.costates[0], plan
+
+    parts = jnp.arange(_parts(ends))
+    return lax.scan(one, weights.final, parts, reverse=True)[1]
+
+
+def cost_to_go(
+    system: SplitSystem, weights: Weights, ends: Vector, degree: int = 30
+) -> Square:
+    """S at the first of `ends`, by collocation; arguments as of `collocated_plans`."""
+    return collocated_plans(system, weights, ends, degree).costates[0, 0]
 
 
 def riccati_cost_to_go(
-    system: System,
-    weights: Weights,
-    ends: Sequence[Scalar | float],
-    tolerance: float = 1e-11,
+    system: SplitSystem, weights: Weights, ends: Vector, tolerance: float = 1e-11
 ) -> Square:
     """The same by Riccati's differential equation, backward, with adaptive steps.
 
     -dS/dt = A' S + S A - S B R^-1 B' S + Q. Slow: what `cost_to_go` is judged by.
     """
 
-    def slope(time, s, ends):
-        a, b = system(jnp.clip(time, *_inside(ends)))
+    def slope(time, s, part):
+        a, b = system(part, time)
         pushed = s @ b
         return_cost = pushed @ jnp.linalg.solve(weights.controls, pushed.T)
         return -(a.T @ s + s @ a - return_cost + weights.states)
 
-    final = weights.final
-    for start, end in reversed(list(zip(ends[:-1], ends[1:], strict=True))):
+    def one(final: Square, part: Count) -> tuple[Square, None]:
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(slope),
             diffrax.Dopri8(),
-            t0=jnp.asarray(end, float),
-            t1=start,
+            t0=ends[part + 1],
+            t1=ends[part],
             dt0=None,
             y0=final,
-            args=jnp.asarray([start, end], float),
+            args=part,
             stepsize_controller=diffrax.PIDController(tolerance, tolerance),
             max_steps=100_000,
         )
         assert solution.ys is not None
-        final = solution.ys[-1]
-    return final
+        return solution.ys[-1], None
+
+    parts = jnp.arange(_parts(ends))
+    return lax.scan(one, weights.final, parts, reverse=True)[0]
+
+
+def _parts(ends: Vector) -> int:
+    if ends.shape[0] < 2:
+        raise ValueError(f"ends is {ends}: a horizon has a start and an end")
+    return ends.shape[0] - 1

@@ -42,6 +42,43 @@ class PolynomialProfile(AbstractProfile):
         return p, p1, p2
 
 
+class JoinedProfile(AbstractProfile):
+    """Profiles one after another; where two meet the value may jump.
+
+    Beyond the first and the last end it keeps the values there.
+    """
+
+    parts: tuple[AbstractProfile, ...]
+    """Each between two of the ends"""
+    ends: Vector = table(increasing=True)
+    """Shape (parts + 1,). The part that begins at an end counts there"""
+
+    def __check_init__(self):
+        if not self.parts or self.ends.shape != (len(self.parts) + 1,):
+            raise ValueError(
+                f"ends has shape {self.ends.shape}: {len(self.parts)} parts have one end "
+                "more than there are parts"
+            )
+
+    def part(self, index: Scalar) -> Count:
+        """Which of the parts counts at an index, from 0."""
+        return jnp.sum(index >= self.ends[1:-1])
+
+    def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        first, last = self.ends[0], self.ends[-1]
+        inside = (index >= first) & (index <= last)
+        at = jnp.where(index > last, last, jnp.where(index < first, first, index))
+        chosen = self.parts[0].with_derivatives(at)
+        for end, part in zip(self.ends[1:-1], self.parts[1:], strict=True):
+            later = part.with_derivatives(at)
+            chosen = tuple(
+                jnp.where(index >= end, b, a)
+                for a, b in zip(chosen, later, strict=True)
+            )
+        value, slope, bend = chosen
+        return value, jnp.where(inside, slope, 0.0), jnp.where(inside, bend, 0.0)
+
+
 class QuinticTable(eqx.Module):
     """Several quantities over one index, by quintic Hermite interpolation.
 

@@ -1,1 +1,3 @@
-"""The X-33-like vehicle of Lee, Cho and Yan: its aerodynamics and angle of attack."""
+"""X-33: drag planned in a corridor, and tracking by Legendre collocation."""
+
+from .mission import MISSION as MISSION

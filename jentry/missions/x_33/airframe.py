@@ -35,7 +35,7 @@ class ScheduledAngleOfAttack(AbstractProfile):
     """Over the velocity (m/s): 40 degrees, and less below 4570 m/s, 14 degrees at 760.
 
     The paper says that it falls monotonically. Here it is a parabola with its top at
-    4570 m/s, where its second derivative jumps. Below 760 m/s it keeps its value.
+    4570 m/s, where its second derivative jumps. It goes on below 760 m/s.
     """
 
     high: Scalar = scalar(40.0 * degree, unit="rad")
@@ -49,8 +49,6 @@ class ScheduledAngleOfAttack(AbstractProfile):
 
     def _angle(self, velocity: Scalar) -> Scalar:
         below = (velocity - self.top) / (self.top - self.last)
-        falling = (velocity < self.top) & (velocity >= self.last)
-        share = jnp.where(
-            falling, below * below, jnp.where(velocity < self.last, 1.0, 0.0)
+        return self.high - jnp.where(
+            velocity < self.top, self.fall * below * below, 0.0
         )
-        return self.high - self.fall * share

@@ -1,0 +1,275 @@
+"""Track a flight in the vertical plane by a linear-quadratic regulator over the time to go.
+
+The regulator is solved by Legendre pseudospectral collocation, once for gains that are
+stored, or again and again in flight, for the horizon that is left.
+
+Reference: D.-W. Lee, K.-R. Cho, H. Yan, "Re-Entry Trajectory Tracking Via an Inverse
+Dynamics Method", KSME International Journal 18(9), 2004, section 4.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Array, Float
+
+from .._collocation import interpolate, legendre_gauss_lobatto
+from ..fields import NOT_NEGATIVE, Count, Scalar, Vector, optional_scalar, scalar, table
+from ..motion.state import Controls, EntryState
+from ..onboard.linear_quadratic import Plan, Weights, collocated_plans
+from ..onboard.longitudinal import (
+    LongitudinalModel,
+    LongitudinalReference,
+    LongitudinalState,
+    Units,
+    linearized,
+    on_nodes,
+)
+from ..onboard.navigation import Measurement
+from .cycle import FixedCycle
+from .lateral import AbstractLateralLogic, FixedSide, turned
+from .law import AbstractBankLaw, AbstractSampledLaw
+from .open_loop import vertical_lift_command
+
+
+class DeviationWeights(eqx.Module):
+    """What squares of deviations cost, without dimensions: the diagonal of Q, or of P_f.
+
+    Altitude and downrange count in radii of the planet, the velocity in that of a circular
+    orbit at the surface, the path angle in rad.
+    """
+
+    altitude: Scalar = scalar(1.0, range=NOT_NEGATIVE)
+    velocity: Scalar = scalar(1.0, range=NOT_NEGATIVE)
+    flight_path_angle: Scalar = scalar(1.0, range=NOT_NEGATIVE)
+    downrange: Scalar | None = optional_scalar(range=NOT_NEGATIVE)
+    """None for a regulator that lets the downrange go as it does: the paper's"""
+
+    @property
+    def diagonal(self) -> Vector:
+        """Shape (3,), or (4,) with the downrange."""
+        weights = self.altitude, self.velocity, self.flight_path_angle
+        if self.downrange is not None:
+            weights = *weights, self.downrange
+        return jnp.stack(weights)
+
+
+class Regulator(eqx.Module):
+    """Linear-quadratic regulation of a flight about its reference, over the time to go.
+
+    The cost is (26), with the time in units of that in which a circular orbit at the
+    surface goes through one radian.
+    """
+
+    model: LongitudinalModel
+    reference: LongitudinalReference
+    underway: DeviationWeights = eqx.field(default_factory=DeviationWeights)
+    """Q"""
+    at_end: DeviationWeights = eqx.field(
+        default_factory=lambda: DeviationWeights(300.0, 300.0, 300.0)
+    )
+    """P_f"""
+    control: Scalar = scalar(1.0, positive=True)
+    """R: of lift over drag"""
+    origin: EntryState | None = None
+    """From which the downrange is counted; needed where it has weights"""
+    degree: int = eqx.field(default=10, static=True)
+    """Of the polynomials in each part of the reference"""
+
+    def __check_init__(self):
+        weighed = self.underway.downrange is not None
+        if weighed != (self.at_end.downrange is not None):
+            raise ValueError(
+                "downrange has a weight in one of underway and at_end, and None in the "
+                "other: give both, or neither"
+            )
+        if weighed and self.origin is None:
+            raise ValueError(
+                "downrange has weights, and origin is None: give the state from which it "
+                "is counted"
+            )
+        if self.degree < 1:
+            raise ValueError(f"degree is {self.degree}: it must be 1 or more")
+
+    @property
+    def weights(self) -> Weights:
+        """As matrices."""
+        return Weights(
+            jnp.diag(self.underway.diagonal),
+            jnp.reshape(self.control, (1, 1)),
+            jnp.diag(self.at_end.diagonal),
+        )
+
+    @property
+    def units(self) -> Units:
+        return Units.of(self.model.onboard.planet)
+
+    def system(self, part: Any, time: Scalar) -> tuple[Array, Array]:
+        """A and B of (24) in a part of the reference, at a time without dimensions."""
+        n = self.underway.diagonal.shape[0]
+        here = self.reference.in_part(part, time * self.units.time)
+        a, b = linearized(self.model, here.state, here.lift_to_drag_up)
+        return a[:n, :n], b[:n]
+
+    def ends(self, time: Scalar | float = 0.0) -> Vector:
+        """Of the parts that are left at a time (s), without dimensions. Those that are
+        behind have no length."""
+        return jnp.maximum(self.reference.ends, time) / self.units.time
+
+    def plans(self, time: Scalar | float) -> Plan:
+        """The optimal motion in each part that is left at a time, s."""
+        return collocated_plans(self.system, self.weights, self.ends(time), self.degree)
+
+    def deviation(self, time: Scalar, state: EntryState) -> Vector:
+        """From the reference of the time (s), without dimensions."""
+        n = self.underway.diagonal.shape[0]
+        origin = self.origin if n > 3 else None
+        here = LongitudinalState.of(self.model.onboard.planet, state, origin)
+        units, there = self.units, self.reference.at(time).state
+        return (units.vector(here) - units.vector(there))[:n]
+
+    def commanded(
+        self, time: Scalar, measurement: Measurement, change: Scalar
+    ) -> Controls:
+        """Bank to the right for a change of the lift over drag of the reference."""
+        wanted = self.reference.at(time).lift_to_drag_up + change
+        angle = measurement.trim_angle_of_attack
+        there = self.model.onboard.lift_to_drag(measurement.state, angle)
+        return vertical_lift_command(wanted / there, angle)
+
+
+class GainSchedule(eqx.Module):
+    """Gains over the time: of a lift over drag, by deviations without dimensions."""
+
+    ends: Vector = table(unit="s", increasing=True)
+    """Of the parts, shape (parts + 1,)"""
+    gains: Float[Array, "parts nodes states"] = table()
+    """K at the Legendre-Gauss-Lobatto nodes of each part"""
+
+    def at(self, time: Scalar) -> Vector:
+        """K, shape (states,), at a time in s."""
+        part = jnp.sum(time >= self.ends[1:-1])
+        x = on_nodes(self.ends[part], self.ends[part + 1], time)
+        return jnp.asarray(jax.vmap(interpolate, (1, None))(self.gains[part], x))
+
+
+_SHORTER = 4.0 ** -np.arange(1.0, 9.0)
+"""Where the last part is split, as shares of it before the end"""
+
+
+def plan_gains(regulator: Regulator) -> GainSchedule:
+    """Gains at all times, by one collocation of the whole flight.
+
+    K is M W_2 over W_1 of (57) and (58), whatever the deviation at the start. With large
+    weights at the end it changes the faster the nearer that is, and the last part of the
+    reference is split into shorter and shorter ones. Differentiable in the weights.
+    """
+    reference = regulator.reference
+    plans, starts = regulator.plans(0.0), reference.ends[:-1]
+    last = reference.ends[-1] - (reference.ends[-1] - starts[-1]) * _SHORTER
+    ends = jnp.concatenate([starts, last, reference.ends[-1:]])
+    nodes = 0.5 * (1.0 + jnp.asarray(legendre_gauss_lobatto(regulator.degree).nodes))
+
+    def at(part: Count, time: Scalar) -> Vector:
+        x = on_nodes(reference.ends[part], reference.ends[part + 1], time)
+        read = jax.vmap(jax.vmap(interpolate, (1, None)), (2, None))
+        states, controls = plans.states[part], plans.controls[part]
+        of_states, of_controls = (
+            jnp.asarray(read(states, x)),
+            jnp.asarray(read(controls, x)),
+        )
+        return -jnp.linalg.solve(of_states, of_controls[:, 0])
+
+    def in_part(start: Scalar, end: Scalar, part: Count) -> Float[Array, "nodes n"]:
+        times = start + (end - start) * nodes
+        return jax.vmap(at, (None, 0))(part, times)
+
+    parts = jnp.minimum(jnp.arange(ends.shape[0] - 1), starts.shape[0] - 1)
+    return GainSchedule(ends, jax.vmap(in_part)(ends[:-1], ends[1:], parts))
+
+
+class StoredGainTracking(AbstractBankLaw[None]):
+    """The regulator with gains that are known before the flight.
+
+    The lift over drag is u*(t) - K(t) (x - x*(t)), all of them over the time.
+    """
+
+    regulator: Regulator
+    gains: GainSchedule
+    """By `plan_gains`"""
+    lateral: AbstractLateralLogic = FixedSide()
+
+    def __check_init__(self):
+        states = self.regulator.underway.diagonal.shape[0]
+        if self.gains.gains.shape[-1] != states:
+            raise ValueError(
+                f"gains has {self.gains.gains.shape[-1]} for each time, and the "
+                f"regulator {states} deviations: take plan_gains(regulator)"
+            )
+
+    def init(self, measurement: Measurement) -> None:
+        return None
+
+    def to_the_right(
+        self, time: Scalar, measurement: Measurement, memory: None
+    ) -> tuple[Controls, None]:
+        deviation = self.regulator.deviation(time, measurement.state)
+        change = -jnp.sum(self.gains.at(time) * deviation)
+        return self.regulator.commanded(time, measurement, change), None
+
+
+class ControlPlan(eqx.Module):
+    """Changes of the lift over drag for the rest of the flight."""
+
+    ends: Vector
+    """Of the parts that are left, s, shape (parts + 1,)"""
+    changes: Float[Array, "parts nodes"]
+    """At the Legendre-Gauss-Lobatto nodes"""
+
+    def at(self, time: Scalar) -> Scalar:
+        """At a time, s."""
+        part = jnp.sum(time >= self.ends[1:-1])
+        x = on_nodes(self.ends[part], self.ends[part + 1], time)
+        return interpolate(self.changes[part], x)
+
+
+class PseudospectralTracking(AbstractSampledLaw[None, ControlPlan]):
+    """The regulator solved in flight, for the horizon that is left at each guidance cycle.
+
+    From the measured deviation the optimal changes of the control for the rest of the
+    flight are found by one linear system in each part of the reference; they are flown,
+    without feedback, until the next cycle.
+    """
+
+    regulator: Regulator
+    cycle: FixedCycle = FixedCycle(10.0)
+    lateral: FixedSide = FixedSide()
+
+    def init(self, measurement: Measurement) -> tuple[None, ControlPlan]:
+        reference = self.regulator.reference
+        shape = reference.ends.shape[0] - 1, self.regulator.degree + 1
+        nothing = 0.0 * measurement.drag
+        return None, ControlPlan(reference.ends + nothing, jnp.zeros(shape) + nothing)
+
+    def update(
+        self, time: Scalar, measurement: Measurement, memory: None, held: ControlPlan
+    ) -> tuple[None, ControlPlan]:
+        regulator = self.regulator
+        plans = regulator.plans(time)
+
+        def onward(deviation: Vector, part: Plan) -> tuple[Vector, Vector]:
+            return part.states[-1] @ deviation, part.controls[:, 0] @ deviation
+
+        deviation = regulator.deviation(time, measurement.state)
+        _, changes = lax.scan(onward, deviation, plans)
+        ends = jnp.maximum(regulator.reference.ends, time)
+        return None, ControlPlan(ends, changes)
+
+    def __call__(
+        self, time: Scalar, measurement: Measurement, memory: None, held: ControlPlan
+    ) -> tuple[Controls, None]:
+        controls = self.regulator.commanded(time, measurement, held.at(time))
+        return turned(controls, self.lateral.sign(None)), None

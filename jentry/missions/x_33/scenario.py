@@ -1,0 +1,224 @@
+"""X-33: the planned drag, the flight that has it, and the laws that track this flight.
+
+Source: D.-W. Lee, K.-R. Cho, H. Yan, "Re-Entry Trajectory Tracking Via an Inverse Dynamics
+Method". What the paper leaves open is stated where it is chosen.
+"""
+
+import functools
+
+import jax.numpy as jnp
+
+from ..._programs import kept
+from ...flight.scenario import Scenario, Target
+from ...flight.termination import AltitudeBelow, Outcome, Termination
+from ...guidance.angle_of_attack import AngleOfAttackProfile
+from ...guidance.composition import compose
+from ...guidance.law import AbstractLaw
+from ...guidance.open_loop import BankProfile
+from ...guidance.pseudospectral_tracking import (
+    DeviationWeights,
+    PseudospectralTracking,
+    Regulator,
+    StoredGainTracking,
+    plan_gains,
+)
+from ...motion.constraints import (
+    Constraints,
+    DynamicPressure,
+    EquilibriumGlide,
+    HeatRate,
+    NormalLoadFactor,
+)
+from ...motion.dynamics import EquatorialDynamics
+from ...motion.state import EntryState
+from ...onboard.longitudinal import (
+    LongitudinalModel,
+    LongitudinalReference,
+    LongitudinalState,
+)
+from ...onboard.model import OnboardModel
+from ...onboard.profiles import JoinedProfile
+from ...planning.drag_profile import DragPlan, plan_drag_profile
+from ...planning.inverse_dynamics import (
+    AbstractInverse,
+    ExactInverse,
+    SmallAngleInverse,
+)
+from ...planning.longitudinal_flight import fly_longitudinal, plan_bank_over_velocity
+from ...units import km, standard_gravity
+from ...world.atmosphere import ExponentialAtmosphere
+from ...world.gravity import InverseSquareGravity
+from ...world.planet import Planet
+from .airframe import ScheduledAngleOfAttack, vehicle
+
+
+FIRST_VELOCITY, LAST_VELOCITY = 7450.0, 760.0
+"""m/s"""
+FIRST_DRAG, LAST_DRAG = 4.0487, 5.4482
+"""m/s2; not printed. With them the flight begins at -0.5 degrees and ends at 22.165 km"""
+RANGE = 3000.0 * km
+SURFACE_GRAVITY = 9.81
+"""m/s2; not printed"""
+RADIUS = 6378.0 * km
+"""Not printed"""
+STEP = 0.1
+"""s"""
+
+_HEATING = 1.7415e-4
+"""W s3/(kg1/2 m7/2): Sutton and Graves, for a sphere of 1 m, about which the paper says
+nothing"""
+
+
+def earth() -> Planet:
+    """The Earth at rest with an exponential atmosphere; none of it is printed."""
+    return Planet(
+        radius=RADIUS,
+        gravity=InverseSquareGravity(SURFACE_GRAVITY * RADIUS**2),
+        atmosphere=ExponentialAtmosphere(1.225, 6600.0),
+        heating_coefficient=_HEATING,
+    )
+
+
+def corridor() -> Constraints:
+    """The limits (6) to (9); the load factor is one of 9.81 m/s2.
+
+    (6) limits the square root of the density times the cube of the velocity: here the heat
+    rate, which is that times a coefficient.
+    """
+    return {
+        "heat_rate": HeatRate(3.305e9 * _HEATING),
+        "normal_load_factor": NormalLoadFactor(
+            2.0 * SURFACE_GRAVITY / standard_gravity
+        ),
+        "dynamic_pressure": DynamicPressure(16_280.0),
+        "equilibrium_glide": EquilibriumGlide(limit=0.0),
+    }
+
+
+@functools.cache
+def plan(first_drag: float = FIRST_DRAG) -> DragPlan:
+    """The smoothest drag in the corridor, from a drag at the entry (m/s2).
+
+    From 1 m/s2 the load limit binds at some nodes. Up there the profile is at the limit of
+    equilibrium glide too, and between the nodes asks for more lift than there is: it is a
+    plan, and no flight.
+    """
+    return plan_drag_profile(
+        earth(),
+        vehicle(),
+        ScheduledAngleOfAttack(),
+        corridor(),
+        (FIRST_VELOCITY, first_drag),
+        (LAST_VELOCITY, LAST_DRAG),
+        RANGE,
+    )
+
+
+def model() -> LongitudinalModel:
+    """What is known on board."""
+    return LongitudinalModel(OnboardModel(earth(), vehicle()), ScheduledAngleOfAttack())
+
+
+def inverse(exact: bool) -> AbstractInverse:
+    """The flight of the planned drag, by the exact inverse or by the paper's."""
+    kind = ExactInverse if exact else SmallAngleInverse
+    return kind(earth(), vehicle(), ScheduledAngleOfAttack(), plan().drag)
+
+
+@functools.cache
+def cos_bank(exact: bool = False) -> JoinedProfile:
+    """Over the velocity; it jumps where the angle of attack begins to fall."""
+    jump = float(ScheduledAngleOfAttack().top)
+    ends = jnp.array([LAST_VELOCITY, jump, FIRST_VELOCITY])
+    return plan_bank_over_velocity(inverse(exact), ends)
+
+
+@functools.cache
+def reference(exact: bool = False) -> LongitudinalReference:
+    """The flight under that bank, from where the drag profile begins."""
+    first = inverse(exact).at(jnp.asarray(FIRST_VELOCITY))
+    start = LongitudinalState(first.altitude, FIRST_VELOCITY, first.flight_path_angle)
+    return fly_longitudinal(model(), cos_bank(exact), start, LAST_VELOCITY)
+
+
+def regulator(of: LongitudinalReference, with_range: bool = False) -> Regulator:
+    """Q and R of ones and P_f of 300, which the paper does not print.
+
+    With the range as a fourth state P_f is of 30 000: with 300 the range is missed by up to
+    6 km, which is little beside the radius of the planet.
+    """
+    if not with_range:
+        return Regulator(model(), of)
+    underway, at_end = DeviationWeights(downrange=1.0), DeviationWeights(*4 * [3e4])
+    return Regulator(model(), of, underway, at_end, origin=start(of))
+
+
+def start(of: LongitudinalReference) -> EntryState:
+    """On the equator to the east, at the first point of a reference."""
+    return of.at(of.ends[0]).state.eastward()
+
+
+def entry(law: AbstractLaw, of: LongitudinalReference) -> Scenario:
+    """The flight of a bank law for the duration of a reference.
+
+    Its target is the end of the reference, at the same time.
+    """
+    end = of.end
+    return Scenario(
+        planet=earth(),
+        vehicle=vehicle(),
+        initial_state=start(of),
+        guidance=compose(AngleOfAttackProfile(ScheduledAngleOfAttack()), law),
+        termination=Termination(
+            {"ground": AltitudeBelow(altitude=0.0, outcome=Outcome.CRASHED)},
+            time_limit=float(of.ends[-1]),
+            at_time_limit=Outcome.REACHED,
+        ),
+        target=Target(
+            end.altitude,
+            end.velocity,
+            end.downrange,
+            flight_path_angle=end.flight_path_angle,
+            origin=start(of),
+        ),
+        dynamics=EquatorialDynamics(),
+        constraints=corridor(),
+        step=STEP,
+    )
+
+
+def tracked(regulated: Regulator) -> Scenario:
+    """A regulator with stored gains."""
+    law = StoredGainTracking(regulated, kept(plan_gains)(regulated))
+    return entry(law, regulated.reference)
+
+
+def tracking() -> Scenario:
+    """The paper's regulator, about the flight of its own inverse, with stored gains."""
+    return tracked(regulator(reference()))
+
+
+def with_range() -> Scenario:
+    """The same with the downrange as a fourth state."""
+    return tracked(regulator(reference(), with_range=True))
+
+
+def receding() -> Scenario:
+    """The regulator solved again every 10 s, for the horizon that is left."""
+    return entry(PseudospectralTracking(regulator=regulator(reference())), reference())
+
+
+def receding_with_range() -> Scenario:
+    """The same with the downrange as a fourth state."""
+    regulated = regulator(reference(), with_range=True)
+    return entry(PseudospectralTracking(regulator=regulated), reference())
+
+
+def open_loop() -> Scenario:
+    """The planned bank over the velocity, without feedback."""
+    return entry(BankProfile(cos_bank()), reference())
+
+
+def exact_inverse() -> Scenario:
+    """Stored gains about the flight of the exact inverse."""
+    return tracked(regulator(reference(exact=True)))
