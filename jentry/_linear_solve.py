@@ -64,6 +64,27 @@ def linear_solve(
     return jax.tree.unflatten(structure, out)
 
 
+def solve_dense(matrix: Array, right: Array) -> Array:
+    """The x with `matrix @ x == right`, in flight: in a batch, one system after the other.
+
+    `jnp.linalg.solve` of a batch hands its systems to threads and waits for them. Where
+    these fly on the other devices they wait for this one, and so on for ever.
+
+    **Arguments:**
+
+    - `matrix`: (n, n).
+    - `right`: (n, columns).
+    """
+    return linear_solve(
+        jnp.matmul, _one, lambda matrix, right: _one(matrix.T, right), matrix, right
+    )
+
+
+@jax.custom_batching.sequential_vmap
+def _one(matrix: Array, right: Array) -> Array:
+    return jnp.linalg.solve(matrix, right)
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class _System:
     """Functions of the leaves of places and of x, to leaves like those of x."""

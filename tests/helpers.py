@@ -37,6 +37,7 @@ from jentry.guidance import (
     BankProfile,
     ControlProfiles,
     CrossrangeCorridor,
+    DeviationWeights,
     DynamicalModulation,
     ErrorGains,
     FixedCycle,
@@ -46,21 +47,27 @@ from jentry.guidance import (
     ModulationGains,
     ObserverDragTracking,
     ObserverGains,
+    PseudospectralTracking,
     RangeTracking,
+    Regulator,
     ReplannedTracking,
     Sampled,
     ScaleLimits,
     ShuttleBank,
     ShuttleModulation,
     StateFeedbackDragTracking,
+    StoredGainTracking,
     TrackingGains,
     TrimAngleOfAttack,
     compose,
+    plan_gains,
 )
 from jentry.missions.cav_h.scenario import stored
 from jentry.motion import Controls, EntryDynamics, EntryState, EquatorialDynamics
 from jentry.motion.index import EnergyIndex, VelocityIndex
 from jentry.onboard import (
+    LongitudinalModel,
+    LongitudinalReference,
     OnboardModel,
     PolynomialProfile,
     Reference,
@@ -347,6 +354,32 @@ def modulation_law(reference):
     return compose(law, shuttle_bank())
 
 
+def regulator() -> Regulator:
+    """About a flight that falls slowly, with weights that leave the command within
+    limits."""
+    reference = LongitudinalReference(
+        jnp.array([0.0, 100.0, 150.0]),
+        jnp.array([[60e3, 55e3, 45e3, 40e3], [40e3, 38e3, 36e3, 35e3]]),
+        jnp.array([[6e3, 5.9e3, 5.5e3, 5e3], [5e3, 4.6e3, 4.2e3, 4e3]]),
+        jnp.full((2, 4), -6.0 * degree),
+        jnp.array([[0.0, 130e3, 380e3, 500e3], [500e3, 550e3, 650e3, 700e3]]),
+        jnp.full((2, 4), 0.05),
+    )
+    model = LongitudinalModel(
+        OnboardModel(mars_planet(), mars_vehicle()), PolynomialProfile([-0.2, 1e-6])
+    )
+    weights = DeviationWeights(0.1, 0.02, 0.03, 0.001)
+    return Regulator(model, reference, weights, weights, 2.0, mars_entry(), degree=4)
+
+
+def pseudospectral_law(reference) -> PseudospectralTracking:
+    return PseudospectralTracking(regulator())
+
+
+def stored_gain_law(reference) -> StoredGainTracking:
+    return StoredGainTracking(regulator(), plan_gains(regulator()))
+
+
 all_laws = {
     "bank profile": lambda reference: bank_profile(),
     "state feedback": state_feedback,
@@ -356,6 +389,8 @@ all_laws = {
     "ground track": ground_track_law,
     "replanning": replanning_law,
     "control profiles": control_profiles,
+    "pseudospectral": pseudospectral_law,
+    "stored gains": stored_gain_law,
     "Shuttle composition": shuttle_law,
     "modulation composition": modulation_law,
     "sampled bank profile": lambda reference: Sampled(bank_profile(), 1.0),

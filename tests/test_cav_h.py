@@ -198,7 +198,11 @@ def test_the_printed_inversion_loses_flights():
     scenario = MISSION.scenario("model-inversion")
     table = MISSION.dispersion_table("normal")
     campaign = monte_carlo(scenario, table, jax.random.key(0), RUNS)
-    assert_first_set(MISSION.name, "model-inversion", "normal", scenario, campaign)
+    # One of the lost flights hangs on a thread: it ends 1.5 m/s off with another rounding,
+    # which moves the mean of the velocity error of 500 by 2.5e-6.
+    assert_first_set(
+        MISSION.name, "model-inversion", "normal", scenario, campaign, rel=5e-6
+    )
     lost = int(np.sum(np.asarray(campaign.flights.outcome) != Outcome.REACHED))
     share = 2951 / ALL
     assert least_by_chance(RUNS, share) <= lost <= most_by_chance(RUNS, share)

@@ -1,5 +1,7 @@
 """Finite-horizon regulation: collocation, Riccati's equation and closed forms."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from jentry._collocation import interpolate
+from jentry.campaign.batch import over_runs
 from jentry.onboard.linear_quadratic import (
     Weights,
     collocated_plan,
@@ -34,20 +37,20 @@ def smooth(n, m):
     a, da = rng.normal(size=(2, n, n))
     b, db = rng.normal(size=(2, n, m))
 
-    def system(t):
+    def system(part, t):
         wave = jnp.sin(1.3 * t)
         return jnp.asarray(a + 0.5 * da * wave), jnp.asarray(b + 0.5 * db * wave**2)
 
     return system
 
 
-def jumping(n, m):
+def jumping(n, m, split=True):
     before, after = smooth(n, m), smooth(n, m)
 
-    def system(t):
-        a, b = before(t)
-        a2, b2 = after(t + 1.0)
-        late = t >= SPLIT
+    def system(part, t):
+        a, b = before(0, t)
+        a2, b2 = after(0, t + 1.0)
+        late = (part == 1) if split else (t >= SPLIT)
         return jnp.where(late, a2, a), jnp.where(late, b2, b)
 
     return system
@@ -58,11 +61,11 @@ def by_scipy(system, w, ends):
     q, r, s = (np.asarray(x) for x in (w.states, w.controls, w.final))
     n = len(q)
     system = jax.jit(system)
-    for start, end in reversed(list(zip(ends[:-1], ends[1:], strict=True))):
-        low, high = start + 1e-12, end - 1e-12
+    for part in reversed(range(len(ends) - 1)):
+        start, end = map(float, ends[part : part + 2])
 
-        def slope(t, y, low=low, high=high):
-            a, b = map(np.asarray, system(np.clip(t, low, high)))
+        def slope(t, y, part=part):
+            a, b = map(np.asarray, system(part, t))
             s = y.reshape(n, n)
             push = s @ b @ np.linalg.solve(r, b.T @ s)
             return -(a.T @ s + s @ a - push + q).ravel()
@@ -76,7 +79,7 @@ def by_scipy(system, w, ends):
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (3, 1), (4, 2)])
 def test_three_ways(n, m):
     """The bar is 1e-6; the collocation of a smooth system is at the others' tolerance."""
-    system, w, ends = smooth(n, m), weights(n, m), (0.0, END)
+    system, w, ends = smooth(n, m), weights(n, m), jnp.array([0.0, END])
     expected = by_scipy(system, w, ends)
     size = np.max(np.abs(expected))
     for found in (
@@ -84,8 +87,8 @@ def test_three_ways(n, m):
         riccati_cost_to_go(system, w, ends),
     ):
         np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-8 * size)
-    gain = w.gain(cost_to_go(system, w, ends, 40), system(0.0)[1])
-    b = np.asarray(system(0.0)[1])
+    gain = w.gain(cost_to_go(system, w, ends, 40), system(0, 0.0)[1])
+    b = np.asarray(system(0, 0.0)[1])
     np.testing.assert_allclose(
         gain, np.linalg.solve(np.asarray(w.controls), b.T @ expected), rtol=1e-6
     )
@@ -96,7 +99,10 @@ def test_closed_form():
     a, b, q, r, final = 0.4, 1.5, 2.0, 0.5, 3.0
     w = Weights(jnp.array([[q]]), jnp.array([[r]]), jnp.array([[final]]))
     found = cost_to_go(
-        lambda t: (jnp.array([[a]]), jnp.array([[b]])), w, (0.0, END), 30
+        lambda part, t: (jnp.array([[a]]), jnp.array([[b]])),
+        w,
+        jnp.array([0.0, END]),
+        30,
     )
     f = b * b / r
     root = np.sqrt(a * a + f * q)
@@ -110,22 +116,30 @@ def test_closed_form():
 @pytest.mark.parametrize("n", [2, 3])
 def test_split_at_a_jump(n):
     system, w = jumping(n, 1), weights(n, 1)
-    expected = by_scipy(system, w, (0.0, SPLIT, END))
+    ends = jnp.array([0.0, SPLIT, END])
+    expected = by_scipy(system, w, ends)
     size = np.max(np.abs(expected))
     for found in (
-        cost_to_go(system, w, (0.0, SPLIT, END), 30),
-        riccati_cost_to_go(system, w, (0.0, SPLIT, END)),
+        cost_to_go(system, w, ends, 30),
+        riccati_cost_to_go(system, w, ends),
+        # Shorter parts, lower degrees; one of no length.
+        cost_to_go(
+            lambda part, t: system(jnp.where(part > 2, 1, 0), t),
+            w,
+            jnp.array([0.0, 0.4, 0.4, SPLIT, 1.8, 2.4, END]),
+            14,
+        ),
     ):
         np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-8 * size)
     # Without the split the polynomials go across the jump, and are not good for much.
-    across = cost_to_go(system, w, (0.0, END), 30)
+    across = cost_to_go(jumping(n, 1, split=False), w, jnp.array([0.0, END]), 30)
     assert np.max(np.abs(across - expected)) > 1e-5 * size
 
 
 def test_plan_is_the_optimal_motion():
     """States and costates obey (31) anywhere, and the ends are those given."""
     system, w, degree = smooth(3, 1), weights(3, 1), 45
-    made = collocated_plan(system, w, 0.0, END, degree)
+    made = collocated_plan(functools.partial(system, 0), w, 0.0, END, degree)
     np.testing.assert_array_equal(made.states[0], np.eye(3))
     np.testing.assert_allclose(
         made.costates[-1], w.final @ made.states[-1], rtol=1e-12, atol=1e-14
@@ -141,7 +155,7 @@ def test_plan_is_the_optimal_motion():
 
     every = jax.jit(jax.vmap(jax.vmap(column, (1, None), 1), (2, None), 2))
     for t in np.linspace(0.0, END, 23):  # between the nodes, and at both ends
-        a, b = map(np.asarray, system(t))
+        a, b = map(np.asarray, system(0, t))
         (x, x_rate), (c, c_rate) = (
             np.asarray(every(part, t)) for part in (made.states, made.costates)
         )
@@ -149,6 +163,17 @@ def test_plan_is_the_optimal_motion():
         np.testing.assert_allclose(x_rate, a @ x - push, rtol=0.0, atol=1e-7)
         costs = -np.asarray(w.states) @ x - a.T @ c
         np.testing.assert_allclose(c_rate, costs, rtol=0.0, atol=1e-6)
+    # What is commanded is -R^-1 B' of the costates.
+    b = np.stack([np.asarray(system(0, t)[1]) for t in np.linspace(0.0, END, 2)])
+    for k, place in enumerate((0, -1)):
+        np.testing.assert_allclose(
+            made.controls[place],
+            -np.linalg.solve(
+                np.asarray(w.controls), b[k].T @ np.asarray(made.costates[place])
+            ),
+            rtol=1e-10,
+            atol=1e-12,
+        )
     # The cost to go is symmetric, and positive.
     s = np.asarray(made.costates[0])
     np.testing.assert_allclose(s, s.T, rtol=1e-8)
@@ -157,7 +182,7 @@ def test_plan_is_the_optimal_motion():
 
 def test_derivative_in_the_weights_and_batches():
     """What tuning needs; against central differences."""
-    system, ends = smooth(2, 1), (0.0, END)
+    system, ends = smooth(2, 1), jnp.array([0.0, END])
 
     def cost(log_r):
         w = weights(2, 1)
@@ -181,4 +206,25 @@ def test_weights_that_are_none():
     ):
         Weights(eye, jnp.eye(1), jnp.eye(2))
     with pytest.raises(ValueError, match="a horizon has a start and an end"):
-        cost_to_go(smooth(3, 1), weights(3, 1), (0.0,))
+        cost_to_go(smooth(3, 1), weights(3, 1), jnp.zeros(1))
+
+
+def test_batches_on_all_devices_end():
+    """LAPACK, given a batch in a program on two devices, waits for ever: run it once so."""
+    system, w = smooth(3, 1), weights(3, 1)
+
+    found = over_runs(_first_cost, (system, w), jnp.linspace(0.0, 1.0, 256))
+    expected = [
+        float(cost_to_go(system, w, jnp.array([t, END]), 12)[0, 0]) for t in (0.0, 1.0)
+    ]
+    np.testing.assert_allclose(found[[0, -1]], expected, rtol=1e-12)
+
+
+def _first_cost(shared, start):
+    system, w = shared
+
+    def again(cost, _):
+        ends = jnp.stack([start + 0.0 * cost, jnp.asarray(END)])
+        return cost_to_go(system, w, ends, 12)[0, 0], None
+
+    return jax.lax.scan(again, 0.0 * start, length=20)[0]

@@ -87,6 +87,15 @@ from .lift_tradeoff import (
     WeightedTradeoff as WeightedTradeoff,
 )
 from .open_loop import BankProfile as BankProfile, ControlProfiles as ControlProfiles
+from .pseudospectral_tracking import (
+    ControlPlan as ControlPlan,
+    DeviationWeights as DeviationWeights,
+    GainSchedule as GainSchedule,
+    PseudospectralTracking as PseudospectralTracking,
+    Regulator as Regulator,
+    StoredGainTracking as StoredGainTracking,
+    plan_gains as plan_gains,
+)
 from .range_tracking import (
     Aim as Aim,
     RangeTracking as RangeTracking,

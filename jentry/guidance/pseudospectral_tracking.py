@@ -1,4 +1,4 @@
-"""Track a flight in the vertical plane by a linear-quadratic regulator over the time to go.
+"""Track a flight in the vertical plane by linear-quadratic regulation over the time to go.
 
 The regulator is solved by Legendre pseudospectral collocation, once for gains that are
 stored, or again and again in flight, for the horizon that is left.
@@ -156,21 +156,25 @@ class GainSchedule(eqx.Module):
         return jnp.asarray(jax.vmap(interpolate, (1, None))(self.gains[part], x))
 
 
-_SHORTER = 4.0 ** -np.arange(1.0, 9.0)
-"""Where the last part is split, as shares of it before the end"""
+_SHORTER = 2.0 ** -np.arange(1.0, 17.0)
+"""Where the last part is split, as shares of it before the end. The gains go with one over
+the time to go: on a part to half of it a polynomial of degree 10 has them to 2e-8"""
 
 
 def plan_gains(regulator: Regulator) -> GainSchedule:
     """Gains at all times, by one collocation of the whole flight.
 
-    K is M W_2 over W_1 of (57) and (58), whatever the deviation at the start. With large
-    weights at the end it changes the faster the nearer that is, and the last part of the
-    reference is split into shorter and shorter ones. Differentiable in the weights.
+    K is M W_2 over W_1 of (57) and (58), whatever the deviation at the start. As a quotient
+    it bends more than these: each part of the reference is halved, and with large weights
+    at the end, to which K then grows with one over the time to go, the last one is halved
+    again and again. Differentiable in the weights.
     """
     reference = regulator.reference
-    plans, starts = regulator.plans(0.0), reference.ends[:-1]
-    last = reference.ends[-1] - (reference.ends[-1] - starts[-1]) * _SHORTER
-    ends = jnp.concatenate([starts, last, reference.ends[-1:]])
+    plans, starts, end = regulator.plans(0.0), reference.ends[:-1], reference.ends[-1]
+    middles = 0.5 * (starts + reference.ends[1:])
+    halved = jnp.stack([starts, middles], axis=1).ravel()[:-1]
+    last = end - (end - starts[-1]) * _SHORTER
+    ends = jnp.concatenate([halved, last, end[None]])
     nodes = 0.5 * (1.0 + jnp.asarray(legendre_gauss_lobatto(regulator.degree).nodes))
 
     def at(part: Count, time: Scalar) -> Vector:
@@ -187,7 +191,7 @@ def plan_gains(regulator: Regulator) -> GainSchedule:
         times = start + (end - start) * nodes
         return jax.vmap(at, (None, 0))(part, times)
 
-    parts = jnp.minimum(jnp.arange(ends.shape[0] - 1), starts.shape[0] - 1)
+    parts = jnp.minimum(jnp.arange(ends.shape[0] - 1) // 2, starts.shape[0] - 1)
     return GainSchedule(ends, jax.vmap(in_part)(ends[:-1], ends[1:], parts))
 
 
@@ -260,7 +264,7 @@ class PseudospectralTracking(AbstractSampledLaw[None, ControlPlan]):
         regulator = self.regulator
         plans = regulator.plans(time)
 
-        def onward(deviation: Vector, part: Plan) -> tuple[Vector, Vector]:
+        def onward(deviation: Vector, part: Plan) -> tuple[Vector, Array]:
             return part.states[-1] @ deviation, part.controls[:, 0] @ deviation
 
         deviation = regulator.deviation(time, measurement.state)

@@ -11,6 +11,11 @@ from .flow import (
     sensed_flow as sensed_flow,
     twice_along as twice_along,
 )
+from .longitudinal import (
+    LongitudinalModel as LongitudinalModel,
+    LongitudinalReference as LongitudinalReference,
+    LongitudinalState as LongitudinalState,
+)
 from .model import OnboardModel as OnboardModel
 from .navigation import (
     AbstractAccelerometers as AbstractAccelerometers,
@@ -26,6 +31,7 @@ from .network import (
 )
 from .profiles import (
     AbstractProfile as AbstractProfile,
+    JoinedProfile as JoinedProfile,
     PolynomialProfile as PolynomialProfile,
     QuinticProfile as QuinticProfile,
     QuinticTable as QuinticTable,

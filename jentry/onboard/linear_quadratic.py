@@ -18,6 +18,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._collocation import legendre_gauss_lobatto
+from .._linear_solve import solve_dense
 from ..fields import Count, Scalar, Vector, table
 
 
@@ -55,7 +56,12 @@ class Weights(eqx.Module):
 
     def gain(self, cost_to_go: Square, control: Control) -> Float[Array, "controls n"]:
         """K of u = -K x, from S and B; and -u from costates and B, (29)."""
-        return jnp.linalg.solve(self.controls, control.T @ cost_to_go)
+        return self.per_control @ (control.T @ cost_to_go)
+
+    @property
+    def per_control(self) -> Float[Array, "controls controls"]:
+        """The inverse of R."""
+        return solve_dense(self.controls, jnp.eye(self.controls.shape[0]))
 
 
 class Plan(eqx.Module):
@@ -88,7 +94,8 @@ def collocated_plan(
     half = 0.5 * (end - start)
     a, b = jax.vmap(system)(start + half * (1.0 + jnp.asarray(made.nodes)))
     n = a.shape[-1]
-    pushed = jax.vmap(lambda b: b @ jnp.linalg.solve(weights.controls, b.T))(b)
+    per_control = weights.per_control
+    pushed = b @ per_control @ jnp.swapaxes(b, 1, 2)
     eye, derivative = jnp.eye(n), jnp.asarray(made.first)
 
     def blocks(diagonal: Float[Array, "nodes n n"]) -> Float[Array, "nodes n nodes n"]:
@@ -131,7 +138,7 @@ def collocated_plan(
     given = jnp.concatenate(
         [of_states[:, :, 0].reshape(size, n), of_weights[:, :, 0].reshape(size, n)]
     )
-    found = -jnp.linalg.solve(matrix, given)
+    found = -solve_dense(matrix, given)
     later = found[:size].reshape(degree, n, n)
     costates = found[size:].reshape(degree, n, n)
     last = weights.final @ later[-1]
@@ -189,7 +196,7 @@ def riccati_cost_to_go(
     def slope(time, s, part):
         a, b = system(part, time)
         pushed = s @ b
-        return_cost = pushed @ jnp.linalg.solve(weights.controls, pushed.T)
+        return_cost = pushed @ weights.per_control @ pushed.T
         return -(a.T @ s + s @ a - return_cost + weights.states)
 
     def one(final: Square, part: Count) -> tuple[Square, None]:

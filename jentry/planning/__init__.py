@@ -21,6 +21,10 @@ from .inverse_dynamics import (
     InversePoint as InversePoint,
     SmallAngleInverse as SmallAngleInverse,
 )
+from .longitudinal_flight import (
+    fly_longitudinal as fly_longitudinal,
+    plan_bank_over_velocity as plan_bank_over_velocity,
+)
 from .reference_flight import (
     ReferenceFlight as ReferenceFlight,
     open_loop as open_loop,

@@ -1,0 +1,268 @@
+"""The X-33 mission: gains, the four cases of Tables 1 and 2, and dispersed flights.
+
+Bars: the notes to the paper, and what the mission is for. The tables of `cases.py` are
+compared with the print first.
+"""
+
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import fly_batch
+from optimistix import LBFGS
+
+from jentry import monte_carlo
+from jentry.flight import FixedStep, Outcome, misses
+from jentry.guidance import (
+    DeviationWeights,
+    FixedCycle,
+    PseudospectralTracking,
+    Regulator,
+    StoredGainTracking,
+    compose,
+    plan_gains,
+)
+from jentry.missions import find_mission
+from jentry.missions.x_33 import scenario as x_33
+from jentry.missions.x_33.cases import CASES, TABLE_1, TABLE_2, case, off_by
+from jentry.onboard.linear_quadratic import riccati_cost_to_go
+from jentry.tuning import Bounds, Budget, Draws, tune
+from jentry.units import degree, km
+
+
+MISSION = find_mission("x-33")
+COUNT = len(CASES)
+
+
+@functools.cache
+def flown(variant):
+    """The nominal flight and those of the cases: misses (SI), largest cosine, outcomes."""
+    nominal = MISSION.scenario(variant)
+    return flown_from(nominal, [case(nominal, n + 1) for n in range(COUNT)])
+
+
+def flown_from(nominal, started):
+    scenarios = jax.tree.map(lambda *x: jnp.stack(x), nominal, *started)
+    flights = fly_batch(scenarios, FixedStep(), 1.0)
+    missed = eqx.filter_jit(jax.vmap(misses))(scenarios, flights)
+    cosines = np.nanmax(np.abs(flights.history.controls.cos_bank), axis=1)
+    return jax.tree.map(np.asarray, (missed, cosines, flights.outcome))
+
+
+def test_cases_are_those_of_the_paper():
+    """Table 2, by hand from the print, in its units; -0.986 and 0.994 km lost e-3."""
+    printed = """
+        0.5 80 0.9 -1.394e-3 0.468 0.002 100.83
+        -0.5 -80 -0.9 1.7488e-3 -0.894 -0.004 -83.92
+        1.7 50 0.3 -0.986e-3 0.313 0.001 59.44
+        -1.7 -50 -0.3 0.994e-3 -0.527 -0.002 -56.74
+    """
+    rows = [list(map(float, row.split())) for row in printed.strip().splitlines()]
+    units = np.array([km, 1.0, degree])
+    np.testing.assert_allclose([c[:3] for c in CASES], np.array(rows)[:, :3] * units)
+    units = np.array([km, 1.0, degree, km])
+    np.testing.assert_allclose(TABLE_2, np.array(rows)[:, 3:] * units)
+    assert [round(row.downrange / km, 2) for row in TABLE_1] == [
+        379.59,
+        -296.86,
+        115.21,
+        -106.2,
+    ]
+    start = MISSION.scenario("tracking-case-3").initial_state
+    nominal = MISSION.scenario("tracking").initial_state
+    assert float(start.altitude - nominal.altitude) == pytest.approx(1700.0)
+    assert float(start.velocity - nominal.velocity) == pytest.approx(50.0)
+    moved = float(start.flight_path_angle - nominal.flight_path_angle)
+    assert moved == pytest.approx(0.3 * degree)
+
+
+@pytest.mark.parametrize("states", [3, 4])
+def test_gains_are_those_of_riccati(states):
+    """1e-6, also across the jump of the control, and up to the end."""
+    regulator = x_33.regulator(x_33.reference(), with_range=states == 4)
+    gains = jax.jit(plan_gains)(regulator)
+    joint = float(regulator.reference.ends[5])
+
+    @jax.jit
+    def expected(time):
+        ends = regulator.ends(time)
+        s = riccati_cost_to_go(regulator.system, regulator.weights, ends)
+        part = regulator.reference.part(time)
+        _, b = regulator.system(part, ends[part])
+        return regulator.weights.gain(s, b)[0]
+
+    read = eqx.filter_jit(gains.at)
+    for time in (0.0, 137.0, joint - 1.0, joint, joint + 40.0, 600.0, 740.0, 755.0):
+        k = np.asarray(expected(jnp.asarray(time)))
+        found = np.asarray(read(jnp.asarray(time)))
+        np.testing.assert_allclose(found, k, rtol=0, atol=1e-6 * np.max(np.abs(k)))
+    # At the end they are R^-1 B' P_f.
+    _, b = regulator.system(jnp.asarray(9), regulator.ends()[-1])
+    np.testing.assert_allclose(
+        read(gains.ends[-1]), b[:, 0] * regulator.at_end.diagonal, rtol=1e-6, atol=1e-4
+    )
+
+
+def test_plan_in_flight_is_the_gain_at_once():
+    """Halfway, from any deviation: what is planned begins with -K x, and for a part that
+    has passed nothing is left to pay."""
+    regulator = x_33.regulator(x_33.reference(), with_range=True)
+    time, deviation = jnp.asarray(400.0), jnp.array([1e-4, -3e-3, 2e-3, 5e-3])
+    part = int(regulator.reference.part(time))
+    plans = eqx.filter_jit(regulator.plans)(time)
+    gain = plan_gains(regulator).at(time)
+    change = plans.controls[part, 0, 0] @ deviation
+    assert float(change) == pytest.approx(float(-gain @ deviation), rel=1e-7)
+    assert part > 0
+    for before in range(part):
+        np.testing.assert_allclose(
+            plans.states[before], np.broadcast_to(np.eye(4), (11, 4, 4)), atol=1e-12
+        )
+
+
+@pytest.mark.parametrize("variant", ["tracking", "receding"])
+def test_table_2(variant):
+    missed, cosines, outcome = flown(variant)
+    assert np.all(outcome == Outcome.REACHED)
+    assert np.max(np.abs(missed.altitude)) < 10.0
+    assert np.max(np.abs(missed.velocity)) < 1.0
+    assert np.max(np.abs(missed.flight_path_angle)) < 0.005 * degree
+    printed = np.array([row.downrange for row in TABLE_2])
+    np.testing.assert_allclose(missed.downrange[1:], printed, rtol=0.35)
+    open_loop, _, _ = flown("open-loop")
+    assert np.all(np.abs(open_loop.downrange[1:]) > 5.0 * np.abs(missed.downrange[1:]))
+    assert np.max(cosines) < 1.0
+    # From the start of the reference all of them stay on it.
+    assert abs(missed.downrange[0]) < 1.0 and abs(missed.altitude[0]) < 0.01
+
+
+@pytest.mark.parametrize("variant", ["with-range", "receding-with-range"])
+def test_with_the_range_as_a_state(variant):
+    missed, cosines, outcome = flown(variant)
+    assert np.all(outcome == Outcome.REACHED)
+    assert np.max(np.abs(missed.downrange)) < 500.0
+    assert np.max(np.abs(missed.altitude)) < 20.0
+    assert np.max(cosines) < 1.0
+
+
+def test_table_1():
+    """With the printed signs 1.4 to 2.8 times too far off, as the notes have it. With the
+    sign of the velocity turned round 15 % by the notes; here 4, 9, 15 and 21 %."""
+    printed = np.array([row.downrange for row in TABLE_1])
+    missed, _, _ = flown("open-loop")
+    ratio = missed.downrange[1:] / printed
+    assert np.all((ratio > 1.4) & (ratio < 2.8))
+    nominal = MISSION.scenario("open-loop")
+    turned = [
+        eqx.tree_at(
+            lambda s: s.initial_state,
+            nominal,
+            off_by(nominal.initial_state, errors._replace(velocity=-errors.velocity)),
+        )
+        for errors in CASES
+    ]
+    missed, _, _ = flown_from(nominal, turned)
+    np.testing.assert_allclose(missed.downrange[1:], printed, rtol=0.22)
+
+
+def test_exact_inverse_ends_where_its_profile_does():
+    """Within 1 m of the altitude that has the drag at 760 m/s."""
+    end = x_33.reference(exact=True).end
+    wanted = x_33.inverse(exact=True).at(end.velocity)
+    assert float(end.altitude) == pytest.approx(float(wanted.altitude), abs=1.0)
+    paper = x_33.reference().end
+    low = float(wanted.altitude - paper.altitude)
+    assert low == pytest.approx(236.0, abs=1.0)
+    missed, _, _ = flown("exact-inverse")
+    assert np.max(np.abs(missed.altitude)) < 15.0
+
+
+def test_shorter_cycles_tend_to_stored_gains():
+    """The plan that is flown for 1 s instead of 10 ends nearer to continuous feedback."""
+    stored, _, _ = flown("tracking")
+    ten, _, _ = flown("receding")
+    nominal = MISSION.scenario("receding")
+    law = nominal.guidance
+    shorter = compose(
+        law.angle_of_attack,
+        PseudospectralTracking(regulator=law.bank.regulator, cycle=FixedCycle(1.0)),
+    )
+    nominal = eqx.tree_at(lambda s: s.guidance, nominal, shorter)
+    one, _, _ = flown_from(nominal, [case(nominal, n + 1) for n in range(COUNT)])
+    away = [np.abs(each.downrange - stored.downrange)[1:] for each in (one, ten)]
+    assert np.all(away[0] < 0.2 * away[1])
+
+
+def test_dispersed_flights():
+    """What the regulator is for: with the range as a state it is met 20 times better."""
+    far = {}
+    for variant in ("tracking", "with-range"):
+        scenario = MISSION.scenario(variant)
+        table = MISSION.dispersion_table("everything")
+        campaign = monte_carlo(scenario, table, jax.random.key(3), 64)
+        assert np.all(np.asarray(campaign.flights.outcome) == Outcome.REACHED)
+        far[variant] = np.std(np.asarray(campaign.misses.downrange))
+    assert far["with-range"] < 0.05 * far["tracking"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"underway": DeviationWeights(downrange=1.0)},
+            "downrange has a weight in one",
+        ),
+        (
+            {
+                "underway": DeviationWeights(downrange=1.0),
+                "at_end": DeviationWeights(downrange=1.0),
+            },
+            "origin is None",
+        ),
+        ({"degree": 0}, "degree is 0"),
+    ],
+)
+def test_regulators_that_are_refused(changes, words):
+    with pytest.raises(ValueError, match=words):
+        Regulator(x_33.model(), x_33.reference(), **changes)
+
+
+def test_gains_of_another_regulator_are_refused():
+    three, four = (x_33.regulator(x_33.reference(), way) for way in (False, True))
+    with pytest.raises(ValueError, match="gains has 4 for each time"):
+        StoredGainTracking(three, plan_gains(four))
+
+
+def _square(misses):
+    """Of the range in km and of the altitude in 100 m: its mean over the flights."""
+    return jnp.mean((misses.downrange / km) ** 2 + (misses.altitude / 100.0) ** 2)
+
+
+@pytest.mark.slow
+def test_weights_are_tuned():
+    """From 300 for all at the end, with which the range is missed by up to 6 km."""
+    scenario = MISSION.scenario("receding-with-range")
+    scenario = eqx.tree_at(
+        lambda s: s.guidance.bank.regulator.at_end,
+        scenario,
+        DeviationWeights(*4 * [300.0]),
+    )
+    tuned = tune(
+        scenario,
+        lambda s: (
+            s.guidance.bank.regulator.at_end.altitude,
+            s.guidance.bank.regulator.at_end.downrange,
+        ),
+        _square,
+        LBFGS(rtol=1e-3, atol=1e-3),
+        Draws(MISSION.dispersion_table("initial-errors"), jax.random.key(1), 64),
+        ranges={
+            f"guidance.bank.regulator.at_end.{name}": Bounds(30.0, 3e5)
+            for name in ("altitude", "downrange")
+        },
+        budget=Budget(steps=4),
+    )
+    assert tuned.judgement.loss < 0.2 * tuned.judgement.start
