@@ -12,12 +12,11 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from .._collocation import interpolate, legendre_gauss_lobatto
-from ..fields import NOT_NEGATIVE, Count, Scalar, Vector, optional_scalar, scalar, table
+from .._collocation import interpolate
+from ..fields import NOT_NEGATIVE, Scalar, Vector, optional_scalar, scalar, table
 from ..motion.state import Controls, EntryState
 from ..onboard.linear_quadratic import Plan, Weights, collocated_plans
 from ..onboard.longitudinal import (
@@ -156,43 +155,35 @@ class GainSchedule(eqx.Module):
         return jnp.asarray(jax.vmap(interpolate, (1, None))(self.gains[part], x))
 
 
-_SHORTER = 2.0 ** -np.arange(1.0, 17.0)
-"""Where the last part is split, as shares of it before the end. The gains go with one over
-the time to go: on a part to half of it a polynomial of degree 10 has them to 2e-8"""
+_SPLIT = 8
+"""Into how many parts each of the reference is split for its gains"""
+_HALVINGS = 16
+"""Of the last one of these"""
 
 
 def plan_gains(regulator: Regulator) -> GainSchedule:
     """Gains at all times, by one collocation of the whole flight.
 
-    K is M W_2 over W_1 of (57) and (58), whatever the deviation at the start. As a quotient
-    it bends more than these: each part of the reference is halved, and with large weights
-    at the end, to which K then grows with one over the time to go, the last one is halved
-    again and again. Differentiable in the weights.
+    K is M W_2 over W_1 of (57) and (58), whatever the deviation at the start of a part. As
+    a quotient it bends more than these: each part of the reference is split, and with large
+    weights at the end, to which K then grows with one over the time to go, the last one is
+    halved again and again. Differentiable in the weights.
     """
     reference = regulator.reference
-    plans, starts, end = regulator.plans(0.0), reference.ends[:-1], reference.ends[-1]
-    middles = 0.5 * (starts + reference.ends[1:])
-    halved = jnp.stack([starts, middles], axis=1).ravel()[:-1]
-    last = end - (end - starts[-1]) * _SHORTER
-    ends = jnp.concatenate([halved, last, end[None]])
-    nodes = 0.5 * (1.0 + jnp.asarray(legendre_gauss_lobatto(regulator.degree).nodes))
-
-    def at(part: Count, time: Scalar) -> Vector:
-        x = on_nodes(reference.ends[part], reference.ends[part + 1], time)
-        read = jax.vmap(jax.vmap(interpolate, (1, None)), (2, None))
-        states, controls = plans.states[part], plans.controls[part]
-        of_states, of_controls = (
-            jnp.asarray(read(states, x)),
-            jnp.asarray(read(controls, x)),
-        )
-        return -jnp.linalg.solve(of_states, of_controls[:, 0])
-
-    def in_part(start: Scalar, end: Scalar, part: Count) -> Float[Array, "nodes n"]:
-        times = start + (end - start) * nodes
-        return jax.vmap(at, (None, 0))(part, times)
-
-    parts = jnp.minimum(jnp.arange(ends.shape[0] - 1) // 2, starts.shape[0] - 1)
-    return GainSchedule(ends, jax.vmap(in_part)(ends[:-1], ends[1:], parts))
+    starts, end = reference.ends[:-1], reference.ends[-1]
+    shares = jnp.arange(_SPLIT) / _SPLIT
+    split = (starts[:, None] + jnp.outer(jnp.diff(reference.ends), shares)).ravel()
+    last = end - (end - split[-1]) * 0.5 ** jnp.arange(1.0, _HALVINGS + 1.0)
+    ends = jnp.concatenate([split, last, end[None]])
+    within = jnp.minimum(jnp.arange(ends.shape[0] - 1) // _SPLIT, starts.shape[0] - 1)
+    plans = collocated_plans(
+        lambda part, time: regulator.system(within[part], time),
+        regulator.weights,
+        ends / regulator.units.time,
+        regulator.degree,
+    )
+    turned = jnp.swapaxes(plans.states, 2, 3), jnp.swapaxes(plans.controls, 2, 3)
+    return GainSchedule(ends, -jnp.linalg.solve(*turned)[..., 0])
 
 
 class StoredGainTracking(AbstractBankLaw[None]):
