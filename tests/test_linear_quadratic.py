@@ -1,6 +1,8 @@
 """Finite-horizon regulation: collocation, Riccati's equation and closed forms."""
 
 import functools
+import subprocess
+import sys
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from jentry._collocation import interpolate
-from jentry.campaign.batch import over_runs
+from jentry._linear_solve import solve_dense
 from jentry.onboard.linear_quadratic import (
     Weights,
     collocated_plan,
@@ -209,22 +211,52 @@ def test_weights_that_are_none():
         cost_to_go(smooth(3, 1), weights(3, 1), jnp.zeros(1))
 
 
-def test_batches_on_all_devices_end():
-    """LAPACK, given a batch in a program on two devices, waits for ever: run it once so."""
-    system, w = smooth(3, 1), weights(3, 1)
+_ON_TWO_DEVICES = """
+import jentry
 
-    found = over_runs(_first_cost, (system, w), jnp.linspace(0.0, 1.0, 256))
-    expected = [
-        float(cost_to_go(system, w, jnp.array([t, END]), 12)[0, 0]) for t in (0.0, 1.0)
-    ]
-    np.testing.assert_allclose(found[[0, -1]], expected, rtol=1e-12)
+jentry.setup(workers=2)
+
+import jax
+import jax.numpy as jnp
+from jentry._linear_solve import solve_dense
+from jentry.campaign.batch import over_runs
 
 
-def _first_cost(shared, start):
-    system, w = shared
+def again_and_again(shared, run):
+    matrix = shared + jnp.diag(jnp.sin(run + jnp.arange(60.0)))
 
-    def again(cost, _):
-        ends = jnp.stack([start + 0.0 * cost, jnp.asarray(END)])
-        return cost_to_go(system, w, ends, 12)[0, 0], None
+    def once(x, _):
+        right = jnp.ones((60, 3)) + x
+        return jnp.tanh(solve_dense(matrix + x * 1e-3, right)[0, 0]), None
 
-    return jax.lax.scan(again, 0.0 * start, length=20)[0]
+    return jax.lax.scan(once, 0.0 * run, length=50)[0]
+
+
+matrix = 60.0 * jnp.eye(60) + jnp.outer(jnp.arange(60.0), jnp.ones(60))
+print(len(jax.devices()), over_runs(again_and_again, matrix, jnp.arange(256.0)).shape)
+"""
+
+
+def test_a_batch_on_two_devices_ends():
+    """LAPACK, given a batch in a program on two devices, waits for ever."""
+    call = [sys.executable, "-c", _ON_TWO_DEVICES]
+    done = subprocess.run(call, capture_output=True, text=True, timeout=120)
+    assert done.stdout.split("\n")[0] == "2 (256,)", done.stderr
+
+
+def test_dense_solution_and_its_derivatives():
+    """One system and batches of them, forward and reverse, against numpy's inverse."""
+    rng = np.random.default_rng(1)
+    matrices = rng.normal(size=(3, 4, 4)) + 4.0 * np.eye(4)
+    rights, changes = rng.normal(size=(3, 4, 2)), rng.normal(size=(3, 4, 4))
+    inverse = np.linalg.inv(matrices)
+    many = jax.vmap(solve_dense)
+    given = jnp.asarray(matrices), jnp.asarray(rights)
+    np.testing.assert_allclose(many(*given), inverse @ rights, rtol=1e-12)
+    _, moved = jax.jvp(lambda m: many(m, given[1]), given[:1], (jnp.asarray(changes),))
+    expected = -inverse @ changes @ inverse @ rights
+    np.testing.assert_allclose(moved, expected, rtol=1e-11)
+    slope = jax.grad(lambda m: jnp.sum(many(m, given[1]) ** 2))(given[0])
+    pulled = np.swapaxes(inverse, 1, 2) @ (2.0 * inverse @ rights)
+    expected = -pulled @ np.swapaxes(inverse @ rights, 1, 2)
+    np.testing.assert_allclose(slope, expected, rtol=1e-10)
