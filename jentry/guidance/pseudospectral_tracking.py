@@ -16,6 +16,7 @@ from jax import lax
 from jaxtyping import Array, Float
 
 from .._collocation import interpolate
+from .._interpolation import interval
 from ..fields import NOT_NEGATIVE, Scalar, Vector, optional_scalar, scalar, table
 from ..motion.state import Controls, EntryState
 from ..onboard.linear_quadratic import Plan, Weights, collocated_plans
@@ -150,7 +151,7 @@ class GainSchedule(eqx.Module):
 
     def at(self, time: Scalar) -> Vector:
         """K, shape (states,), at a time in s."""
-        part = jnp.sum(time >= self.ends[1:-1])
+        part = interval(self.ends, time)
         x = on_nodes(self.ends[part], self.ends[part + 1], time)
         return jnp.asarray(jax.vmap(interpolate, (1, None))(self.gains[part], x))
 
@@ -226,7 +227,7 @@ class ControlPlan(eqx.Module):
 
     def at(self, time: Scalar) -> Scalar:
         """At a time, s."""
-        part = jnp.sum(time >= self.ends[1:-1])
+        part = interval(self.ends, time)
         x = on_nodes(self.ends[part], self.ends[part + 1], time)
         return interpolate(self.changes[part], x)
 

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._collocation import interpolate
+from .._interpolation import interval
 from ..fields import Count, Scalar, Vector, scalar, table
 from ..motion.dynamics import rates_under
 from ..motion.quantities import ground_track
@@ -124,9 +125,8 @@ def linearized(
     def rates(state: Vector, control: Scalar) -> Vector:
         return units.time * units.vector(model.rates(units.state(state), control))
 
-    return jax.jacfwd(rates, 0)(units.vector(state), lift_to_drag_up), jax.jacfwd(
-        rates, 1
-    )(units.vector(state), lift_to_drag_up)[:, None]
+    a, b = jax.jacfwd(rates, (0, 1))(units.vector(state), lift_to_drag_up)
+    return a, b[:, None]
 
 
 class ReferencePoint(eqx.Module):
@@ -165,7 +165,7 @@ class LongitudinalReference(eqx.Module):
 
     def part(self, time: Scalar) -> Count:
         """Which of the parts counts at a time (s), from 0."""
-        return jnp.sum(time >= self.ends[1:-1])
+        return interval(self.ends, time)
 
     def in_part(self, part: Count, time: Scalar) -> ReferencePoint:
         """At a time (s) of a part; at its ends the values of this part."""

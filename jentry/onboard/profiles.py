@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from .._interpolation import clamp
+from .._interpolation import clamp, interval
 from .._math import horner
 from ..fields import Count, Scalar, Vector, scalar, table
 
@@ -62,7 +62,7 @@ class JoinedProfile(AbstractProfile):
 
     def part(self, index: Scalar) -> Count:
         """Which of the parts counts at an index, from 0."""
-        return jnp.sum(index >= self.ends[1:-1])
+        return interval(self.ends, index)
 
     def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         first, last = self.ends[0], self.ends[-1]

@@ -1,7 +1,5 @@
 """A bank over the velocity, and the flight in the vertical plane that it makes."""
 
-import functools
-
 import jax
 import jax.numpy as jnp
 
@@ -150,7 +148,7 @@ def _flown(
 
     def pieces(profile, state, length):
         """The last state, and states and controls at the nodes of each part."""
-        slope = functools.partial(_autonomous, functools.partial(flow, profile))
+        slope = lambda _, state: flow(profile, state)
         steps = 0.5 * length * jnp.diff(nodes)
 
         def to_node(state, step):
@@ -181,7 +179,3 @@ def _flown(
         states.downrange,
         controls,
     )
-
-
-def _autonomous(flow, _, state):
-    return flow(state)
