@@ -116,6 +116,7 @@ from .onboard import (
     AbstractAccelerometers as AbstractAccelerometers,
     AbstractProfile as AbstractProfile,
     Accelerometers as Accelerometers,
+    BSpline as BSpline,
     CubicSpline as CubicSpline,
     Measurement as Measurement,
     OnboardModel as OnboardModel,

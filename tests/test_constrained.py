@@ -47,8 +47,8 @@ def check(found):
     x, level = filled()
     np.testing.assert_allclose(found.x, x, rtol=0.0, atol=1e-13)
     assert found.value == pytest.approx(np.sum((x - WANTED) ** 2), rel=1e-13)
-    # 2 (x - wanted) + multiplier = 0 where x is free; what is left is the bound's.
-    assert found.equations[0] == pytest.approx(-2.0 * level, rel=1e-11)
+    # 2 (x - wanted) is the price of the total where x is free; what is left is the bound's.
+    assert found.constraints[0] == pytest.approx(2.0 * level, rel=1e-11)
     bounds = 2.0 * (x - WANTED) - 2.0 * level
     active = (x == LOWER) | (x == UPPER)
     assert 0 < np.sum(active) < 12 and np.any(x == LOWER) and np.any(x == UPPER)

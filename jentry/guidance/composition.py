@@ -239,14 +239,19 @@ def _banked_more(
 
 def _require_trim(law: AbstractLaw, time: Scalar, measurement: Measurement) -> None:
     """Refuse a bank law whose angle of attack would be overruled without a word."""
+    if not flies_at_trim(law, time, measurement):
+        raise ValueError(
+            f"{type(law).__name__} commands an angle of attack of its own: beside an "
+            "angle-of-attack law it must command measurement.trim_angle_of_attack"
+        )
+
+
+def flies_at_trim(law: AbstractLaw, time: Scalar, measurement: Measurement) -> bool:
+    """Whether a law leaves the angle of attack to the vehicle."""
 
     def act(angle: Scalar) -> Controls:
         turned = eqx.tree_at(lambda m: m.trim_angle_of_attack, measurement, angle)
         return commanded(law, time, turned, *begun(law, turned))[0]
 
     acting = Traced(act, measurement.trim_angle_of_attack)
-    if acting.independent(lambda controls: controls.angle_of_attack) is not None:
-        raise ValueError(
-            f"{type(law).__name__} commands an angle of attack of its own: beside an "
-            "angle-of-attack law it must command measurement.trim_angle_of_attack"
-        )
+    return acting.independent(lambda controls: controls.angle_of_attack) is None

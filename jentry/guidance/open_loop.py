@@ -53,8 +53,9 @@ class ControlProfiles(AbstractContinuousLaw[None]):
     index: AbstractIndex
     planet: Planet
     """Of which the index is one, as that of an onboard model"""
-    angle_of_attack: AbstractProfile
-    """rad, over the index"""
+    angle_of_attack: AbstractProfile | None
+    """rad, over the index; None for the angle at which the vehicle trims, or that of the
+    law beside which this one flies, see `compose`"""
     bank: AbstractProfile
     """rad, over the index; positive to the right"""
 
@@ -65,4 +66,7 @@ class ControlProfiles(AbstractContinuousLaw[None]):
         self, time: Scalar, measurement: Measurement, memory: None
     ) -> tuple[Controls, None]:
         here = self.index.value(self.planet, time, measurement.state)
-        return Controls.from_bank(self.bank(here), self.angle_of_attack(here)), None
+        angle = measurement.trim_angle_of_attack
+        if self.angle_of_attack is not None:
+            angle = self.angle_of_attack(here)
+        return Controls.from_bank(self.bank(here), angle), None

@@ -16,13 +16,14 @@ from .own import (
     where_from,
 )
 from .rlv import MISSION as RLV
+from .shuttle import MISSION as SHUTTLE
 from .sx_2 import MISSION as SX_2
 from .x_33 import MISSION as X_33
 
 
 ALL = {
     mission.name: mission
-    for mission in (DRAG_TRACKING, RANGE_TRACKING, CAV_H, SX_2, RLV, X_33)
+    for mission in (DRAG_TRACKING, RANGE_TRACKING, CAV_H, SX_2, RLV, X_33, SHUTTLE)
 }
 """Every mission of jentry by its name."""
 

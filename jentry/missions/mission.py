@@ -10,15 +10,22 @@ import numpy as np
 from .._setup import needs_float64
 from ..campaign.dispersions import Dispersion
 from ..flight.scenario import Scenario
+from ..planning.best_flight import FlightProblem
 from ..plots.campaign import USUAL, DrawFigure
 
 
 _NAME = re.compile(r"\w[\w.-]*")
-_EXAMPLES = {"variants": "scenario", "dispersions": "dispersions", "figures": "figure"}
+_EXAMPLES = {
+    "variants": "scenario",
+    "dispersions": "dispersions",
+    "figures": "figure",
+    "problems": "problem",
+}
 _MEANT = {
     "variants": "without arguments that returns a Scenario",
     "dispersions": "without arguments that returns a table of dispersions",
     "figures": "of jentry.plots.FigureData that returns a matplotlib figure, or None",
+    "problems": "without arguments that returns a FlightProblem",
 }
 
 
@@ -69,6 +76,10 @@ class Mission:
     modes_faster_than: float | None = None
     """Modes of the closed loop, in rad/s, whose least damping every `jentry tune` tells;
     None for a mission whose tuning does not tell any"""
+    problems: Mapping[str, Callable[[], FlightProblem]] = dataclasses.field(
+        default_factory=dict
+    )
+    """What `jentry optimize` can be asked; the first is the mission's own"""
     train: Callable[..., dict[str, dict[str, Any]]] | None = None
     """Function that trains the mission's networks: it takes a folder, a seed and options,
     and returns the model cards by name"""
@@ -112,6 +123,10 @@ class Mission:
                 f"gains of mission {self.name} is {self.gains!r}: it must be a tuple, "
                 f"({self.gains!r},)"
             )
+
+    def problem(self, name: str | None = None) -> FlightProblem:
+        """What `jentry optimize` is asked by a name. Raises `ValueError` if unknown."""
+        return _choose(self.problems, name, "problem", self.name)()
 
     @property
     def labels(self) -> dict[str, Any]:

@@ -51,7 +51,11 @@ from .reference import (
     along as along,
     index_motion as index_motion,
 )
-from .spline import CubicSpline as CubicSpline, cubic_spline as cubic_spline
+from .spline import (
+    BSpline as BSpline,
+    CubicSpline as CubicSpline,
+    cubic_spline as cubic_spline,
+)
 from .track import Track as Track, TrackPosition as TrackPosition
 from .velocity_domain import (
     Deviations as Deviations,

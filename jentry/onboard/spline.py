@@ -1,7 +1,9 @@
-"""Cubic splines through knots, such as a bank over the energy."""
+"""Cubic splines, such as a bank over the energy: through knots, and of B-splines."""
 
 import jax.numpy as jnp
 
+from .._interpolation import clamp, interval
+from .._math import derivatives_along
 from ..fields import Scalar, Vector, table
 from .profiles import AbstractProfile
 
@@ -60,3 +62,67 @@ def cubic_spline(knots: Vector, values: Vector) -> CubicSpline:
     system = system.at[-1, -3:].set(jnp.stack([-h[-1], h[-2] + h[-1], -h[-2]]))
     right = jnp.zeros(n).at[inside].set(6.0 * jnp.diff(slopes))
     return CubicSpline(x, y, jnp.linalg.solve(system, right))
+
+
+class BSpline(AbstractProfile):
+    """Cubic B-spline, twice continuously differentiable and linear in its coefficients.
+
+    Each coefficient acts between four breakpoints to either side alone, and the value lies
+    nowhere beyond the least and the largest coefficient: bounds of the coefficients are
+    bounds of the profile. The first and the last are the values at the ends, which the
+    profile keeps beyond them.
+
+        BSpline(jnp.full(40, 0.3), jnp.linspace(last_energy, first_energy, 38))
+
+    Reference: C. de Boor, "A Practical Guide to Splines", 2001, chapters IX and X.
+    """
+
+    coefficients: Vector = table()
+    """(n,)"""
+    breakpoints: Vector = table(increasing=True)
+    """(n - 2,) Where one cubic follows another, the ends among them"""
+
+    def __check_init__(self):
+        coefficients, breakpoints = self.coefficients.shape, self.breakpoints.shape
+        if len(breakpoints) != 1 or breakpoints[0] < 2:
+            raise ValueError(f"breakpoints has shape {breakpoints}: two are the least")
+        if coefficients != (breakpoints[0] + 2,):
+            raise ValueError(
+                f"coefficients has shape {coefficients}: {breakpoints[0]} breakpoints "
+                f"have {breakpoints[0] + 2}"
+            )
+
+    @property
+    def nodes(self) -> Vector:
+        """(n,) Where the coefficients belong: with these as coefficients the profile is
+        the index itself."""
+        knots = _clamped(self.breakpoints)
+        return (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0
+
+    def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        return derivatives_along(jnp.ones_like, self._value, index)
+
+    def _value(self, index: Scalar) -> Scalar:
+        ends = self.breakpoints[0], self.breakpoints[-1]
+        x, knots = clamp(index, *ends), _clamped(self.breakpoints)
+        piece = interval(self.breakpoints, x)
+        near = [knots[piece + j] for j in range(1, 7)]
+        values = [self.coefficients[piece + j] for j in range(4)]
+        for width in (3, 2, 1):  # de Boor's recursion: between knots ever nearer to x
+            values = [
+                low + (x - start) / (end - start) * (high - low)
+                for low, high, start, end in zip(
+                    values[:-1],
+                    values[1:],
+                    near[3 - width : 3],
+                    near[3 : 3 + width],
+                    strict=True,
+                )
+            ]
+        return values[0]
+
+
+def _clamped(breakpoints: Vector) -> Vector:
+    """Knots: the breakpoints, with the ends four times."""
+    first, last = breakpoints[:1], breakpoints[-1:]
+    return jnp.concatenate([first, first, first, breakpoints, last, last, last])

@@ -1,7 +1,8 @@
-"""Minimise a function of some numbers under equations and bounds, to the last digits.
+"""Minimise a function of some numbers under equations, limits and bounds.
 
-SLSQP of scipy finds which bounds are active; Newton's method on the conditions of Karush,
-Kuhn and Tucker, with exact second derivatives, does the rest and gives the multipliers.
+SLSQP of scipy needs first derivatives. Where there are equations and bounds alone, and
+exact second derivatives, Newton's method on the conditions of Karush, Kuhn and Tucker goes
+on to the last digits.
 """
 
 import functools
@@ -25,24 +26,158 @@ _ROUNDING = 1e-13
 """Of a step of Newton's method, in units of the largest number: converged"""
 
 
+class Linearized(NamedTuple):
+    """A problem at one point, with its first derivatives; arrays of numpy."""
+
+    value: float
+    slope: np.ndarray
+    """(n,)"""
+    constraints: np.ndarray
+    """(m,)"""
+    rows: np.ndarray
+    """(m, n): derivatives of the constraints"""
+
+    @property
+    def is_finite(self) -> bool:
+        return all(np.all(np.isfinite(x)) for x in self)
+
+
+class Limits(NamedTuple):
+    """What x and the constraints may be; infinite where they may be any.
+
+    A constraint of which both are the same is an equation.
+    """
+
+    lower: np.ndarray
+    """(n,)"""
+    upper: np.ndarray
+    """(n,)"""
+    least: np.ndarray
+    """(m,)"""
+    most: np.ndarray
+    """(m,)"""
+
+
 class Optimum(NamedTuple):
     """A minimum, with what holds it there."""
 
     x: np.ndarray
     """(n,)"""
     value: float
-    equations: np.ndarray
-    """Multipliers of the equations, (m,): the rise of the minimum for each unit by which
-    what must be zero is allowed to be larger is their negative"""
+    constraints: np.ndarray
+    """(m,) Their prices: by how much the minimum rises with the limit that binds. Positive
+    where it is the least value, negative where it is the largest, of either sign for an
+    equation, zero where none binds"""
     bounds: np.ndarray
-    """Multipliers of the bounds, (n,): by how much the minimum rises with the bound that is
-    active; positive at lower ones, negative at upper ones, zero where none is"""
+    """(n,) Likewise of the bounds of x"""
     iterations: int
     """Of SLSQP"""
+    slope_left: float
+    """Largest slope that the prices do not account for: zero at a minimum"""
 
 
 class NoOptimumError(ValueError):
     """No minimum was found."""
+
+    def __init__(self, message: str, x: np.ndarray):
+        super().__init__(message)
+        self.x = x
+        """Where it was given up"""
+
+
+def sequential_quadratic(
+    linearized: Callable[[np.ndarray], Linearized],
+    start: np.ndarray,
+    limits: Limits,
+    tolerance: float = 1e-12,
+    iterations: int = 1000,
+) -> Optimum:
+    """The x within limits with the least value, by SLSQP of scipy.
+
+    **Arguments:**
+
+    - `linearized`: the problem at a point, in units in which x, value and constraints are
+      about one. Where it is not finite, SLSQP looks nearer to where it was.
+    - `tolerance`: of the value, and of the sum of what the constraints are exceeded by.
+
+    **Raises:** `NoOptimumError`, with the words of SLSQP, where it finds none.
+    """
+    import scipy.optimize
+
+    lower, upper, least, most = (np.asarray(x, float) for x in limits)
+    equal = least == most
+    above, below = ~equal & np.isfinite(least), ~equal & np.isfinite(most)
+
+    @functools.lru_cache(maxsize=4)  # SLSQP asks for each of these at the same x
+    def known(x: bytes) -> Linearized:
+        return linearized(np.frombuffer(x))
+
+    def at(x: np.ndarray) -> Linearized:
+        return known(np.asarray(x, float).tobytes())
+
+    def value(x: np.ndarray) -> float:
+        return float(at(x).value) if at(x).is_finite else np.inf
+
+    def left(x: np.ndarray) -> np.ndarray:
+        values = np.nan_to_num(at(x).constraints)
+        return np.concatenate([(values - least)[above], (most - values)[below]])
+
+    def rows_left(x: np.ndarray) -> np.ndarray:
+        rows = at(x).rows
+        return np.concatenate([rows[above], -rows[below]])
+
+    limited = {"type": "ineq", "fun": left, "jac": rows_left}
+    equated = {
+        "type": "eq",
+        "fun": lambda x: np.nan_to_num(at(x).constraints - least)[equal],
+        "jac": lambda x: at(x).rows[equal],
+    }
+    found = scipy.optimize.minimize(
+        value,
+        np.clip(start, lower, upper),
+        jac=lambda x: at(x).slope,
+        bounds=list(zip(lower, upper, strict=True)),
+        constraints=[equated, limited],
+        method="SLSQP",
+        options={"maxiter": iterations, "ftol": tolerance},
+    )
+    if not found.success or not np.all(np.isfinite(found.x)):
+        raise NoOptimumError(
+            f"SLSQP: {found.message}, after {found.nit} iterations", found.x
+        )
+    x = np.clip(found.x, lower, upper)
+    return _priced(at(x), x, limits, int(found.nit))
+
+
+_BINDS = 1e-6
+"""In the units of the problem: nearer to a limit than this it binds"""
+
+
+def _priced(here: Linearized, x: np.ndarray, limits: Limits, iterations: int) -> Optimum:
+    """A point with the prices that leave the least slope."""
+    import scipy.optimize
+
+    lower, upper, least, most = limits
+    low, high = np.concatenate([least, lower]), np.concatenate([most, upper])
+    values = np.concatenate([here.constraints, x])
+    at_least = values - low < _BINDS
+    at_most = high - values < _BINDS
+    binding = at_least | at_most
+    rows = np.concatenate([here.rows, np.eye(len(x))])[binding]
+    signs = (
+        np.where(at_most, -np.inf, 0.0)[binding],
+        np.where(at_least, np.inf, 0.0)[binding],
+    )
+    prices, left = np.zeros(len(values)), here.slope
+    if np.any(binding):
+        # Not the default method, which does not come to the end of so many alike rows.
+        solved = scipy.optimize.lsq_linear(rows.T, here.slope, signs, method="bvls")
+        prices[binding] = solved.x
+        left = here.slope - rows.T @ solved.x
+    count = len(here.constraints)
+    slope_left = float(np.max(np.abs(left), initial=0.0))
+    parted = prices[:count], prices[count:]
+    return Optimum(x, float(here.value), *parted, iterations, slope_left)
 
 
 Objective = Callable[[Any, Array], Array]
@@ -57,7 +192,7 @@ def minimise(
     lower: np.ndarray,
     upper: np.ndarray,
 ) -> Optimum:
-    """The x between bounds with the least value of `objective(problem, x)`.
+    """The x between bounds with the least value of `objective(problem, x)`, to rounding.
 
     **Arguments:**
 
@@ -67,37 +202,17 @@ def minimise(
     - `problem`: a pytree of arrays: all else that they need.
     - `start`, `lower`, `upper`: (n,); the bounds may be infinite.
 
-    **Raises:** `NoOptimumError`, with the words of SLSQP, where it finds none.
+    **Raises:** `NoOptimumError` where it finds none.
     """
-    import scipy.optimize
 
-    @functools.lru_cache(maxsize=4)  # SLSQP asks for each of these at the same x
-    def known(x: bytes):
-        values = _values_and_slopes(
-            objective, equations, problem, jnp.asarray(np.frombuffer(x))
-        )
-        return jax.tree.map(np.asarray, values)
-
-    def at(x: np.ndarray):
-        return known(np.asarray(x, float).tobytes())
+    def linearized(x: np.ndarray) -> Linearized:
+        values = _values_and_slopes(objective, equations, problem, jnp.asarray(x))
+        return Linearized(*jax.tree.map(np.asarray, values))
 
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
-    found = scipy.optimize.minimize(
-        lambda x: float(at(x)[0]),
-        np.clip(start, lower, upper),
-        jac=lambda x: at(x)[1],
-        bounds=list(zip(lower, upper, strict=True)),
-        constraints={
-            "type": "eq",
-            "fun": lambda x: at(x)[2],
-            "jac": lambda x: at(x)[3],
-        },
-        method="SLSQP",
-        options={"maxiter": 1000, "ftol": 1e-12},
-    )
-    if not found.success or not np.all(np.isfinite(found.x)):
-        raise NoOptimumError(f"SLSQP: {found.message}, after {found.nit} iterations")
-    x = np.clip(found.x, lower, upper)
+    zero = np.zeros(len(linearized(np.asarray(start, float)).constraints))
+    found = sequential_quadratic(linearized, start, Limits(lower, upper, zero, zero))
+    x = found.x
     active = np.where(x <= lower, -1, np.where(x >= upper, 1, 0))
     for _ in range(_ROUNDS):
         x, multipliers, push = _stationary(
@@ -108,11 +223,12 @@ def minimise(
         pulls = active * push > 0.0
         after = np.where(active == 0, crossed, np.where(pulls, 0, active))
         if np.array_equal(after, active):
-            value = float(at(x)[0])
+            value = float(linearized(x).value)
             bounds = np.where(active != 0, push, 0.0)
-            return Optimum(x, value, multipliers, bounds, int(found.nit))
+            left = float(np.max(np.abs(push - bounds), initial=0.0))
+            return Optimum(x, value, -multipliers, bounds, found.iterations, left)
         active, x = after, np.clip(x, lower, upper)
-    raise NoOptimumError(f"the active bounds still change after {_ROUNDS} rounds")
+    raise NoOptimumError(f"the active bounds still change after {_ROUNDS} rounds", x)
 
 
 def _stationary(objective, equations, problem, x, active, lower, upper):
@@ -151,7 +267,7 @@ def _stationary(objective, equations, problem, x, active, lower, upper):
         ):
             slope, _, _, _ = jax.tree.map(np.asarray, lagrangian(x, multipliers))
             return x, multipliers, slope
-    raise NoOptimumError("Newton's method does not converge at what SLSQP has found")
+    raise NoOptimumError("Newton's method does not converge at what SLSQP has found", x)
 
 
 @eqx.filter_jit

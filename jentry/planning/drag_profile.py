@@ -171,7 +171,7 @@ def plan_drag_profile(
     binding = np.where(
         price > 0.0, bounds.below, np.where(price < 0.0, bounds.above, "")
     )
-    price_of_distance = -optimum.equations[0] / distance * scale**2 / half
+    price_of_distance = optimum.constraints[0] / distance * scale**2 / half
     return DragPlan(
         drag=CollocatedProfile(jnp.asarray(drag), v0, vf),
         velocity=jnp.asarray(velocity),

@@ -87,6 +87,43 @@ class Between(AbstractMap):
         return jnp.clip(self.lower + width * share, self.lower, self.upper)
 
 
+class Linear(AbstractMap):
+    """value = start + scale free; whoever moves it keeps it between the bounds."""
+
+    start: Array = eqx.field(converter=as_float_array)
+    scale: Array = eqx.field(converter=as_float_array)
+    lower: Array = eqx.field(converter=as_float_array)
+    """Infinite where there is none"""
+    upper: Array = eqx.field(converter=as_float_array)
+
+    def __call__(self, free):
+        return self.start + self.scale * free
+
+
+def linear_map_of(
+    address: str, leaf: Array, metadata: Mapping[str, Any], given: Bounds | Scale | None
+) -> Linear:
+    """The linear map of a leaf, for a method that keeps bounds itself.
+
+    The scale is a quarter of the way between the bounds, or that of `map_of`. A number
+    that must be positive keeps at least a millionth of its size. Raises `ValueError` for
+    a leaf that starts beyond its bounds.
+    """
+    least, largest = metadata.get("range") or (-np.inf, np.inf)
+    lower = 1e-6 * leaf if metadata.get("positive") else jnp.full_like(leaf, least)
+    upper = jnp.full_like(leaf, largest)
+    if not isinstance(given, Bounds):
+        if given is not None and not isinstance(given, Scale):
+            raise ValueError(_no_range(address, given))
+        return Linear(leaf, _scale(address, leaf, given), lower, upper)
+    low, high = _bounds(address, leaf, given)
+    for bound in (low, high):
+        check_values(f"a bound of {address}", bound, metadata)
+    if not np.all((low <= leaf) & (leaf <= high) & (low < high)):
+        raise ValueError(_not_between(address, leaf, given))
+    return Linear(leaf, 0.25 * (high - low), low, high)
+
+
 def map_of(
     address: str, leaf: Array, metadata: Mapping[str, Any], given: Bounds | Scale | None
 ) -> AbstractMap:
@@ -96,10 +133,7 @@ def map_of(
     other moves by a scale, or by its root mean square.
     """
     if given is not None and not isinstance(given, Bounds | Scale):
-        raise ValueError(
-            f"the range of {address} is {given!r}: give Bounds(lower, upper) or "
-            "Scale(size)"
-        )
+        raise ValueError(_no_range(address, given))
     positive = metadata.get("positive", False)
     if isinstance(given, Bounds):
         between = _between(address, leaf, given, positive)
@@ -140,26 +174,45 @@ def _scale(address: str, start: Array, given: Scale | None) -> Array:
     return jnp.asarray(scale)
 
 
-def _between(address: str, start: Array, bounds: Bounds, positive: bool) -> Between:
+def _between(address: str, leaf: Array, bounds: Bounds, positive: bool) -> Between:
+    low, high = _bounds(address, leaf, bounds)
+    if not np.all((low < np.asarray(leaf)) & (np.asarray(leaf) < high)):
+        raise ValueError(_not_between(address, leaf, bounds))
+    if positive and not np.all(low > 0.0):
+        raise ValueError(
+            f"the lower bound of {address} is {bounds.lower}: it must be above zero, since "
+            "the number must be positive"
+        )
+    return Between(leaf, low, high)
+
+
+def _bounds(
+    address: str, leaf: Array, bounds: Bounds
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both of the shape of the leaf; raises `ValueError` if they are not, or infinite."""
     lower, upper = bounds.lower, bounds.upper
     try:
         low, high = (
-            np.broadcast_to(np.asarray(x, float), start.shape) for x in (lower, upper)
+            np.broadcast_to(np.asarray(x, float), leaf.shape) for x in (lower, upper)
         )
     except (TypeError, ValueError) as error:
         raise ValueError(
             f"the bounds of {address} are {lower} and {upper}: give each as "
-            f"a number or of the shape {start.shape}"
+            f"a number or of the shape {leaf.shape}"
         ) from error
-    within = np.all((low < np.asarray(start)) & (np.asarray(start) < high))
-    if not within or not np.all(np.isfinite([low, high])):
-        raise ValueError(
-            f"the bounds of {address} are {lower} and {upper}: they must be finite and "
-            f"on both sides of its value, which is {np.asarray(start)}"
-        )
-    if positive and not np.all(low > 0.0):
-        raise ValueError(
-            f"the lower bound of {address} is {lower}: it must be above zero, since the "
-            "number must be positive"
-        )
-    return Between(start, low, high)
+    if not np.all(np.isfinite([low, high])):
+        raise ValueError(_not_between(address, leaf, bounds))
+    return low, high
+
+
+def _not_between(address: str, leaf: Array, bounds: Bounds) -> str:
+    return (
+        f"the bounds of {address} are {bounds.lower} and {bounds.upper}: they must be "
+        f"finite and on both sides of its value, which is {np.asarray(leaf)}"
+    )
+
+
+def _no_range(address: str, given: Any) -> str:
+    return (
+        f"the range of {address} is {given!r}: give Bounds(lower, upper) or Scale(size)"
+    )

@@ -57,10 +57,11 @@ class Parameters(eqx.Module):
         where: Callable[[Any], Any] | None = None,
         ranges: Ranges | None = None,
         build: Build = itself,
+        as_map: Callable[..., AbstractMap] = map_of,
     ) -> "Parameters":
         """Of the leaves that a lens reaches, or of all; see `tune`.
 
-        Raises `ValueError` if that cannot be tuned.
+        `as_map` makes the map of a leaf, as `map_of` does. Raises `ValueError` if that cannot be tuned.
         """
         start = _with_arrays(start)
         leaves, ranges = leaves_by_address(start), dict(ranges or {})
@@ -84,7 +85,7 @@ class Parameters(eqx.Module):
                     f"{address} is of type {leaf.dtype}: it has no gradient"
                 )
             check_values(address, np.asarray(leaf), metadata)
-            maps[address] = map_of(address, leaf, metadata, ranges.pop(address, None))
+            maps[address] = as_map(address, leaf, metadata, ranges.pop(address, None))
         for address, given in ranges.items():
             raise ValueError(
                 f"{address} has a {type(given).__name__} and is not tuned; "

@@ -1,0 +1,43 @@
+"""The mission Space Shuttle: its two variants, and what is asked of them."""
+
+from ...planning.best_flight import AtEnd, FlightProblem, FreeControl
+from ...planning.optimization import Constraint
+from ...units import degree
+from ..mission import Mission
+from .scenario import (
+    END_ALTITUDE,
+    END_PATH_ANGLE,
+    START_ANGLE_OF_ATTACK,
+    START_BANK,
+    glide,
+    limited_heating,
+)
+
+
+def cross_range() -> FlightProblem:
+    """The largest latitude at the end: to the north of a start along the equator."""
+    return FlightProblem(
+        objective=AtEnd("latitude"),
+        bank=FreeControl(START_BANK, -89.0 * degree, 1.0 * degree),
+        angle_of_attack=FreeControl(
+            START_ANGLE_OF_ATTACK, -90.0 * degree, 90.0 * degree
+        ),
+        constraints={
+            "altitude": Constraint(AtEnd("altitude"), equals=END_ALTITUDE),
+            "flight_path_angle": Constraint(
+                AtEnd("flight_path_angle"), equals=END_PATH_ANGLE
+            ),
+        },
+        published={"glide": 34.1412 * degree, "limited-heating": 30.6255 * degree},
+    )
+
+
+MISSION = Mission(
+    name="shuttle",
+    title="Space Shuttle, the largest cross-range of its re-entry",
+    source='Betts, "Practical Methods for Optimal Control and Estimation Using Nonlinear '
+    'Programming"',
+    variants={"glide": glide, "limited-heating": limited_heating},
+    problems={"cross-range": cross_range},
+    gains=(),
+)

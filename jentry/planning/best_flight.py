@@ -1,0 +1,167 @@
+"""The best flight of a vehicle: what it is asked for, with bank and angle of attack free."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+from ..addresses import addresses_of
+from ..fields import Scalar, units_of
+from ..flight.flight import Flight
+from ..flight.scenario import Scenario
+from ..flight.solver import AbstractSolver, FixedStep
+from ..motion.index import AbstractIndex, EnergyIndex
+from ..motion.quantities import energy, ground_track
+from ..motion.state import EntryState
+from ..tuning.maps import Bounds
+from .free_controls import control_coefficients, free_controls
+from .optimization import Constraint, Optimized, Quantity, optimize, within_limits
+
+
+_STATE = units_of(EntryState)
+_BESIDE = {"time": "s", "energy": "J/kg", "downrange": "m", "crossrange": "m"}
+
+END_QUANTITIES: Mapping[str, str] = _STATE | _BESIDE
+"""What `AtEnd` knows, with SI units"""
+
+
+@dataclasses.dataclass(frozen=True)
+class AtEnd:
+    """A quantity at the end of a flight: of its state, or time, energy, downrange, crossrange.
+
+    Downrange and crossrange are counted as in `misses`, from the origin of the target or
+    from where the flight starts; crossrange is positive to the left.
+    """
+
+    name: str
+
+    def __post_init__(self):
+        if self.name not in END_QUANTITIES:
+            raise ValueError(
+                f"no quantity {self.name!r} at the end: choose from "
+                f"{', '.join(END_QUANTITIES)}"
+            )
+
+    @property
+    def unit(self) -> str:
+        return END_QUANTITIES[self.name]
+
+    def __call__(self, scenario: Scenario, flight: Flight) -> Scalar:
+        end = flight.state
+        if self.name == "time":
+            return flight.time
+        if self.name == "energy":
+            return energy(scenario.planet, end)
+        if self.name in ("downrange", "crossrange"):
+            origin = scenario.target.origin
+            origin = scenario.initial_state if origin is None else origin
+            downrange, crossrange = ground_track(scenario.planet, origin, end)
+            return downrange if self.name == "downrange" else crossrange
+        return getattr(end, self.name)
+
+
+@dataclasses.dataclass(frozen=True)
+class Peak:
+    """The largest value of a path constraint along the flight."""
+
+    name: str
+
+    def __call__(self, scenario: Scenario, flight: Flight) -> Scalar:
+        return flight.peaks[self.name]
+
+
+@dataclasses.dataclass(frozen=True)
+class Negative:
+    """The negative of a quantity, to make it large."""
+
+    quantity: Quantity
+
+    def __call__(self, scenario: Scenario, flight: Flight) -> Any:
+        return -self.quantity(scenario, flight)
+
+
+@dataclasses.dataclass(frozen=True)
+class FreeControl:
+    """A control that is free: where it begins, and between which values it stays; rad."""
+
+    start: float
+    least: float
+    most: float
+
+    def __post_init__(self):
+        if not self.least <= self.start <= self.most or not self.least < self.most:
+            raise ValueError(
+                f"a control begins at {self.start} rad and is to stay between {self.least} "
+                f"and {self.most}: the start must lie between them"
+            )
+
+
+@dataclasses.dataclass(frozen=True)
+class FlightProblem:
+    """What a flight is to be best at, what it has to keep, and what is free.
+
+    The limits of the scenario's path constraints are kept along the path, and the splines
+    of bank and angle of attack stay between their bounds all the way.
+    """
+
+    objective: Quantity
+    """Such as `AtEnd("downrange")`"""
+    bank: FreeControl
+    angle_of_attack: FreeControl | None = None
+    """None to leave it to the law that commands it, see `free_controls`"""
+    constraints: Mapping[str, Constraint] = dataclasses.field(default_factory=dict)
+    largest: bool = True
+    """Whether the objective is to be large, or small"""
+    keeps_limits: bool = True
+    """Whether the limits of the path constraints are kept"""
+    nodes: int = 40
+    """Coefficients of each spline"""
+    index: AbstractIndex = EnergyIndex()
+    history: float = 10.0
+    """Interval at which the path constraints are kept, s"""
+    published: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    """The best that the literature has, by variant of the mission, in SI"""
+
+
+def best_flight(
+    scenario: Scenario,
+    problem: FlightProblem,
+    solver: AbstractSolver = FixedStep(),
+    start: Scenario | None = None,
+) -> Optimized:
+    """The flight of a scenario's vehicle that is best at what a problem asks for.
+
+    Its objective is the one of the problem, large or small; prices are of what is made
+    small, that is of its negative where it is to be large.
+
+    **Arguments:**
+
+    - `scenario`: its law gives way to splines of the controls, see `free_controls`.
+    - `start`: of `free_controls`, to begin elsewhere than with constant controls; such as
+      `Optimized.scenario` of a problem like this one.
+
+    **Raises:** `ValueError` as `free_controls` and `optimize`.
+    """
+    free, angle = problem.bank, problem.angle_of_attack
+    if start is None:
+        begins = None if angle is None else angle.start
+        start = free_controls(scenario, free.start, begins, problem.nodes, problem.index)
+    bounds = [Bounds(each.least, each.most) for each in (free, angle) if each is not None]
+    addresses = addresses_of(start, control_coefficients)
+    limited = any(each.limit is not None for each in scenario.constraints.values())
+    kept = within_limits(scenario) if problem.keeps_limits and limited else {}
+    clash = sorted(set(kept) & set(problem.constraints))
+    if clash:
+        raise ValueError(
+            f"the problem has a constraint {clash[0]!r}, which is the name of a path "
+            "constraint with a limit: take another name"
+        )
+    objective = problem.objective
+    return optimize(
+        start,
+        control_coefficients,
+        Negative(objective) if problem.largest else objective,
+        {**kept, **problem.constraints},
+        ranges=dict(zip(addresses, bounds, strict=True)),
+        solver=solver,
+        history=problem.history,
+    )

@@ -1,0 +1,156 @@
+"""A flight whose bank and angle of attack are free: splines over an index, to be planned."""
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from .._programs import kept
+from .._setup import needs_float64
+from ..flight.closed_loop import first_measurement
+from ..flight.flight import fly
+from ..flight.scenario import Scenario, checked
+from ..flight.termination import Outcome, has_end
+from ..guidance.composition import (
+    ContinuousComposition,
+    SampledComposition,
+    compose,
+    flies_at_trim,
+)
+from ..guidance.law import AbstractLaw
+from ..guidance.open_loop import ControlProfiles
+from ..motion.index import AbstractIndex, EnergyIndex
+from ..motion.state import EntryState
+from ..onboard.profiles import AbstractProfile, PolynomialProfile
+from ..onboard.spline import BSpline
+
+
+@needs_float64
+def free_controls(
+    scenario: Scenario,
+    bank: float,
+    angle_of_attack: float | None = None,
+    nodes: int = 40,
+    index: AbstractIndex | None = None,
+) -> Scenario:
+    """A scenario that flies B-splines of the bank and of the angle of attack.
+
+    They take the place of its law, with a constant value to begin with. Where one cubic
+    follows another the flight under these constant controls is at equal intervals of its
+    time. `control_coefficients` is the lens to what is then free.
+
+    **Arguments:**
+
+    - `bank`: rad, positive to the right.
+    - `angle_of_attack`: rad. If it is not given, the angle of attack is left to the law
+      that commands it beside a bank law, as `compose` makes it, or to the vehicle's trim.
+    - `nodes`: coefficients of each spline.
+    - `index`: what the splines are over, which must not turn round along the flight; the
+      energy if it is not given. The first one to look at is the energy: it falls
+      throughout, and does not move with the time of flight.
+
+    **Raises:** `ValueError` for an index that turns round, for a flight without an end,
+    and for a law that commands an angle of attack of its own where none is given.
+    """
+    if nodes < 4:
+        raise ValueError(f"nodes is {nodes}: a cubic has 4 or more")
+    over = EnergyIndex() if index is None else index
+    scenario = checked(scenario)
+    held = _flying(scenario, over, _constant(bank), angle_of_attack, _constant)
+    breakpoints = _equal_in_time(held, over, nodes - 2)
+
+    def spline(value: float) -> BSpline:
+        return BSpline(jnp.full(nodes, value), jnp.asarray(breakpoints))
+
+    return _flying(scenario, over, spline(bank), angle_of_attack, spline)
+
+
+def control_coefficients(scenario: Scenario) -> Any:
+    """Lens to the coefficients of the splines of `free_controls`: bank, angle of attack."""
+    controls = free_part(scenario)
+    splines = controls.bank, controls.angle_of_attack
+    return [each.coefficients for each in splines if isinstance(each, BSpline)]
+
+
+def free_part(scenario: Scenario) -> ControlProfiles:
+    """The law of `free_controls` that flies the splines.
+
+    **Raises:** `ValueError` for a scenario with another law.
+    """
+    law = scenario.guidance
+    if isinstance(law, ContinuousComposition | SampledComposition):
+        law = law.bank
+    if not isinstance(law, ControlProfiles):
+        raise ValueError(
+            f"{type(law).__name__} flies no splines of the controls: see free_controls"
+        )
+    return law
+
+
+def _constant(value: float) -> AbstractProfile:
+    return PolynomialProfile(jnp.asarray([value]))
+
+
+def _flying(
+    scenario: Scenario,
+    index: AbstractIndex,
+    bank: AbstractProfile,
+    angle_of_attack: float | None,
+    profile: Any,
+) -> Scenario:
+    law: AbstractLaw
+    if angle_of_attack is not None:
+        law = ControlProfiles(index, scenario.planet, profile(angle_of_attack), bank)
+    else:
+        law = ControlProfiles(index, scenario.planet, None, bank)
+        before = scenario.guidance
+        if isinstance(before, ContinuousComposition | SampledComposition):
+            law = compose(before.angle_of_attack, law)
+        elif not isinstance(before, ControlProfiles):
+            measurement = first_measurement(scenario)
+            if not flies_at_trim(before, 0.0 * measurement.drag, measurement):
+                raise ValueError(
+                    f"{type(before).__name__} commands an angle of attack of its own: "
+                    "give one to begin with, such as angle_of_attack=20 * deg"
+                )
+    return dataclasses.replace(scenario, guidance=law)
+
+
+_INTERVALS = 2000
+"""Of the flight on which the breakpoints are laid"""
+
+
+def _equal_in_time(scenario: Scenario, index: AbstractIndex, count: int) -> np.ndarray:
+    """Values of the index along a flight at equal intervals of time, the lowest first."""
+    flight = kept(fly)(scenario)
+    if not has_end(flight.outcome):
+        outcome = Outcome(int(flight.outcome)).message
+        raise ValueError(f"the flight under constant controls {outcome}: take others")
+    interval = float(flight.time) / _INTERVALS
+    flight = kept(fly)(scenario, history=_rounded(interval))
+    assert flight.history is not None
+    flown = np.isfinite(np.asarray(flight.history.time))
+    time = np.append(np.asarray(flight.history.time)[flown], float(flight.time))
+
+    def value(time: Any, state: EntryState) -> Any:
+        return index.value(scenario.planet, time, state)
+
+    along = jax.vmap(value)(flight.history.time, flight.history.states)
+    last = value(flight.time, flight.state)
+    values = np.append(np.asarray(along)[flown], float(last))
+    steps = np.diff(values)
+    if not (np.all(steps > 0.0) or np.all(steps < 0.0)):
+        turns = time[1:][np.sign(steps) != np.sign(values[-1] - values[0])][0]
+        raise ValueError(
+            f"the {type(index).__name__} turns round {turns:.0f} s after the start: take "
+            "another, such as EnergyIndex()"
+        )
+    nodes = np.interp(np.linspace(0.0, time[-1], count), time, values)
+    return np.sort(nodes)
+
+
+def _rounded(interval: float) -> float:
+    """An interval of one digit, so that a flight a little longer is no other program."""
+    return float(f"{interval:.0e}")
