@@ -8,9 +8,11 @@ import warnings
 from .._warnings import ResultWarning
 from . import (
     fly as fly,
+    footprint as footprint,
     linearize as linearize,
     list_missions as list_missions,
     monte_carlo as monte_carlo,
+    optimize as optimize,
     sensitivity as sensitivity,
     show as show,
     train as train,

@@ -11,32 +11,11 @@ from .._printed import quantity_in_words
 from ..analysis.frozen_loop import FrozenLoop, Worst
 from ..fields import units_of
 from ..flight.flight import Flight
-from ..flight.scenario import Scenario
 from ..missions.mission import Mission
-from ..motion.index import (
-    AbstractIndex,
-    AltitudeIndex,
-    DownrangeIndex,
-    EnergyIndex,
-    TimeIndex,
-    VelocityIndex,
-)
 from ..plots import save_figures
 from ..plots.eigenvalues import draw_eigenvalues
 from ..units import at_edge
 from .tables import new_console, new_table, print_under
-
-
-def index_over(name: str, scenario: Scenario) -> AbstractIndex:
-    """The index of a name; the downrange from where the misses are counted from."""
-    origin = scenario.target.origin or scenario.initial_state
-    return {
-        "time": TimeIndex(),
-        "velocity": VelocityIndex(),
-        "energy": EnergyIndex(),
-        "altitude": AltitudeIndex(),
-        "downrange": DownrangeIndex(origin),
-    }[name]
 
 
 def print_loop(mission: Mission, loop: FrozenLoop, faster_than: float = 0.0) -> None:

@@ -1,6 +1,5 @@
 """`jentry linearize`: frozen eigenvalues of the closed loop along a flight."""
 
-import enum
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +8,7 @@ import typer
 from .options import (
     Config,
     MissionName,
+    Over,
     Set,
     Step,
     Variant,
@@ -17,16 +17,6 @@ from .options import (
     first_given,
     set_up,
 )
-
-
-class Over(enum.StrEnum):
-    """What errors are compared at."""
-
-    TIME = "time"
-    VELOCITY = "velocity"
-    ENERGY = "energy"
-    ALTITUDE = "altitude"
-    DOWNRANGE = "downrange"
 
 
 @app.command("linearize")
@@ -67,10 +57,11 @@ def command(
 
     from ..analysis.frozen_loop import linearize
     from ..flight.solver import FixedStep
-    from .linearization_report import index_over, print_loop, write_loop
+    from ..motion.index import index_named
+    from .linearization_report import print_loop, write_loop
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
-    index = index_over(over, scenario)
+    index = index_named(over, scenario.target.origin or scenario.initial_state)
     if faster_than is None:
         named = chosen.modes_faster_than if over is Over.TIME else None
         faster_than = named or 0.0

@@ -1,5 +1,6 @@
 """The command line's application, and the options that several commands share."""
 
+import enum
 import importlib
 import threading
 from pathlib import Path
@@ -72,6 +73,16 @@ Fast = Annotated[
 ]
 
 
+class Over(enum.StrEnum):
+    """What something is a function of, along a flight."""
+
+    TIME = "time"
+    VELOCITY = "velocity"
+    ENERGY = "energy"
+    ALTITUDE = "altitude"
+    DOWNRANGE = "downrange"
+
+
 _MOST_WORKERS = 1024
 """Each takes memory before it does anything."""
 
@@ -98,12 +109,15 @@ def chosen_scenario(name, variant, config, assignments):
     """Mission, its scenario with all overrides, and these."""
     from ..flight.scenario import check
     from ..missions import find_mission
+    from .free_controls_table import with_free_controls
     from .overrides import apply_values, in_si, read_overrides
 
     chosen = find_mission(name)
     overrides = read_overrides(config, assignments or ())
     name = first_given(variant, overrides.variant, *chosen.variants)
     scenario = chosen.scenario(name)
+    if overrides.free_controls is not None:
+        scenario = with_free_controls(scenario, overrides)
     overrides = in_si(overrides, scenario)
     scenario = apply_values(scenario, overrides.values)
     check(scenario)

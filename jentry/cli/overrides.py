@@ -106,6 +106,8 @@ class Overrides:
     """Whether they take the place of the mission's, or are added to them"""
     written: Mapping[str, Any] | None = None
     """The table of dispersions as the file has it"""
+    free_controls: Mapping[str, Any] | None = None
+    """The table of the splines that take the place of the law: `free_controls_table`"""
 
     @property
     def disperses(self) -> bool:
@@ -133,9 +135,10 @@ def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overri
 
 def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
     contents = _read_toml(path) if path is not None else {}
-    # What `Tuned.save` says of the numbers that it sets is for the reader.
+    # What is said there of how the numbers came about is for the reader.
     contents.pop("tuned", None)
-    _require_keys(contents, ("variant", "dispersions", "set"), "")
+    contents.pop("optimized", None)
+    require_keys(contents, ("variant", "dispersions", "set", "free_controls"), "")
     values = {
         address: _quantities(value, f"set.{address}")
         for address, value in _flat(contents.get("set", {})).items()
@@ -148,7 +151,7 @@ def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
         address = address.strip()
         if address in assigned:
             raise ValueError(f"--set {address} is given twice: once")
-        assigned[address] = _quantity(value, f"--set {address}")
+        assigned[address] = one_quantity(value, f"--set {address}")
     variant, dispersed = contents.get("variant"), contents.get("dispersions")
     if variant is not None and not isinstance(variant, str):
         raise ValueError(f"variant is {variant!r}: it must be a name")
@@ -165,6 +168,7 @@ def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
         dispersions=table,
         replaces=replaces,
         written=dispersed if isinstance(dispersed, Mapping) else None,
+        free_controls=contents.get("free_controls"),
     )
 
 
@@ -210,7 +214,7 @@ def in_si(overrides: Overrides, scenario: Scenario) -> Overrides:
     values = {}
     for address, value in overrides.values.items():
         require_address(known, address)
-        values[address] = _si(value, unit_of(scenario, address), address)
+        values[address] = si_of(value, unit_of(scenario, address), address)
     table = overrides.dispersions
     if table is not None:
         table = {name: _dispersion(name, d, scenario) for name, d in table.items()}
@@ -247,7 +251,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path} is no valid TOML: {error}") from None
 
 
-def _require_keys(table: Mapping[str, Any], known: Iterable[str], place: str) -> None:
+def require_keys(table: Mapping[str, Any], known: Iterable[str], place: str) -> None:
     known = list(known)
     for key in table:
         if key not in known:
@@ -271,7 +275,7 @@ def _flat(table: Any, prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def _quantity(value: Any, place: str) -> Quantity:
+def one_quantity(value: Any, place: str) -> Quantity:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError(f"{place} is {value!r}: it must be a number")
     try:
@@ -283,7 +287,7 @@ def _quantity(value: Any, place: str) -> Quantity:
 def _quantities(value: Any, place: str) -> Any:
     """A number, or lists of numbers that make a table."""
     if not isinstance(value, list):
-        return _quantity(value, place)
+        return one_quantity(value, place)
     rows = [_quantities(item, f"{place}[{i}]") for i, item in enumerate(value)]
     if len({_shape(row) for row in rows}) > 1:
         raise ValueError(f"{place} has rows of unequal length")
@@ -296,9 +300,9 @@ def _shape(rows: Any) -> tuple[int, ...]:
     return (len(rows), *(_shape(rows[0]) if rows else ()))
 
 
-def _si(value: Any, unit: str, place: str) -> Any:
+def si_of(value: Any, unit: str, place: str) -> Any:
     if isinstance(value, list):
-        return [_si(item, unit, f"{place}[{i}]") for i, item in enumerate(value)]
+        return [si_of(item, unit, f"{place}[{i}]") for i, item in enumerate(value)]
     try:
         return value.si(unit)
     except ValueError as error:
@@ -315,7 +319,7 @@ def _stated(name: str, entry: Any) -> Stated:
             f"{place}.distribution is {kind!r}: choose from {', '.join(_DISTRIBUTIONS)}"
         )
     distribution, parameters = _DISTRIBUTIONS[kind]
-    _require_keys(entry, ("address", "distribution", "apply", *parameters), place)
+    require_keys(entry, ("address", "distribution", "apply", *parameters), place)
     missing = [p for p in ("address", *parameters) if p not in entry]
     if missing:
         raise ValueError(f"[{place}] lacks {', '.join(missing)}")
@@ -332,7 +336,7 @@ def _stated(name: str, entry: Any) -> Stated:
     apply = entry.get("apply", "replace")
     if not isinstance(apply, str) or apply not in _APPLY:
         raise ValueError(f"{place}.apply is {apply!r}: choose from {', '.join(_APPLY)}")
-    numbers = {p: _quantity(entry[p], f"{place}.{p}") for p in parameters}
+    numbers = {p: one_quantity(entry[p], f"{place}.{p}") for p in parameters}
     return Stated(distribution, tuple(addresses), numbers, _APPLY[apply])
 
 
@@ -345,6 +349,6 @@ def _dispersion(name: str, stated: Stated, scenario: Scenario) -> Dispersion:
     except ValueError as error:
         raise ValueError(f"{place}.address: {error}") from None
     unit = unit_of_draw(scenario, name, stated.addresses, stated.apply)
-    numbers = {p: _si(x, unit, f"{place}.{p}") for p, x in stated.numbers.items()}
+    numbers = {p: si_of(x, unit, f"{place}.{p}") for p, x in stated.numbers.items()}
     distribution = stated.distribution(**numbers)
     return Dispersion(AtAddresses(stated.addresses), distribution, stated.apply)

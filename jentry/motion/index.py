@@ -83,3 +83,20 @@ class DownrangeIndex(AbstractIndex):
     def value(self, planet: Planet, time: Scalar, state: EntryState) -> Scalar:
         downrange, _ = ground_track(planet, self.origin, state)
         return downrange
+
+
+def index_named(name: str, origin: EntryState) -> AbstractIndex:
+    """The index of a name; the downrange is counted from an origin.
+
+    **Raises:** `ValueError` for a name that is none of them.
+    """
+    indices = {
+        "time": TimeIndex(),
+        "velocity": VelocityIndex(),
+        "energy": EnergyIndex(),
+        "altitude": AltitudeIndex(),
+        "downrange": DownrangeIndex(origin),
+    }
+    if name not in indices:
+        raise ValueError(f"no index {name!r}: choose from {', '.join(indices)}")
+    return indices[name]

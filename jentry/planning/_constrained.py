@@ -153,7 +153,9 @@ _BINDS = 1e-6
 """In the units of the problem: nearer to a limit than this it binds"""
 
 
-def _priced(here: Linearized, x: np.ndarray, limits: Limits, iterations: int) -> Optimum:
+def _priced(
+    here: Linearized, x: np.ndarray, limits: Limits, iterations: int
+) -> Optimum:
     """A point with the prices that leave the least slope."""
     import scipy.optimize
 

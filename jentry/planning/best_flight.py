@@ -4,6 +4,8 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
+import jax.numpy as jnp
+
 from ..addresses import addresses_of
 from ..fields import Scalar, units_of
 from ..flight.flight import Flight
@@ -28,8 +30,9 @@ END_QUANTITIES: Mapping[str, str] = _STATE | _BESIDE
 class AtEnd:
     """A quantity at the end of a flight: of its state, or time, energy, downrange, crossrange.
 
-    Downrange and crossrange are counted as in `misses`, from the origin of the target or
-    from where the flight starts; crossrange is positive to the left.
+    Downrange and crossrange are arcs from the origin of the target or from where the flight
+    starts, as in `misses`, the crossrange positive to the left. The downrange goes on past
+    half of the way around, up to three quarters of it.
     """
 
     name: str
@@ -55,7 +58,10 @@ class AtEnd:
             origin = scenario.target.origin
             origin = scenario.initial_state if origin is None else origin
             downrange, crossrange = ground_track(scenario.planet, origin, end)
-            return downrange if self.name == "downrange" else crossrange
+            if self.name == "crossrange":
+                return crossrange
+            around = 2.0 * jnp.pi * scenario.planet.radius
+            return jnp.where(downrange < -0.25 * around, downrange + around, downrange)
         return getattr(end, self.name)
 
 
@@ -144,8 +150,12 @@ def best_flight(
     free, angle = problem.bank, problem.angle_of_attack
     if start is None:
         begins = None if angle is None else angle.start
-        start = free_controls(scenario, free.start, begins, problem.nodes, problem.index)
-    bounds = [Bounds(each.least, each.most) for each in (free, angle) if each is not None]
+        start = free_controls(
+            scenario, free.start, begins, problem.nodes, problem.index
+        )
+    bounds = [
+        Bounds(each.least, each.most) for each in (free, angle) if each is not None
+    ]
     addresses = addresses_of(start, control_coefficients)
     limited = any(each.limit is not None for each in scenario.constraints.values())
     kept = within_limits(scenario) if problem.keeps_limits and limited else {}

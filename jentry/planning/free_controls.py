@@ -1,7 +1,7 @@
 """A flight whose bank and angle of attack are free: splines over an index, to be planned."""
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp

@@ -17,7 +17,6 @@ from .._programs import kept
 from .._setup import needs_float64
 from .._warnings import ResultWarning
 from ..addresses import replace_leaves
-from ..fields import Scalar
 from ..flight.flight import Flight, fly
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
@@ -281,7 +280,9 @@ def optimize(
         prices=limits.named(found.constraints * scale / limits.sizes),
         bound_prices={
             address: np.asarray(x)
-            for address, x in _parted(parameters, found.bounds * scale / limits.scales).items()
+            for address, x in _parted(
+                parameters, found.bounds * scale / limits.scales
+            ).items()
         },
         slope_left=found.slope_left,
         iterations=found.iterations,
@@ -403,7 +404,10 @@ def _limits(problem: _Problem, asked: Mapping[str, Constraint]) -> _Scaled:
         return np.concatenate([np.ravel(getattr(each, name)) for each in maps])
 
     start, scales = all_of("start"), all_of("scale")
-    lower, upper = (all_of("lower") - start) / scales, (all_of("upper") - start) / scales
+    lower, upper = (
+        (all_of("lower") - start) / scales,
+        (all_of("upper") - start) / scales,
+    )
 
     def shapes_of(x):
         return [value for _, value in problem.constrained(*problem.flown(x))]
@@ -412,11 +416,17 @@ def _limits(problem: _Problem, asked: Mapping[str, Constraint]) -> _Scaled:
     shapes = [value.shape for value in seen]
 
     def row(of: Callable[[Constraint], float]) -> np.ndarray:
-        rows = [np.full(math.prod(s), of(c)) for s, c in zip(shapes, asked.values(), strict=True)]
+        rows = [
+            np.full(math.prod(s), of(c))
+            for s, c in zip(shapes, asked.values(), strict=True)
+        ]
         return np.concatenate([np.zeros(0), *rows])
 
     sizes = row(lambda each: each.size)
-    least, most = row(lambda each: each.least) / sizes, row(lambda each: each.most) / sizes
+    least, most = (
+        row(lambda each: each.least) / sizes,
+        row(lambda each: each.most) / sizes,
+    )
     from_below = np.where(np.isfinite(least), least + 1.0, most - 1.0)
     both = np.isfinite(least) & np.isfinite(most)
     with np.errstate(invalid="ignore"):
@@ -434,7 +444,9 @@ def _require_finite(problem: _Problem, seen: _Seen) -> None:
     _, flight = eqx.filter_jit(problem.flown)(jnp.zeros(np.shape(seen.slope)))
     if not has_end(flight.outcome):
         outcome = Outcome(int(flight.outcome)).message
-        raise ValueError(f"the flight at the start says nothing, {outcome}: start elsewhere")
+        raise ValueError(
+            f"the flight at the start says nothing, {outcome}: start elsewhere"
+        )
     what = "objective" if not np.isfinite(seen.value) else "objective or a constraint"
     raise ValueError(
         f"the {what}, or its derivative, is not finite at the start: start elsewhere, or "
@@ -447,7 +459,11 @@ def _unmet(limits: _Scaled, values: np.ndarray) -> str:
     beyond = np.maximum(limits.x.least - values, values - limits.x.most)
     worst = {n: float(np.max(x, initial=0.0)) for n, x in limits.named(beyond).items()}
     named = sorted(worst, key=lambda name: -worst[name])
-    off = [f"{name} by {worst[name]:.2g} of its scale" for name in named if worst[name] > 1e-6]
+    off = [
+        f"{name} by {worst[name]:.2g} of its scale"
+        for name in named
+        if worst[name] > 1e-6
+    ]
     if not off:
         return "all constraints are met there"
     return f"not met there: {', '.join(off)}"

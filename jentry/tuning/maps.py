@@ -186,9 +186,7 @@ def _between(address: str, leaf: Array, bounds: Bounds, positive: bool) -> Betwe
     return Between(leaf, low, high)
 
 
-def _bounds(
-    address: str, leaf: Array, bounds: Bounds
-) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(address: str, leaf: Array, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
     """Both of the shape of the leaf; raises `ValueError` if they are not, or infinite."""
     lower, upper = bounds.lower, bounds.upper
     try:

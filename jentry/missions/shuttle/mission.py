@@ -1,5 +1,7 @@
 """The mission Space Shuttle: its two variants, and what is asked of them."""
 
+import dataclasses
+
 from ...planning.best_flight import AtEnd, FlightProblem, FreeControl
 from ...planning.optimization import Constraint
 from ...units import degree
@@ -32,12 +34,18 @@ def cross_range() -> FlightProblem:
     )
 
 
+def to_both_sides() -> FlightProblem:
+    """The same with the bank to either side: what the landing footprint is found with."""
+    free = FreeControl(START_BANK, -89.0 * degree, 89.0 * degree)
+    return dataclasses.replace(cross_range(), bank=free, published={})
+
+
 MISSION = Mission(
     name="shuttle",
     title="Space Shuttle, the largest cross-range of its re-entry",
     source='Betts, "Practical Methods for Optimal Control and Estimation Using Nonlinear '
     'Programming"',
     variants={"glide": glide, "limited-heating": limited_heating},
-    problems={"cross-range": cross_range},
+    problems={"cross-range": cross_range, "footprint": to_both_sides},
     gains=(),
 )

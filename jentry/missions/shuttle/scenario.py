@@ -117,7 +117,9 @@ def glide() -> Scenario:
             },
             time_limit=4000.0,
         ),
-        target=Target(END_ALTITUDE, END_VELOCITY, 0.0, flight_path_angle=END_PATH_ANGLE),
+        target=Target(
+            END_ALTITUDE, END_VELOCITY, 0.0, flight_path_angle=END_PATH_ANGLE
+        ),
         constraints={
             "wing_heat_rate": WingHeatRate(_per_radian(_HEATING)),
             "load_factor": LoadFactor(),

@@ -4,17 +4,24 @@ Source: D.-W. Lee, K.-R. Cho, H. Yan, "Re-Entry Trajectory Tracking Via an Inver
 Method". What the paper leaves open is stated where it is chosen.
 """
 
+import dataclasses
 import functools
 
 import jax.numpy as jnp
 
 from ..._programs import kept
 from ...flight.scenario import Scenario, Target
-from ...flight.termination import AltitudeBelow, Outcome, Termination
+from ...flight.termination import (
+    AbstractEndCondition,
+    AltitudeBelow,
+    Outcome,
+    Termination,
+    VelocityBelow,
+)
 from ...guidance.angle_of_attack import AngleOfAttackProfile
 from ...guidance.composition import compose
 from ...guidance.law import AbstractLaw
-from ...guidance.open_loop import BankProfile
+from ...guidance.open_loop import BankProfile, ControlProfiles
 from ...guidance.pseudospectral_tracking import (
     DeviationWeights,
     PseudospectralTracking,
@@ -29,7 +36,8 @@ from ...motion.constraints import (
     HeatRate,
     NormalLoadFactor,
 )
-from ...motion.dynamics import EquatorialDynamics
+from ...motion.dynamics import EntryDynamics, EquatorialDynamics
+from ...motion.index import EnergyIndex
 from ...motion.state import EntryState
 from ...onboard.longitudinal import (
     LongitudinalModel,
@@ -37,7 +45,7 @@ from ...onboard.longitudinal import (
     LongitudinalState,
 )
 from ...onboard.model import OnboardModel
-from ...onboard.profiles import JoinedProfile
+from ...onboard.profiles import JoinedProfile, PolynomialProfile
 from ...planning.drag_profile import DragPlan, plan_drag_profile
 from ...planning.inverse_dynamics import (
     AbstractInverse,
@@ -45,7 +53,7 @@ from ...planning.inverse_dynamics import (
     SmallAngleInverse,
 )
 from ...planning.longitudinal_flight import fly_longitudinal, plan_bank_over_velocity
-from ...units import km, standard_gravity
+from ...units import degree, km, standard_gravity
 from ...world.atmosphere import ExponentialAtmosphere
 from ...world.gravity import InverseSquareGravity
 from ...world.planet import Planet
@@ -63,6 +71,10 @@ RADIUS = 6378.0 * km
 """Not printed"""
 STEP = 0.1
 """s"""
+GLIDE_BANK = 60.0 * degree
+"""Of the flight with which planning of the longest and of the shortest range begins"""
+GLIDE_STEP = 1.0
+"""s; no law acts on it"""
 
 _HEATING = 1.7415e-4
 """W s3/(kg1/2 m7/2): Sutton and Graves, for a sphere of 1 m, about which the paper says
@@ -217,6 +229,29 @@ def receding_with_range() -> Scenario:
 def open_loop() -> Scenario:
     """The planned bank over the velocity, without feedback."""
     return entry(BankProfile(cos_bank()), reference())
+
+
+def glide() -> Scenario:
+    """A constant bank down to the velocity of the end: where the best range begins.
+
+    It starts as the reference does, and keeps the angle of attack over the velocity.
+    """
+    of = reference()
+    bank = ControlProfiles(
+        EnergyIndex(), earth(), None, PolynomialProfile(jnp.array([GLIDE_BANK]))
+    )
+    ends: dict[str, AbstractEndCondition] = {
+        "velocity": VelocityBelow(LAST_VELOCITY),
+        "ground": AltitudeBelow(altitude=0.0, outcome=Outcome.CRASHED),
+    }
+    termination = Termination(ends, time_limit=3.0 * float(of.ends[-1]))
+    flown = entry(bank, of)
+    return dataclasses.replace(flown, termination=termination, step=GLIDE_STEP)
+
+
+def glide_in_space() -> Scenario:
+    """The same in three dimensions: the constant bank turns it to the right."""
+    return dataclasses.replace(glide(), dynamics=EntryDynamics())
 
 
 def exact_inverse() -> Scenario:

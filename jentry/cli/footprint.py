@@ -1,0 +1,88 @@
+"""`jentry footprint`: where a vehicle can end its flight."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .optimize import AngleOfAttack, Bank, End, Every, Limits, Nodes, OverIndex
+from .options import (
+    Config,
+    MissionName,
+    Set,
+    Step,
+    Variant,
+    app,
+    chosen_scenario,
+    first_given,
+    set_up,
+)
+
+
+@app.command("footprint")
+def command(
+    mission: MissionName,
+    directions: Annotated[
+        int,
+        typer.Option(help="Points on the outline beside the four outermost."),
+    ] = 16,
+    problem: Annotated[
+        str | None,
+        typer.Option(
+            help="Of the mission: what is free and what is kept. The one named footprint, "
+            "or its first, if not given."
+        ),
+    ] = None,
+    end: End = None,
+    limits: Limits = True,
+    bank: Bank = None,
+    angle_of_attack: AngleOfAttack = None,
+    nodes: Nodes = None,
+    over: OverIndex = None,
+    every: Every = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for table and figure: results/MISSION-footprint if not given."
+        ),
+    ] = None,
+    variant: Variant = None,
+    set_: Set = None,
+    config: Config = None,
+    step: Step = None,
+) -> None:
+    """Find the landing footprint: flights that end as far out as they can, all around."""
+    set_up(workers=1)
+
+    from ..flight.solver import FixedStep
+    from ..motion.index import index_named
+    from ..planning.footprint import footprint
+    from .optimization_options import problem_asked
+    from .optimization_report import print_footprint, write_footprint
+    from .report import progress
+
+    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    name = first_given(variant, overrides.variant, *chosen.variants)
+    if problem is None and "footprint" in chosen.problems:
+        problem = "footprint"
+    origin = scenario.target.origin or scenario.initial_state
+    asked = problem_asked(
+        chosen,
+        problem,
+        scenario,
+        maximize=None if problem or chosen.problems else "downrange",
+        minimize=None,
+        end=end or (),
+        keeps_limits=limits,
+        bank=bank,
+        angle_of_attack=angle_of_attack,
+        nodes=nodes,
+        index=None if over is None else index_named(over, origin),
+        history=every,
+    )
+    with progress(directions + 4) as told:
+        found = footprint(scenario, asked, directions, FixedStep(step), told)
+    print_footprint(chosen, name, found)
+    folder = Path("results") / f"{chosen.name}-footprint" if out is None else out
+    for written in write_footprint(folder, chosen, name, found):
+        typer.echo(f"written: {written}")

@@ -1,0 +1,128 @@
+"""Options of `jentry optimize`: what is asked of a flight, and what is free."""
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any
+
+from ..addresses import nearest
+from ..flight.scenario import Scenario
+from ..missions.mission import Mission
+from ..motion.index import AbstractIndex
+from ..planning.best_flight import (
+    END_QUANTITIES,
+    AtEnd,
+    FlightProblem,
+    FreeControl,
+    Peak,
+)
+from ..planning.optimization import Constraint
+from ..units import degree, parse_quantity
+
+
+_SMALL = {"rad": degree, "s": 1.0, "m": 1000.0, "m/s": 1.0, "J/kg": 1000.0}
+"""How much of a quantity that is to end at zero counts as a lot"""
+
+
+def problem_asked(
+    mission: Mission,
+    name: str | None,
+    scenario: Scenario,
+    *,
+    maximize: str | None,
+    minimize: str | None,
+    end: Iterable[str],
+    keeps_limits: bool,
+    bank: str | None,
+    angle_of_attack: str | None,
+    nodes: int | None,
+    index: AbstractIndex | None,
+    history: float | None,
+) -> FlightProblem:
+    """The problem of a mission with what the options change, or one of options alone.
+
+    **Raises:** `ValueError` for what is not known or is given twice, and for a mission
+    without problems where the options do not say what to make large or small, and by what.
+    """
+    if maximize is not None and minimize is not None:
+        raise ValueError("give --maximize or --minimize, not both")
+    wanted = maximize if minimize is None else minimize
+    changes: dict[str, Any] = {"keeps_limits": keeps_limits}
+    if wanted is not None:
+        changes["objective"] = _quantity(wanted, scenario)
+        changes |= {"largest": minimize is None, "published": {}}
+    ends = _constraints(end)
+    if ends:
+        changes |= {"constraints": ends, "published": {}}
+    for key, given in (("bank", bank), ("angle_of_attack", angle_of_attack)):
+        if given is not None:
+            changes[key] = _control(f"--{key.replace('_', '-')}", given)
+    if history is not None and not 0.0 < history < float("inf"):
+        raise ValueError(f"--every is {history} s: it must be positive and finite")
+    beside = {"nodes": nodes, "index": index, "history": history}
+    changes |= {key: given for key, given in beside.items() if given is not None}
+    if name is not None or mission.problems:
+        return dataclasses.replace(mission.problem(name), **changes)
+    if "objective" not in changes or "bank" not in changes:
+        raise ValueError(
+            f"mission {mission.name} has no problem of its own: say what is to be large, "
+            "such as --maximize downrange, and what the bank may be, such as "
+            "--bank -60deg:-90deg:90deg"
+        )
+    return FlightProblem(**changes)
+
+
+def _quantity(name: str, scenario: Scenario) -> AtEnd | Peak:
+    if name in END_QUANTITIES:
+        return AtEnd(name)
+    if name in scenario.constraints:
+        return Peak(name)
+    known = [*END_QUANTITIES, *scenario.constraints]
+    raise ValueError(
+        f"no quantity {name!r} at the end, and no path constraint; {nearest(name, known)}"
+    )
+
+
+def _constraints(options: Iterable[str]) -> dict[str, Constraint]:
+    found = {}
+    for option in options:
+        name, equals, value = option.partition("=")
+        if not equals:
+            raise ValueError(
+                f"--end {option}: write QUANTITY=VALUE or QUANTITY=LOW:HIGH"
+            )
+        if name not in END_QUANTITIES:
+            raise ValueError(
+                f"--end {option}: no quantity {name!r} at the end; "
+                f"{nearest(name, END_QUANTITIES)}"
+            )
+        if name in found:
+            raise ValueError(f"--end {name} is given twice: once")
+        quantity = AtEnd(name)
+        low, colon, high = value.partition(":")
+        try:
+            numbers = [
+                parse_quantity(x, quantity.unit)
+                for x in ([low, high] if colon else [low])
+            ]
+            scale = None if any(numbers) else _SMALL[quantity.unit]
+            if colon:
+                limits = {"at_least": numbers[0], "at_most": numbers[1]}
+            else:
+                limits = {"equals": numbers[0]}
+            found[name] = Constraint(quantity, **limits, scale=scale)
+        except ValueError as error:
+            raise ValueError(f"--end {option}: {error}") from None
+    return found
+
+
+def _control(option: str, given: str) -> FreeControl:
+    parts = given.split(":")
+    if len(parts) != 3:
+        raise ValueError(
+            f"{option} {given}: write where it begins and between which values it stays, "
+            "20deg:0deg:40deg"
+        )
+    try:
+        return FreeControl(*(parse_quantity(part, "rad") for part in parts))
+    except ValueError as error:
+        raise ValueError(f"{option} {given}: {error}") from None

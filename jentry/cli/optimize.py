@@ -1,0 +1,134 @@
+"""`jentry optimize`: the best flight of a vehicle, under constraints."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .options import (
+    Config,
+    MissionName,
+    Over,
+    Set,
+    Step,
+    Variant,
+    app,
+    chosen_scenario,
+    first_given,
+    set_up,
+)
+
+
+_CONTROL = "START:LEAST:MOST"
+
+
+End = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="QUANTITY=VALUE",
+        help="What the flight has to end with, altitude=24.4km, in place of what the "
+        "problem has; LOW:HIGH for between two values. May be repeated.",
+    ),
+]
+Limits = Annotated[bool, typer.Option(help="Keep the limits of the path constraints.")]
+Bank = Annotated[
+    str | None,
+    typer.Option(
+        metavar=_CONTROL,
+        help="Where the bank begins and between which values it stays: -45deg:-89deg:1deg.",
+    ),
+]
+AngleOfAttack = Annotated[
+    str | None,
+    typer.Option(
+        metavar=_CONTROL,
+        help="The angle of attack likewise; left to the law of the mission if neither "
+        "this nor the problem has it.",
+    ),
+]
+Nodes = Annotated[
+    int | None, typer.Option(help="Coefficients of each spline; 40 if not given.")
+]
+OverIndex = Annotated[
+    Over | None,
+    typer.Option(help="What the splines are over; the energy if not given."),
+]
+Every = Annotated[
+    float | None,
+    typer.Option(help="Interval at which limits are kept, s; 10 if not given."),
+]
+
+
+@app.command("optimize")
+def command(
+    mission: MissionName,
+    problem: Annotated[
+        str | None,
+        typer.Option(
+            help="Of the mission, its first if not given; the other options change it."
+        ),
+    ] = None,
+    maximize: Annotated[
+        str | None,
+        typer.Option(
+            metavar="QUANTITY",
+            help="What is to be large: latitude, downrange or another quantity at the end, "
+            "or the peak of a path constraint by its name.",
+        ),
+    ] = None,
+    minimize: Annotated[
+        str | None,
+        typer.Option(metavar="QUANTITY", help="What is to be small, likewise."),
+    ] = None,
+    end: End = None,
+    limits: Limits = True,
+    bank: Bank = None,
+    angle_of_attack: AngleOfAttack = None,
+    nodes: Nodes = None,
+    over: OverIndex = None,
+    every: Every = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for the best flight: results/MISSION-optimized if not given."
+        ),
+    ] = None,
+    variant: Variant = None,
+    set_: Set = None,
+    config: Config = None,
+    step: Step = None,
+) -> None:
+    """Find the best flight: bank and angle of attack by exact gradients through it."""
+    set_up(workers=1)
+
+    from ..flight.solver import FixedStep
+    from ..motion.index import index_named
+    from ..planning.best_flight import best_flight
+    from .optimization_options import problem_asked
+    from .optimization_report import print_optimized, write_optimized
+
+    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    name = first_given(variant, overrides.variant, *chosen.variants)
+    origin = scenario.target.origin or scenario.initial_state
+    asked = problem_asked(
+        chosen,
+        problem,
+        scenario,
+        maximize=maximize,
+        minimize=minimize,
+        end=end or (),
+        keeps_limits=limits,
+        bank=bank,
+        angle_of_attack=angle_of_attack,
+        nodes=nodes,
+        index=None if over is None else index_named(over, origin),
+        history=every,
+    )
+    start = None if overrides.free_controls is None else scenario
+    best = best_flight(scenario, asked, FixedStep(step), start)
+    print_optimized(chosen, name, asked, best)
+    folder = Path("results") / f"{chosen.name}-optimized" if out is None else out
+    for written in write_optimized(
+        folder, mission, chosen, name, asked, best, overrides, step
+    ):
+        typer.echo(f"written: {written}")

@@ -1,0 +1,171 @@
+"""The landing footprint: where a vehicle can end, as the outline of a set of points."""
+
+import dataclasses
+import itertools
+import math
+from collections.abc import Callable
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._setup import needs_float64
+from ..addresses import addresses_of, replace_leaves
+from ..fields import Scalar
+from ..flight.flight import Flight
+from ..flight.scenario import Scenario, Target
+from ..flight.solver import AbstractSolver, FixedStep
+from .best_flight import AtEnd, FlightProblem, best_flight
+from .free_controls import free_part
+from .optimization import Optimized
+
+
+_FAR = 2.0
+"""How far away the targets lie that are approached, in half-widths of the footprint"""
+
+
+@dataclasses.dataclass(frozen=True)
+class OffTarget:
+    """Half the square of the distance from the target, in units of two lengths (m).
+
+    Of downrange and crossrange, as `AtEnd` counts them.
+    """
+
+    along: float
+    across: float
+
+    def __call__(self, scenario: Scenario, flight: Flight) -> Scalar:
+        target = scenario.target
+        downrange = AtEnd("downrange")(scenario, flight) - target.downrange
+        crossrange = AtEnd("crossrange")(scenario, flight) - target.crossrange
+        return 0.5 * ((downrange / self.along) ** 2 + (crossrange / self.across) ** 2)
+
+
+@dataclasses.dataclass(frozen=True)
+class Footprint:
+    """Points on the outline of where a vehicle can end, around it."""
+
+    downrange: np.ndarray
+    """(points,) m, as in `misses`"""
+    crossrange: np.ndarray
+    """(points,) m, positive to the left"""
+    flights: tuple[Optimized, ...]
+    """That end there"""
+    failed: tuple[str, ...] = ()
+    """Why a direction has no point, if some have none"""
+
+
+@needs_float64
+def footprint(
+    scenario: Scenario,
+    problem: FlightProblem,
+    directions: int = 16,
+    solver: AbstractSolver = FixedStep(),
+    report: Callable[[int], None] = lambda done: None,
+) -> Footprint:
+    """Points on the outline of the set of places where a vehicle can end its flight.
+
+    First the largest and the smallest downrange and crossrange are found. Then targets
+    outside, in directions at equal angles around the middle (in units of the two widths),
+    are approached as near as can be. Each flight is an optimum, with the constraints of the
+    problem, and begins with the controls of the one before. The outline through the points
+    may cut off a hollow of the set, and holds no point that cannot be reached.
+
+    **Arguments:**
+
+    - `problem`: what is free and what is kept; its objective does not matter.
+    - `directions`: how many points more there are than the first four.
+    - `report`: is told how many of the flights are found.
+
+    **Raises:** `ValueError` where the first four are not found, and for motion in a plane.
+    A direction without an optimum is left out, and told of.
+    """
+    if not scenario.dynamics.has_crossrange:
+        raise ValueError(
+            f"{type(scenario.dynamics).__name__} has no crossrange, and a footprint has: "
+            "take dynamics=EntryDynamics()"
+        )
+    if directions < 0:
+        raise ValueError(f"directions is {directions}: it must be 0 or more")
+    extremes: list[Optimized] = []
+    for name, largest in (
+        ("downrange", True),
+        ("downrange", False),
+        ("crossrange", True),
+        ("crossrange", False),
+    ):
+        asked = dataclasses.replace(problem, objective=AtEnd(name), largest=largest)
+        # The flight to the right begins as the mirror image of that to the left.
+        begin = (
+            _mirrored(extremes[-1].scenario, problem) if len(extremes) == 3 else None
+        )
+        extremes.append(best_flight(scenario, asked, solver, start=begin))
+        report(len(extremes))
+    places = np.array([_place(each) for each in extremes])
+    (far, _), (near, _), (_, left), (_, right) = places
+    middle = 0.5 * (far + near), 0.5 * (left + right)
+    along, across = 0.5 * (far - near), 0.5 * (left - right)
+    if not (along > 0.0 and across > 0.0):
+        raise ValueError(
+            f"the footprint is {2.0 * along:g} m long and {2.0 * across:g} m wide: nothing "
+            "is left that could be free"
+        )
+    asked = dataclasses.replace(
+        problem, objective=OffTarget(along, across), largest=False
+    )
+    found, failed = list(extremes), []
+    for number in range(directions):
+        angle = 2.0 * math.pi * (number + 0.5) / directions
+        aim = (
+            middle[0] + _FAR * along * math.cos(angle),
+            middle[1] + _FAR * across * math.sin(angle),
+        )
+        begin = _nearest(found, problem, aim)
+        begin = dataclasses.replace(begin, target=_aimed(scenario.target, *aim))
+        try:
+            found.append(best_flight(scenario, asked, solver, start=begin))
+        except ValueError as error:
+            failed.append(f"{math.degrees(angle):.0f} deg: {error}")
+        report(len(found) + len(failed))
+    around = sorted(found, key=lambda each: _angle(each, middle, along, across))
+    places = np.array([_place(each) for each in around])
+    return Footprint(places[:, 0], places[:, 1], tuple(around), tuple(failed))
+
+
+def _place(best: Optimized) -> tuple[float, float]:
+    downrange = AtEnd("downrange")(best.scenario, best.flight)
+    return float(downrange), float(AtEnd("crossrange")(best.scenario, best.flight))
+
+
+def _mirrored(scenario: Scenario, problem: FlightProblem) -> Scenario:
+    """The splines with the bank to the other side, as far as it may be."""
+    least, most = problem.bank.least, problem.bank.most
+    where = lambda s: free_part(s).bank.coefficients
+    (address,) = addresses_of(scenario, where)
+    other = jnp.clip(-where(scenario), least, most)
+    return replace_leaves(scenario, {address: other})
+
+
+def _nearest(
+    found: list[Optimized], problem: FlightProblem, aim: tuple[float, float]
+) -> Scenario:
+    """Of the flights and their mirror images the one that ends nearest to an aim."""
+
+    def off(best: Optimized, side: float) -> float:
+        downrange, crossrange = _place(best)
+        return math.dist((downrange, side * crossrange), aim)
+
+    best, side = min(itertools.product(found, (1.0, -1.0)), key=lambda each: off(*each))
+    return best.scenario if side > 0.0 else _mirrored(best.scenario, problem)
+
+
+def _aimed(target: Target, downrange: float, crossrange: float) -> Target:
+    return dataclasses.replace(target, downrange=downrange, crossrange=crossrange)
+
+
+def _angle(
+    best: Optimized, middle: tuple[float, float], along: float, across: float
+) -> float:
+    downrange, crossrange = _place(best)
+    return math.atan2(
+        (crossrange - middle[1]) / across, (downrange - middle[0]) / along
+    )

@@ -1,0 +1,98 @@
+"""The best flight that was found: its path, its controls and the limits that it keeps."""
+
+import itertools
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .._printed import in_words
+from ..flight.flight import History
+from ..planning.optimization import Optimized
+from ..units import degree, km
+from .style import ENDS, MUTED, NOMINAL, RUNS, in_style, legend, panelled
+
+
+if TYPE_CHECKING:
+    import matplotlib.axes
+    import matplotlib.figure
+
+
+def draw_best_flight(best: Optimized, title: str = "") -> "matplotlib.figure.Figure":
+    """Altitude over velocity, the controls and what has a limit over time, the track.
+
+    **Raises:** `ValueError` for a flight without a history.
+    """
+    history = best.flight.history
+    if history is None:
+        raise ValueError(
+            "the flight has no history to draw: optimize(..., history=5.0) keeps one"
+        )
+    limited = {
+        name: constraint
+        for name, constraint in best.scenario.constraints.items()
+        if constraint.limit is not None and float(constraint.limit) > 0.0
+    }
+    draw = [_path, _controls]
+    if limited:
+        draw.append(_limits)
+    if best.scenario.dynamics.has_crossrange:
+        draw.append(_track)
+    with in_style():
+        figure, panels = panelled(4.3 * len(draw), 3.9, len(draw), title)
+        for axes, panel in zip(panels, draw, strict=True):
+            panel(axes, best, history)
+            legend(axes)
+    return figure
+
+
+def _flown(history: History, values, end=None) -> np.ndarray:
+    """Values while the flight goes on, and the one at its end."""
+    flown = np.asarray(values)[np.isfinite(np.asarray(history.time))]
+    return flown if end is None else np.append(flown, np.asarray(end))
+
+
+def _path(axes: "matplotlib.axes.Axes", best: Optimized, history: History) -> None:
+    states, end = history.states, best.flight.state
+    velocity = _flown(history, states.velocity, end.velocity)
+    altitude = _flown(history, states.altitude, end.altitude)
+    axes.plot(velocity, altitude / km, color=RUNS)
+    axes.plot(velocity[-1], altitude[-1] / km, "o", color=NOMINAL, ms=4.0)
+    axes.invert_xaxis()
+    axes.set_xlabel("Velocity (m/s)")
+    axes.set_ylabel("Altitude (km)")
+    axes.set_title("time →", loc="right", color=MUTED)
+
+
+def _controls(axes: "matplotlib.axes.Axes", best: Optimized, history: History) -> None:
+    time = _flown(history, history.time)
+    for name, values, colour in (
+        ("bank", history.controls.bank_angle, ENDS[0]),
+        ("angle of attack", history.controls.angle_of_attack, ENDS[1]),
+    ):
+        axes.plot(time, _flown(history, values) / degree, color=colour, label=name)
+    axes.set_xlabel("Time (s)")
+    axes.set_ylabel("Controls (deg)")
+
+
+def _limits(axes: "matplotlib.axes.Axes", best: Optimized, history: History) -> None:
+    time = _flown(history, history.time)
+    colours = itertools.cycle(ENDS)
+    for name, constraint in best.scenario.constraints.items():
+        if constraint.limit is None or float(constraint.limit) <= 0.0:
+            continue
+        share = _flown(history, history.constraints[name]) / float(constraint.limit)
+        axes.plot(time, share, color=next(colours), label=in_words(name))
+    axes.axhline(1.0, color=NOMINAL, lw=1.0, ls=(0, (5, 3)))
+    axes.set_xlabel("Time (s)")
+    axes.set_ylabel("Share of the limit")
+    axes.set_ylim(bottom=0.0)
+
+
+def _track(axes: "matplotlib.axes.Axes", best: Optimized, history: History) -> None:
+    states, end = history.states, best.flight.state
+    longitude = _flown(history, states.longitude, end.longitude) / degree
+    latitude = _flown(history, states.latitude, end.latitude) / degree
+    axes.plot(longitude, latitude, color=RUNS)
+    axes.plot(longitude[-1], latitude[-1], "o", color=NOMINAL, ms=4.0)
+    axes.set_xlabel("Longitude (deg)")
+    axes.set_ylabel("Latitude (deg)")
