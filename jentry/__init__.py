@@ -7,6 +7,7 @@ scenario = jentry.find_mission("mars-drag-tracking").scenario()
 flight = jentry.fly(scenario)
 campaign = jentry.monte_carlo(scenario, dispersions, key)
 tuned = jentry.tune(scenario, where, loss, optimizer, jentry.Draws(dispersions, key))
+best = jentry.optimize(scenario, where, objective, constraints)
 """
 
 from importlib import import_module

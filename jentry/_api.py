@@ -130,6 +130,22 @@ from .onboard import (
     propagate_over as propagate_over,
     quintic_profile as quintic_profile,
 )
+from .planning import (
+    AlongPath as AlongPath,
+    AtEnd as AtEnd,
+    Constraint as Constraint,
+    FlightProblem as FlightProblem,
+    Footprint as Footprint,
+    FreeControl as FreeControl,
+    Optimized as Optimized,
+    Peak as Peak,
+    best_flight as best_flight,
+    control_coefficients as control_coefficients,
+    footprint as footprint,
+    free_controls as free_controls,
+    optimize as optimize,
+    within_limits as within_limits,
+)
 from .tuning import (
     AutomaticDifferentiation as AutomaticDifferentiation,
     Bounds as Bounds,

@@ -125,6 +125,12 @@ def test_exit_codes_of_the_process(words, code, said, tmp_path):
 
 
 RUN = {"variant", "set", "config", "step"}
+FREE = {"problem", "end", "limits", "no-limits", "bank", "angle-of-attack", "nodes"} | {
+    "over",
+    "every",
+    "out",
+}
+"""What is free, and what is kept"""
 
 
 ARRIVE = {
@@ -141,6 +147,8 @@ ARRIVE = {
     | {"scale", "differences", "smooth-reversals", "no-smooth-reversals"}
     | {"least-damping", "faster-than"},
     "linearize": RUN | {"over", "points", "out", "faster-than"},
+    "optimize": RUN | FREE | {"maximize", "minimize"},
+    "footprint": RUN | FREE | {"directions"},
     "train": {"out", "seed", "flights", "again", "iterations", "workers"},
     "sensitivity": RUN
     | {"wrt", "scale", "runs", "seed", "workers", "dispersions", "differences"}

@@ -56,7 +56,7 @@ def command(
 
     from ..flight.solver import FixedStep
     from ..motion.index import index_named
-    from ..planning.footprint import footprint
+    from ..planning.landing_footprint import footprint
     from .optimization_options import problem_asked
     from .optimization_report import print_footprint, write_footprint
     from .report import progress

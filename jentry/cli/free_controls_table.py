@@ -22,8 +22,8 @@ from ..motion.index import (
     VelocityIndex,
     index_named,
 )
-from ..planning.best_flight import FlightProblem
-from ..planning.free_controls import free_controls
+from ..planning.control_splines import free_controls
+from ..planning.flight_problem import FlightProblem, FreeControl
 from ..tuning.saving import with_unit
 from .overrides import Overrides, apply_values, in_si, one_quantity, require_keys, si_of
 
@@ -54,8 +54,10 @@ def table_of(problem: FlightProblem) -> dict[str, Any]:
             f"name: choose from {', '.join(_NAMES.values())}"
         )
     angle = problem.angle_of_attack
-    free = {} if angle is None else {"angle_of_attack": with_unit(angle.start, "rad")}
-    bank = with_unit(problem.bank.start, "rad")
+    free = (
+        {} if angle is None else {"angle_of_attack": with_unit(angle.start, angle.unit)}
+    )
+    bank = with_unit(problem.bank.start, problem.bank.unit)
     return {"bank": bank, **free, "nodes": problem.nodes, "over": over}
 
 
@@ -90,4 +92,4 @@ def with_free_controls(scenario: Scenario, overrides: Overrides) -> Scenario:
 
 def _angle(table: Mapping[str, Any], key: str) -> float:
     place = f"free_controls.{key}"
-    return si_of(one_quantity(table[key], place), "rad", place)
+    return si_of(one_quantity(table[key], place), FreeControl.unit, place)

@@ -8,7 +8,7 @@ from ..addresses import nearest
 from ..flight.scenario import Scenario
 from ..missions.mission import Mission
 from ..motion.index import AbstractIndex
-from ..planning.best_flight import (
+from ..planning.flight_problem import (
     END_QUANTITIES,
     AtEnd,
     FlightProblem,
@@ -16,11 +16,7 @@ from ..planning.best_flight import (
     Peak,
 )
 from ..planning.optimization import Constraint
-from ..units import degree, parse_quantity
-
-
-_SMALL = {"rad": degree, "s": 1.0, "m": 1000.0, "m/s": 1.0, "J/kg": 1000.0}
-"""How much of a quantity that is to end at zero counts as a lot"""
+from ..units import parse_quantity
 
 
 def problem_asked(
@@ -104,7 +100,7 @@ def _constraints(options: Iterable[str]) -> dict[str, Constraint]:
                 parse_quantity(x, quantity.unit)
                 for x in ([low, high] if colon else [low])
             ]
-            scale = None if any(numbers) else _SMALL[quantity.unit]
+            scale = None if any(numbers) else quantity.much
             if colon:
                 limits = {"at_least": numbers[0], "at_most": numbers[1]}
             else:
@@ -123,6 +119,6 @@ def _control(option: str, given: str) -> FreeControl:
             "20deg:0deg:40deg"
         )
     try:
-        return FreeControl(*(parse_quantity(part, "rad") for part in parts))
+        return FreeControl(*(parse_quantity(part, FreeControl.unit) for part in parts))
     except ValueError as error:
         raise ValueError(f"{option} {given}: {error}") from None

@@ -14,8 +14,8 @@ from ..flight.flight import Flight
 from ..flight.solver import FixedStep
 from ..missions.mission import Mission
 from ..motion.state import EntryState
-from ..planning.best_flight import AtEnd, FlightProblem, Peak
-from ..planning.footprint import Footprint
+from ..planning.flight_problem import AtEnd, FlightProblem, Peak
+from ..planning.landing_footprint import Footprint
 from ..planning.optimization import Optimized
 from ..plots import save_figures
 from ..plots.best_flight import draw_best_flight
@@ -149,8 +149,9 @@ def write_optimized(
     write_flight(
         history, scenario, best.flight, solver, problem.history, **mission.labels
     )
-    words, unit = _described(problem, best)
-    figure = draw_best_flight(best, f"{mission.title}: {words}")
+    words, _ = _described(problem, best)
+    aim = "largest" if problem.largest else "smallest"
+    figure = draw_best_flight(best, f"{mission.title}: {aim} {words}")
     save_figures({"best-flight": figure}, folder / "figures")
     return [configuration, history, folder / "figures" / "best-flight.png"]
 

@@ -103,7 +103,7 @@ def command(
 
     from ..flight.solver import FixedStep
     from ..motion.index import index_named
-    from ..planning.best_flight import best_flight
+    from ..planning.flight_problem import best_flight
     from .optimization_options import problem_asked
     from .optimization_report import print_optimized, write_optimized
 

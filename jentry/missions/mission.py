@@ -10,7 +10,7 @@ import numpy as np
 from .._setup import needs_float64
 from ..campaign.dispersions import Dispersion
 from ..flight.scenario import Scenario
-from ..planning.best_flight import FlightProblem
+from ..planning.flight_problem import FlightProblem
 from ..plots.campaign import USUAL, DrawFigure
 
 

@@ -6,10 +6,21 @@ from .bezier_curve import (
     plan_parameters as plan_parameters,
     velocity_map as velocity_map,
 )
+from .control_splines import (
+    control_coefficients as control_coefficients,
+    free_controls as free_controls,
+)
 from .drag_profile import (
     CollocatedProfile as CollocatedProfile,
     DragPlan as DragPlan,
     plan_drag_profile as plan_drag_profile,
+)
+from .flight_problem import (
+    AtEnd as AtEnd,
+    FlightProblem as FlightProblem,
+    FreeControl as FreeControl,
+    Peak as Peak,
+    best_flight as best_flight,
 )
 from .glide import Glide as Glide, plan_glide as plan_glide
 from .ground_track import (
@@ -21,9 +32,17 @@ from .inverse_dynamics import (
     InversePoint as InversePoint,
     SmallAngleInverse as SmallAngleInverse,
 )
+from .landing_footprint import Footprint as Footprint, footprint as footprint
 from .longitudinal_flight import (
     fly_longitudinal as fly_longitudinal,
     plan_bank_over_velocity as plan_bank_over_velocity,
+)
+from .optimization import (
+    AlongPath as AlongPath,
+    Constraint as Constraint,
+    Optimized as Optimized,
+    optimize as optimize,
+    within_limits as within_limits,
 )
 from .reference_flight import (
     ReferenceFlight as ReferenceFlight,

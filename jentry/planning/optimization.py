@@ -310,7 +310,7 @@ class _Problem(eqx.Module):
         value = jnp.asarray(self.objective(scenario, flight), float)
         if value.shape != ():
             raise ValueError(
-                f"the objective has shape {value.shape}: it must be one number of the flight"
+                f"the objective has shape {value.shape}: it must be one number"
             )
         value = jnp.where(has_end(flight.outcome), value, jnp.nan)
         values, over = [jnp.zeros(0)], [jnp.zeros(0, bool)]

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from ..motion.quantities import ground_track
-from ..planning.footprint import Footprint
+from ..planning.landing_footprint import Footprint
 from ..units import km
 from .style import MUTED, NOMINAL, RUNS, RUNS_LIGHT, in_style, legend, panelled
 

@@ -61,7 +61,8 @@ class Parameters(eqx.Module):
     ) -> "Parameters":
         """Of the leaves that a lens reaches, or of all; see `tune`.
 
-        `as_map` makes the map of a leaf, as `map_of` does. Raises `ValueError` if that cannot be tuned.
+        `as_map` makes the map of a leaf, as `map_of` does. Raises `ValueError` if that
+        cannot be tuned.
         """
         start = _with_arrays(start)
         leaves, ranges = leaves_by_address(start), dict(ranges or {})

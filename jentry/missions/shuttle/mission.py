@@ -2,7 +2,7 @@
 
 import dataclasses
 
-from ...planning.best_flight import AtEnd, FlightProblem, FreeControl
+from ...planning.flight_problem import AtEnd, FlightProblem, FreeControl
 from ...planning.optimization import Constraint
 from ...units import degree
 from ..mission import Mission

@@ -9,7 +9,7 @@ import dataclasses
 import jax.numpy as jnp
 
 from ..._math import horner
-from ...fields import Scalar, Vector, optional_scalar, table
+from ...fields import Scalar, Vector, optional_scalar
 from ...flight.scenario import Scenario, Target
 from ...flight.termination import AltitudeBelow, EnergyBelow, Outcome, Termination
 from ...guidance.open_loop import ControlProfiles
@@ -47,21 +47,20 @@ def _per_radian(polynomial: tuple[float, ...]) -> Vector:
 
 
 class WingHeatRate(AbstractConstraint):
-    """Heat rate at the leading edge of the wing: over density, velocity and angle of attack.
+    """Heat rate at the leading edge of the wing, at an angle of attack.
 
     17 700 sqrt(density) (velocity / 10^4)^3.07 in Btu/(ft2 s), with slug/ft3 and ft/s,
     times a polynomial of the angle of attack.
     """
 
-    angle_of_attack: Vector = table()
-    """Coefficients of the polynomial over rad, the constant first"""
     limit: Scalar | None = optional_scalar(unit="W/m2")
     unit = "W/m2"
 
     def value(self, point: PathPoint) -> Scalar:
         density = point.air.density / (slug / foot**3)
         velocity = point.air.airspeed / foot
-        of_angle = horner(self.angle_of_attack[::-1], point.controls.angle_of_attack)
+        angle = point.controls.angle_of_attack / degree
+        of_angle = horner(_HEATING[::-1], angle)
         of_flow = 17_700.0 * jnp.sqrt(density) * (1e-4 * velocity) ** 3.07
         return of_angle * of_flow * _BTU_PER_FT2_S
 
@@ -111,7 +110,9 @@ def glide() -> Scenario:
         termination=Termination(
             {
                 "energy": EnergyBelow(
-                    energy(planet, end), planet.radius, gravity=planet.gravity
+                    energy=energy(planet, end),
+                    radius=planet.radius,
+                    gravity=planet.gravity,
                 ),
                 "ground": AltitudeBelow(altitude=0.0, outcome=Outcome.CRASHED),
             },
@@ -121,7 +122,7 @@ def glide() -> Scenario:
             END_ALTITUDE, END_VELOCITY, 0.0, flight_path_angle=END_PATH_ANGLE
         ),
         constraints={
-            "wing_heat_rate": WingHeatRate(_per_radian(_HEATING)),
+            "wing_heat_rate": WingHeatRate(),
             "load_factor": LoadFactor(),
         },
         step=STEP,
@@ -130,7 +131,7 @@ def glide() -> Scenario:
 
 def limited_heating() -> Scenario:
     """The same with a heat rate of the wing of 70 Btu/(ft2 s) at most."""
-    limited = WingHeatRate(_per_radian(_HEATING), HEATING_LIMIT)
+    limited = WingHeatRate(limit=HEATING_LIMIT)
     scenario = glide()
     constraints = {**scenario.constraints, "wing_heat_rate": limited}
     return dataclasses.replace(scenario, constraints=constraints)

@@ -5,7 +5,7 @@ import functools
 from collections.abc import Callable
 
 from ...flight.scenario import Scenario
-from ...planning.best_flight import AtEnd, FlightProblem, FreeControl
+from ...planning.flight_problem import AtEnd, FlightProblem, FreeControl
 from ...planning.optimization import Constraint
 from ...units import degree
 from ..mission import Mission

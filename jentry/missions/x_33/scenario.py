@@ -241,7 +241,7 @@ def glide() -> Scenario:
         EnergyIndex(), earth(), None, PolynomialProfile(jnp.array([GLIDE_BANK]))
     )
     ends: dict[str, AbstractEndCondition] = {
-        "velocity": VelocityBelow(LAST_VELOCITY),
+        "velocity": VelocityBelow(velocity=LAST_VELOCITY),
         "ground": AltitudeBelow(altitude=0.0, outcome=Outcome.CRASHED),
     }
     termination = Termination(ends, time_limit=3.0 * float(of.ends[-1]))

@@ -1,4 +1,4 @@
-"""A flight whose bank and angle of attack are free: splines over an index, to be planned."""
+"""A flight whose bank and angle of attack are free: splines over an index."""
 
 import dataclasses
 from typing import Any
@@ -72,6 +72,14 @@ def control_coefficients(scenario: Scenario) -> Any:
     controls = free_part(scenario)
     splines = controls.bank, controls.angle_of_attack
     return [each.coefficients for each in splines if isinstance(each, BSpline)]
+
+
+def bank_coefficients(scenario: Scenario) -> Any:
+    """Lens to those of the bank alone."""
+    bank = free_part(scenario).bank
+    if not isinstance(bank, BSpline):
+        raise ValueError(f"the bank is a {type(bank).__name__}: see free_controls")
+    return bank.coefficients
 
 
 def free_part(scenario: Scenario) -> ControlProfiles:

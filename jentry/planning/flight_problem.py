@@ -1,8 +1,8 @@
-"""The best flight of a vehicle: what it is asked for, with bank and angle of attack free."""
+"""The best flight of a vehicle, with bank and angle of attack free, and what it is for."""
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 
@@ -15,12 +15,15 @@ from ..motion.index import AbstractIndex, EnergyIndex
 from ..motion.quantities import energy, ground_track
 from ..motion.state import EntryState
 from ..tuning.maps import Bounds
-from .free_controls import control_coefficients, free_controls
+from ..units import degree, km
+from .control_splines import control_coefficients, free_controls
 from .optimization import Constraint, Optimized, Quantity, optimize, within_limits
 
 
 _STATE = units_of(EntryState)
 _BESIDE = {"time": "s", "energy": "J/kg", "downrange": "m", "crossrange": "m"}
+
+_MUCH = {"rad": degree, "s": 1.0, "m": km, "m/s": 1.0, "J/kg": 1000.0}
 
 END_QUANTITIES: Mapping[str, str] = _STATE | _BESIDE
 """What `AtEnd` knows, with SI units"""
@@ -28,11 +31,11 @@ END_QUANTITIES: Mapping[str, str] = _STATE | _BESIDE
 
 @dataclasses.dataclass(frozen=True)
 class AtEnd:
-    """A quantity at the end of a flight: of its state, or time, energy, downrange, crossrange.
+    """A quantity at the end of a flight: of its state, or one of those beside it.
 
-    Downrange and crossrange are arcs from the origin of the target or from where the flight
-    starts, as in `misses`, the crossrange positive to the left. The downrange goes on past
-    half of the way around, up to three quarters of it.
+    Beside it are time, energy, downrange and crossrange. These two are arcs from the origin
+    of the target or from where the flight starts, as in `misses`, the crossrange positive
+    to the left. The downrange goes on past half of the way around, up to three quarters.
     """
 
     name: str
@@ -46,7 +49,13 @@ class AtEnd:
 
     @property
     def unit(self) -> str:
+        """SI"""
         return END_QUANTITIES[self.name]
+
+    @property
+    def much(self) -> float:
+        """How much of it counts as a lot, where a value of zero does not tell."""
+        return _MUCH[self.unit]
 
     def __call__(self, scenario: Scenario, flight: Flight) -> Scalar:
         end = flight.state
@@ -92,6 +101,8 @@ class FreeControl:
     start: float
     least: float
     most: float
+
+    unit: ClassVar[str] = "rad"
 
     def __post_init__(self):
         if not self.least <= self.start <= self.most or not self.least < self.most:

@@ -14,8 +14,8 @@ from ..fields import Scalar
 from ..flight.flight import Flight
 from ..flight.scenario import Scenario, Target
 from ..flight.solver import AbstractSolver, FixedStep
-from .best_flight import AtEnd, FlightProblem, best_flight
-from .free_controls import free_part
+from .control_splines import bank_coefficients
+from .flight_problem import AtEnd, FlightProblem, best_flight
 from .optimization import Optimized
 
 
@@ -67,8 +67,8 @@ def footprint(
     First the largest and the smallest downrange and crossrange are found. Then targets
     outside, in directions at equal angles around the middle (in units of the two widths),
     are approached as near as can be. Each flight is an optimum, with the constraints of the
-    problem, and begins with the controls of the one before. The outline through the points
-    may cut off a hollow of the set, and holds no point that cannot be reached.
+    problem, and begins with the controls, or their mirror image, of one that ends near. All
+    points can be reached; what lies between two of them can only where the set is convex.
 
     **Arguments:**
 
@@ -139,9 +139,8 @@ def _place(best: Optimized) -> tuple[float, float]:
 def _mirrored(scenario: Scenario, problem: FlightProblem) -> Scenario:
     """The splines with the bank to the other side, as far as it may be."""
     least, most = problem.bank.least, problem.bank.most
-    where = lambda s: free_part(s).bank.coefficients
-    (address,) = addresses_of(scenario, where)
-    other = jnp.clip(-where(scenario), least, most)
+    (address,) = addresses_of(scenario, bank_coefficients)
+    other = jnp.clip(-bank_coefficients(scenario), least, most)
     return replace_leaves(scenario, {address: other})
 
 
