@@ -1,13 +1,18 @@
 """A campaign that is cheap to compile and to fly, for tests of what is around a flight."""
 
+import dataclasses
 import functools
+import math
 
+import jax.numpy as jnp
 from helpers import free_scenario
 from matplotlib.figure import Figure
 
 from jentry.campaign import Dispersion, Uniform, add, multiply, run_campaign
 from jentry.flight import FixedStep, Scenario
+from jentry.guidance import BankProfile
 from jentry.missions.mission import Mission, PublishedValue
+from jentry.onboard.profiles import PolynomialProfile
 from jentry.plots import USUAL, FigureData
 from jentry.plots.style import panelled, scaled
 from jentry.units import degree
@@ -22,6 +27,13 @@ SEED = 7
 def scenario() -> Scenario:
     """Constant bank, at a bank that lets all dispersed flights go on to the end."""
     return free_scenario(50 * degree)
+
+
+@functools.cache
+def at_trim() -> Scenario:
+    """The same flight by a law that leaves the angle of attack to the vehicle."""
+    cosine = PolynomialProfile(jnp.array([math.cos(50 * degree)]))
+    return dataclasses.replace(scenario(), guidance=BankProfile(cosine))
 
 
 @functools.cache

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from jentry.planning._constrained import NoOptimumError, minimise
+from jentry.planning._constrained import (
+    Limits,
+    Linearized,
+    NoOptimumError,
+    minimise,
+    sequential_quadratic,
+)
 
 
 RNG = np.random.default_rng(3)
@@ -97,3 +103,96 @@ def test_without_bounds():
     level = (TOTAL - np.sum(WANTED)) / 12.0
     np.testing.assert_allclose(found.x, WANTED + level, rtol=0.0, atol=1e-13)
     assert np.all(found.bounds == 0.0)
+
+
+def limited(least, most, total=TOTAL):
+    """Nearest to what is wanted, with the sum of the first four between two values."""
+    rows = np.stack([np.ones(12), np.arange(12) < 4.0])
+
+    def linearized(x):
+        value = np.sum((x - WANTED) ** 2)
+        return Linearized(value, 2.0 * (x - WANTED), rows @ x, rows)
+
+    limits = Limits(LOWER, UPPER, np.array([total, least]), np.array([total, most]))
+    return sequential_quadratic(linearized, np.zeros(12), limits)
+
+
+FREE = limited(-np.inf, np.inf)
+PART = float(np.sum(FREE.x[:4]))
+"""The sum of the first four where nothing limits it"""
+
+
+@pytest.mark.parametrize(
+    ("least", "most", "sign"),
+    [
+        (PART + 0.2, np.inf, 1.0),
+        (-np.inf, PART - 0.2, -1.0),
+        (PART + 0.2, PART + 5.0, 1.0),
+        (PART - 5.0, PART - 0.2, -1.0),
+        (PART - 0.1, PART + 0.1, 0.0),
+        (PART + 0.2, PART + 0.2, 1.0),
+        (PART - 0.2, PART - 0.2, -1.0),
+    ],
+)
+def test_limits(least, most, sign):
+    """The part is at its limit; its price is the slope of the least value in the limit."""
+    found = limited(least, most)
+    assert np.sign(found.constraints[1]) == sign
+    part = np.clip(PART, least, most)
+    assert np.sum(found.x[:4]) == pytest.approx(part, abs=1e-9)
+    assert np.sum(found.x) == pytest.approx(TOTAL, abs=1e-9)
+    assert found.slope_left < 1e-6
+    if sign:
+        moved = [limited(part + h, part + h).value for h in (1e-3, -1e-3)]
+        # A quadratic between changes of what binds; SLSQP's tolerance is 1e-12.
+        slope = (moved[0] - moved[1]) / 2e-3
+        assert found.constraints[1] == pytest.approx(slope, rel=1e-6)
+    # SLSQP comes as near to a bound as the root of its tolerance.
+    at_lower, at_upper = found.x < LOWER + 1e-6, found.x > UPPER - 1e-6
+    assert np.any(at_lower) and np.any(at_upper)
+    assert np.all(found.bounds[~(at_lower | at_upper)] == 0.0)
+    assert np.all(found.bounds[at_lower] >= 0.0)
+    assert np.all(found.bounds[at_upper] <= 0.0)
+
+
+def test_price_of_an_equation():
+    slope = (limited(-np.inf, np.inf, TOTAL + 1e-3).value - FREE.value) / 1e-3
+    assert FREE.constraints[0] == pytest.approx(slope, rel=2e-3)  # one-sided
+
+
+def test_no_constraint_at_all():
+    def linearized(x):
+        rows = np.zeros((0, 12))
+        return Linearized(
+            np.sum((x - WANTED) ** 2), 2.0 * (x - WANTED), np.zeros(0), rows
+        )
+
+    none = np.zeros(0)
+    found = sequential_quadratic(
+        linearized, np.zeros(12), Limits(LOWER, UPPER, none, none)
+    )
+    np.testing.assert_allclose(found.x, np.clip(WANTED, LOWER, UPPER), atol=1e-6)
+
+
+def test_where_it_is_not_finite_it_goes_nearer():
+    """-log x + x beyond a wall of NaN: the first step of SLSQP would end behind it."""
+    asked = []
+
+    def linearized(x):
+        asked.append(x[0])
+        with np.errstate(invalid="ignore", divide="ignore"):
+            value = 50.0 * (x[0] - np.log(x[0]))
+            slope, constraint = 50.0 * (1.0 - 1.0 / x), np.log(x)
+        return Linearized(value, slope, constraint, (1.0 / x)[None])
+
+    free = np.array([np.inf])
+    limits = Limits(-free, free, np.array([-50.0]), np.array([50.0]))
+    found = sequential_quadratic(linearized, np.array([3.0]), limits)
+    assert min(asked) < 0.0, "it never met the wall"
+    assert found.x[0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_limits_that_contradict_each_other():
+    with pytest.raises(NoOptimumError) as refused:
+        limited(7.0, 8.0)  # four times 0.7 is less
+    assert refused.value.x.shape == (12,)

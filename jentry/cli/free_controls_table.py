@@ -67,8 +67,7 @@ def with_free_controls(scenario: Scenario, overrides: Overrides) -> Scenario:
     What the file sets of the scenario counts before they are laid out.
     """
     table = overrides.free_controls
-    if not isinstance(table, Mapping):
-        raise ValueError(f"free_controls is {table!r}: write a table, [free_controls]")
+    assert table is not None
     require_keys(table, ("bank", "angle_of_attack", "nodes", "over"), "free_controls")
     if "bank" not in table:
         raise ValueError("[free_controls] lacks bank: the one to begin with")

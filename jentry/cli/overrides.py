@@ -152,6 +152,9 @@ def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
         if address in assigned:
             raise ValueError(f"--set {address} is given twice: once")
         assigned[address] = one_quantity(value, f"--set {address}")
+    free = contents.get("free_controls")
+    if free is not None and not isinstance(free, Mapping):
+        raise ValueError(f"free_controls is {free!r}: write a table, [free_controls]")
     variant, dispersed = contents.get("variant"), contents.get("dispersions")
     if variant is not None and not isinstance(variant, str):
         raise ValueError(f"variant is {variant!r}: it must be a name")
@@ -168,7 +171,7 @@ def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
         dispersions=table,
         replaces=replaces,
         written=dispersed if isinstance(dispersed, Mapping) else None,
-        free_controls=contents.get("free_controls"),
+        free_controls=free,
     )
 
 

@@ -1,6 +1,7 @@
 """Cubic splines, such as a bank over the energy: through knots, and of B-splines."""
 
 import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from .._interpolation import clamp, interval
 from .._math import derivatives_along
@@ -93,7 +94,7 @@ class BSpline(AbstractProfile):
             )
 
     @property
-    def nodes(self) -> Vector:
+    def nodes(self) -> Float[Array, " n"]:
         """(n,) Where the coefficients belong: with these as coefficients the profile is
         the index itself."""
         knots = _clamped(self.breakpoints)
@@ -122,7 +123,7 @@ class BSpline(AbstractProfile):
         return values[0]
 
 
-def _clamped(breakpoints: Vector) -> Vector:
+def _clamped(breakpoints: Vector) -> Float[Array, " knots"]:
     """Knots: the breakpoints, with the ends four times."""
     first, last = breakpoints[:1], breakpoints[-1:]
     return jnp.concatenate([first, first, first, breakpoints, last, last, last])

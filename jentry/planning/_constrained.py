@@ -152,6 +152,9 @@ def sequential_quadratic(
 _BINDS = 1e-6
 """In the units of the problem: nearer to a limit than this it binds"""
 
+_NO_PRICE = 1e-12
+"""In the units of the problem: rounding of none"""
+
 
 def _priced(
     here: Linearized, x: np.ndarray, limits: Limits, iterations: int
@@ -174,7 +177,7 @@ def _priced(
     if np.any(binding):
         # Not the default method, which does not come to the end of so many alike rows.
         solved = scipy.optimize.lsq_linear(rows.T, here.slope, signs, method="bvls")
-        prices[binding] = solved.x
+        prices[binding] = np.where(np.abs(solved.x) > _NO_PRICE, solved.x, 0.0)
         left = here.slope - rows.T @ solved.x
     count = len(here.constraints)
     slope_left = float(np.max(np.abs(left), initial=0.0))

@@ -86,14 +86,21 @@ def footprint(
         )
     if directions < 0:
         raise ValueError(f"directions is {directions}: it must be 0 or more")
-    extremes: list[Optimized] = []
+    bank, extremes = problem.bank, []
+    # A bank to the right turns to where the crossrange is negative.
+    to_the_left = dataclasses.replace(bank, start=max(bank.least, -abs(bank.start)))
     for name, largest in (
         ("downrange", True),
         ("downrange", False),
         ("crossrange", True),
         ("crossrange", False),
     ):
-        asked = dataclasses.replace(problem, objective=AtEnd(name), largest=largest)
+        asked = dataclasses.replace(
+            problem,
+            objective=AtEnd(name),
+            largest=largest,
+            bank=bank if name == "downrange" else to_the_left,
+        )
         # The flight to the right begins as the mirror image of that to the left.
         begin = (
             _mirrored(extremes[-1].scenario, problem) if len(extremes) == 3 else None

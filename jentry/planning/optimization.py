@@ -159,7 +159,7 @@ class Optimized:
     """Likewise of the bounds of the parameters, by address"""
     slope_left: float
     """Largest slope of the objective that the prices leave, as a share of the slope where
-    it began: zero at an optimum"""
+    it began, or of a thousandth of the objective if that is more: zero at an optimum"""
     iterations: int
     flights: int
     """That were flown with derivatives"""
@@ -207,7 +207,8 @@ def optimize(
       the leaf. Numbers that their field restricts stay within that.
     - `solver`, `history`: as for `fly`.
     - `tolerance`: of the objective, in units of what a step by one scale along its slope
-      changes at the start; and of the constraints, in units of their scales.
+      changes at the start, or of a thousandth of its value if that is more; and of the
+      constraints, in units of their scales.
     - `iterations`: of SLSQP, at most.
 
     Define functions once, at module level: others are compiled anew.
@@ -232,8 +233,10 @@ def optimize(
     problem = _Problem(parameters, objective, quantities, solver, history)
     limits = _limits(problem, asked)
     first = _seen(problem, jnp.zeros_like(limits.x.lower))
-    _require_finite(problem, first)
-    scale = float(np.linalg.norm(first.slope)) or 1.0
+    _require_finite(problem, first, limits)
+    # At an optimum already there is no slope to measure by.
+    least = _LEAST_SLOPE * abs(float(first.value))
+    scale = max(float(np.linalg.norm(first.slope)), least) or 1.0
     flights = 0
 
     def linearized(x: np.ndarray) -> Linearized:
@@ -256,7 +259,7 @@ def optimize(
         unmet = _unmet(limits, linearized(error.x).constraints)
         raise ValueError(f"no optimum is found: {error}; {unmet}") from error
 
-    free = _parted(parameters, found.x)
+    free = _parted(parameters, jnp.asarray(found.x))
     values = parameters.values(free)
     best = scenario_at(parameters, values)
     flight = kept(fly)(best, solver, history)
@@ -435,7 +438,7 @@ def _limits(problem: _Problem, asked: Mapping[str, Constraint]) -> _Scaled:
     return _Scaled(x, scales, sizes, inside, list(asked), shapes)
 
 
-def _require_finite(problem: _Problem, seen: _Seen) -> None:
+def _require_finite(problem: _Problem, seen: _Seen, limits: _Scaled) -> None:
     """Refuse a start that says nothing."""
     values = np.where(seen.over, 0.0, seen.values)
     rows = np.where(np.asarray(seen.over)[:, None], 0.0, seen.rows)
@@ -447,7 +450,10 @@ def _require_finite(problem: _Problem, seen: _Seen) -> None:
         raise ValueError(
             f"the flight at the start says nothing, {outcome}: start elsewhere"
         )
-    what = "objective" if not np.isfinite(seen.value) else "objective or a constraint"
+    whole = [np.isfinite(values), *np.isfinite(rows.T)]
+    odd = [name for name, x in limits.named(~np.all(whole, 0)).items() if np.any(x)]
+    whole_objective = np.isfinite(seen.value) and np.all(np.isfinite(seen.slope))
+    what = f"constraint {odd[0]}" if whole_objective else "objective"
     raise ValueError(
         f"the {what}, or its derivative, is not finite at the start: start elsewhere, or "
         "look at the function there"
@@ -468,6 +474,9 @@ def _unmet(limits: _Scaled, values: np.ndarray) -> str:
         return "all constraints are met there"
     return f"not met there: {', '.join(off)}"
 
+
+_LEAST_SLOPE = 1e-3
+"""Of the objective, as a share of its value for a step by one scale"""
 
 _SLOPE_LEFT = 1e-3
 """As a share of the slope at the start: more is worth a word"""

@@ -65,9 +65,11 @@ def _path(axes: "matplotlib.axes.Axes", best: Optimized, history: History) -> No
 
 def _controls(axes: "matplotlib.axes.Axes", best: Optimized, history: History) -> None:
     time = _flown(history, history.time)
+    flown = history.controls
+    bank = np.arctan2(np.asarray(flown.sin_bank), np.asarray(flown.cos_bank))
     for name, values, colour in (
-        ("bank", history.controls.bank_angle, ENDS[0]),
-        ("angle of attack", history.controls.angle_of_attack, ENDS[1]),
+        ("bank", bank, ENDS[0]),
+        ("angle of attack", flown.angle_of_attack, ENDS[1]),
     ):
         axes.plot(time, _flown(history, values) / degree, color=colour, label=name)
     axes.set_xlabel("Time (s)")
