@@ -58,7 +58,7 @@ def test_every_option_of_optimize_arrives(command, monkeypatch, tmp_path):
     words += ("--angle-of-attack", "1deg:0deg:2deg", "--nodes", 7, "--every", 3.5)
     with pytest.raises(Arrived):
         command("optimize", "cheap", *words, "--step", 2, "--out", tmp_path)
-    scenario, problem, solver, start = seen["given"]
+    scenario, problem, solver, begin = seen["given"]
     assert float(scenario.vehicle.mass) == 900.0
     assert float(scenario.planet.density_scale) == 1.25
     assert float(scenario.guidance.bank_angle) == 10 * degree
@@ -71,7 +71,7 @@ def test_every_option_of_optimize_arrives(command, monkeypatch, tmp_path):
     assert list(problem.constraints) == ["time", "heading"]
     assert problem.constraints["time"].equals == 200.0
     assert problem.constraints["heading"].scale == degree
-    assert solver == FixedStep(2.0) and start is None
+    assert solver == FixedStep(2.0) and begin is None
 
 
 def test_every_option_of_footprint_arrives(command, monkeypatch, tmp_path):

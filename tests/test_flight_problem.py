@@ -126,7 +126,7 @@ def test_limits_are_kept_unless_it_is_asked_not_to():
 
 def test_begins_where_it_is_told():
     far = best(AtEnd("downrange"), True)
-    again = best_flight(entry(), PROBLEM, SOLVER, start=far.scenario)
+    again = best_flight(entry(), PROBLEM, SOLVER, begin=far.scenario.guidance)
     assert again.at_start == pytest.approx(far.objective, rel=1e-12)
     assert again.iterations < far.iterations
 

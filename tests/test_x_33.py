@@ -5,6 +5,7 @@ compared with the print first.
 """
 
 import functools
+import re
 
 import equinox as eqx
 import jax
@@ -30,6 +31,8 @@ from jentry.missions import find_mission
 from jentry.missions.x_33 import scenario as x_33
 from jentry.missions.x_33.cases import CASES, TABLE_1, TABLE_2, case, off_by
 from jentry.onboard.linear_quadratic import riccati_cost_to_go
+from jentry.planning import plan_drag_profile
+from jentry.planning.flight_problem import AtEnd, best_flight
 from jentry.tuning import Bounds, Budget, Draws, tune
 from jentry.units import degree, km
 
@@ -293,3 +296,52 @@ def test_weights_are_tuned():
     )
     loss = tuned.judgement["loss", ""]
     assert loss.after.value < 0.2 * loss.before.value
+
+
+@functools.cache
+def farthest(name):
+    return best_flight(MISSION.scenario("glide"), MISSION.problem(name))
+
+
+@pytest.mark.slow
+@pytest.mark.optimized
+def test_longest_and_shortest_range_in_the_corridor():
+    """Within the limits all along, and between the ranges that the planner of the drag
+    finds for its edges, at which one of them binds everywhere."""
+    edges = []
+    for distance in (100 * km, 20_000 * km):
+        with pytest.raises(ValueError, match="is not in the corridor") as refused:
+            plan_drag_profile(
+                x_33.earth(),
+                x_33.vehicle(),
+                x_33.ScheduledAngleOfAttack(),
+                x_33.corridor(),
+                (x_33.FIRST_VELOCITY, x_33.FIRST_DRAG),
+                (x_33.LAST_VELOCITY, x_33.LAST_DRAG),
+                distance,
+            )
+        edges.append(
+            float(re.search(r"at (?:least|most) ([\d.]+) km", str(refused.value))[1])
+        )
+    ranges = []
+    for name in ("shortest", "longest"):
+        best = farthest(name)
+        ranges.append(float(AtEnd("downrange")(best.scenario, best.flight)) / km)
+        end, wanted = best.flight.state, x_33.reference().end
+        assert float(end.altitude) == pytest.approx(float(wanted.altitude), abs=1e-3)
+        path = float(wanted.flight_path_angle)
+        assert float(end.flight_path_angle) == pytest.approx(path, abs=1e-9)
+        for limit, constraint in x_33.corridor().items():
+            most = float(constraint.limit)
+            # Kept at the entries, every 2.5 s.
+            assert np.nanmax(best.constraints[limit]) <= most + 1e-8 * (
+                abs(most) or 1.0
+            )
+            assert float(best.flight.peaks[limit]) <= most + 1e-3 * (abs(most) or 1.0)
+        assert best.slope_left < 1e-4
+    assert edges[0] < ranges[0] < 3000.0 < ranges[1] < edges[1]
+    assert {"heat_rate", "normal_load_factor"} <= set(farthest("shortest").active)
+    assert "equilibrium_glide" in farthest("longest").active
+    # Of this start; begun at other banks, with nodes elsewhere, 2555 to 2558 and 6814 to
+    # 6831 km.
+    assert ranges == pytest.approx([2556.5, 6814.2], abs=0.1)

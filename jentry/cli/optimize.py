@@ -124,8 +124,8 @@ def command(
         index=None if over is None else index_named(over, origin),
         history=every,
     )
-    start = None if overrides.free_controls is None else scenario
-    best = best_flight(scenario, asked, FixedStep(step), start)
+    begin = None if overrides.free_controls is None else scenario.guidance
+    best = best_flight(scenario, asked, FixedStep(step), begin)
     print_optimized(chosen, name, asked, best)
     folder = Path("results") / f"{chosen.name}-optimized" if out is None else out
     for written in write_optimized(

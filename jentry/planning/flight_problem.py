@@ -11,6 +11,7 @@ from ..fields import Scalar, units_of
 from ..flight.flight import Flight
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
+from ..guidance.law import AbstractLaw
 from ..motion.index import AbstractIndex, EnergyIndex
 from ..motion.quantities import energy, ground_track
 from ..motion.state import EntryState
@@ -143,7 +144,7 @@ def best_flight(
     scenario: Scenario,
     problem: FlightProblem,
     solver: AbstractSolver = FixedStep(),
-    start: Scenario | None = None,
+    begin: AbstractLaw | None = None,
 ) -> Optimized:
     """The flight of a scenario's vehicle that is best at what a problem asks for.
 
@@ -153,13 +154,15 @@ def best_flight(
     **Arguments:**
 
     - `scenario`: its law gives way to splines of the controls, see `free_controls`.
-    - `start`: of `free_controls`, to begin elsewhere than with constant controls; such as
-      `Optimized.scenario` of a problem like this one.
+    - `begin`: a law of `free_controls`, to begin elsewhere than with constant controls;
+      such as `Optimized.scenario.guidance` of a problem like this one.
 
     **Raises:** `ValueError` as `free_controls` and `optimize`.
     """
     free, angle = problem.bank, problem.angle_of_attack
-    if start is None:
+    if begin is not None:
+        start = dataclasses.replace(scenario, guidance=begin)
+    else:
         begins = None if angle is None else angle.start
         start = free_controls(
             scenario, free.start, begins, problem.nodes, problem.index

@@ -14,6 +14,7 @@ from ..fields import Scalar
 from ..flight.flight import Flight
 from ..flight.scenario import Scenario, Target
 from ..flight.solver import AbstractSolver, FixedStep
+from ..guidance.law import AbstractLaw
 from .control_splines import bank_coefficients
 from .flight_problem import AtEnd, FlightProblem, best_flight
 from .optimization import Optimized
@@ -102,10 +103,8 @@ def footprint(
             bank=bank if name == "downrange" else to_the_left,
         )
         # The flight to the right begins as the mirror image of that to the left.
-        begin = (
-            _mirrored(extremes[-1].scenario, problem) if len(extremes) == 3 else None
-        )
-        extremes.append(best_flight(scenario, asked, solver, start=begin))
+        begin = _mirrored(extremes[-1], problem) if len(extremes) == 3 else None
+        extremes.append(best_flight(scenario, asked, solver, begin))
         report(len(extremes))
     places = np.array([_place(each) for each in extremes])
     (far, _), (near, _), (_, left), (_, right) = places
@@ -127,9 +126,9 @@ def footprint(
             middle[1] + _FAR * across * math.sin(angle),
         )
         begin = _nearest(found, problem, aim)
-        begin = dataclasses.replace(begin, target=_aimed(scenario.target, *aim))
+        aimed = dataclasses.replace(scenario, target=_aimed(scenario.target, *aim))
         try:
-            found.append(best_flight(scenario, asked, solver, start=begin))
+            found.append(best_flight(aimed, asked, solver, begin))
         except ValueError as error:
             failed.append(f"{math.degrees(angle):.0f} deg: {error}")
         report(len(found) + len(failed))
@@ -143,25 +142,26 @@ def _place(best: Optimized) -> tuple[float, float]:
     return float(downrange), float(AtEnd("crossrange")(best.scenario, best.flight))
 
 
-def _mirrored(scenario: Scenario, problem: FlightProblem) -> Scenario:
+def _mirrored(best: Optimized, problem: FlightProblem) -> AbstractLaw:
     """The splines with the bank to the other side, as far as it may be."""
+    scenario = best.scenario
     least, most = problem.bank.least, problem.bank.most
     (address,) = addresses_of(scenario, bank_coefficients)
     other = jnp.clip(-bank_coefficients(scenario), least, most)
-    return replace_leaves(scenario, {address: other})
+    return replace_leaves(scenario, {address: other}).guidance
 
 
 def _nearest(
     found: list[Optimized], problem: FlightProblem, aim: tuple[float, float]
-) -> Scenario:
-    """Of the flights and their mirror images the one that ends nearest to an aim."""
+) -> AbstractLaw:
+    """Of the flights and their mirror images that which ends nearest to an aim."""
 
     def off(best: Optimized, side: float) -> float:
         downrange, crossrange = _place(best)
         return math.dist((downrange, side * crossrange), aim)
 
     best, side = min(itertools.product(found, (1.0, -1.0)), key=lambda each: off(*each))
-    return best.scenario if side > 0.0 else _mirrored(best.scenario, problem)
+    return best.scenario.guidance if side > 0.0 else _mirrored(best, problem)
 
 
 def _aimed(target: Target, downrange: float, crossrange: float) -> Target:
