@@ -192,6 +192,18 @@ def test_where_it_is_not_finite_it_goes_nearer():
     assert found.x[0] == pytest.approx(1.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("x", [np.full(12, 0.5), np.full(12, np.nan)])
+def test_slsqp_is_not_believed(monkeypatch, x):
+    """Where it says that it is done, and the total is another or nothing is finite."""
+
+    def wrong(*given, **options):
+        return SimpleNamespace(success=True, x=x.copy(), nit=1, message="")
+
+    monkeypatch.setattr(scipy.optimize, "minimize", wrong)
+    with pytest.raises(NoOptimumError):
+        limited(-np.inf, np.inf)
+
+
 def test_limits_that_contradict_each_other():
     with pytest.raises(NoOptimumError) as refused:
         limited(7.0, 8.0)  # four times 0.7 is less

@@ -146,8 +146,14 @@ def sequential_quadratic(
             f"SLSQP: {found.message}, after {found.nit} iterations", found.x
         )
     x = np.clip(found.x, lower, upper)
+    values = at(x).constraints
+    if not at(x).is_finite or np.any((values < least - _MET) | (values > most + _MET)):
+        raise NoOptimumError("SLSQP says that it is done, where it is not", x)
     return _priced(at(x), x, limits, int(found.nit))
 
+
+_MET = 1e-6
+"""In the units of the problem: a constraint may be exceeded by this"""
 
 _BINDS = 1e-6
 """In the units of the problem: nearer to a limit than this it binds"""
