@@ -91,6 +91,7 @@ def sequential_quadratic(
     limits: Limits,
     tolerance: float = 1e-12,
     iterations: int = 1000,
+    met: float = 1e-6,
 ) -> Optimum:
     """The x within limits with the least value, by SLSQP of scipy.
 
@@ -99,6 +100,7 @@ def sequential_quadratic(
     - `linearized`: the problem at a point, in units in which x, value and constraints are
       about one. Where it is not finite, SLSQP looks nearer to where it was.
     - `tolerance`: of the value, and of the sum of what the constraints are exceeded by.
+    - `met`: by how much a constraint may be exceeded, whatever SLSQP says.
 
     **Raises:** `NoOptimumError`, with the words of SLSQP, where it finds none.
     """
@@ -147,13 +149,10 @@ def sequential_quadratic(
         )
     x = np.clip(found.x, lower, upper)
     values = at(x).constraints
-    if not at(x).is_finite or np.any((values < least - _MET) | (values > most + _MET)):
+    if not at(x).is_finite or np.any((values < least - met) | (values > most + met)):
         raise NoOptimumError("SLSQP says that it is done, where it is not", x)
     return _priced(at(x), x, limits, int(found.nit))
 
-
-_MET = 1e-6
-"""In the units of the problem: a constraint may be exceeded by this"""
 
 _BINDS = 1e-6
 """In the units of the problem: nearer to a limit than this it binds"""
@@ -222,7 +221,9 @@ def minimise(
 
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
     zero = np.zeros(len(linearized(np.asarray(start, float)).constraints))
-    found = sequential_quadratic(linearized, start, Limits(lower, upper, zero, zero))
+    limits = Limits(lower, upper, zero, zero)
+    # Newton's method sees to the equations.
+    found = sequential_quadratic(linearized, start, limits, met=np.inf)
     x = found.x
     active = np.where(x <= lower, -1, np.where(x >= upper, 1, 0))
     for _ in range(_ROUNDS):
