@@ -11,7 +11,7 @@ from helpers import bank_profile, fly_compiled
 
 from jentry.addresses import addresses_of
 from jentry.flight import fly
-from jentry.guidance import AngleOfAttackProfile, TrimAngleOfAttack, compose
+from jentry.guidance import AngleOfAttackProfile, Sampled, TrimAngleOfAttack, compose
 from jentry.guidance.open_loop import ControlProfiles
 from jentry.motion.index import AltitudeIndex, EnergyIndex, TimeIndex, VelocityIndex
 from jentry.motion.quantities import energy
@@ -114,7 +114,25 @@ def test_splines_begin_again():
     assert isinstance(composed_again.guidance.angle_of_attack, TrimAngleOfAttack)
 
 
+def test_beside_a_law_with_a_cycle():
+    """The other law is held for 2 s; the splines are laid on flights of such cycles."""
+    held = Sampled(composed(bank_profile()).guidance.angle_of_attack, 2.0)
+    guidance = compose(held, bank_profile())
+    scenario = dataclasses.replace(cheap.at_trim(), guidance=guidance)
+    start = free_controls(scenario, BANK, nodes=6)
+    assert isinstance(start.guidance.angle_of_attack, Sampled)
+    assert start.guidance.cycle.period == 2.0
+    breakpoints = np.asarray(free_part(start).bank.breakpoints)
+    assert np.all(np.diff(breakpoints) > 0.0)
+
+
 REFUSED = {
+    "own angle of splines": (
+        lambda: free_controls(
+            free_controls(cheap.at_trim(), BANK, 0.1, nodes=5), BANK, nodes=6
+        ),
+        "ControlProfiles commands an angle of attack of its own",
+    ),
     "few nodes": (lambda: free_controls(cheap.at_trim(), BANK, nodes=3), "4 or more"),
     "own angle": (
         lambda: free_controls(cheap.scenario(), BANK),

@@ -201,11 +201,13 @@ def test_limits_along_the_path():
     scenario = limited(0.99 * peak_drag(start))
     kept = within_limits(scenario)
     assert list(kept) == ["drag"] and kept["drag"].quantity == AlongPath("drag")
+    # Of an entry after the end the root has no derivative, which is nobody's concern.
+    root = lambda s, f: jnp.sqrt(f.history.constraints["drag"])
     best = optimize(
         scenario,
         bank,
         low,
-        kept,
+        {**kept, "root": Constraint(root, at_most=1e3)},
         ranges={"guidance.bank_angle": Bounds(0.0, 80 * degree)},
         solver=cheap.SOLVER,
         history=1.0,
@@ -280,6 +282,15 @@ REFUSED = {
             {"odd": Constraint(lambda s, f: jnp.log(-f.time), at_most=1.0)},
         ),
         "the constraint odd, or its derivative, is not finite at the start",
+    ),
+    "still": (
+        lambda: optimize(
+            thrown(),
+            elevation,
+            shorter,
+            {"end": Constraint(lambda s, f: f.state.altitude, equals=ALTITUDE)},
+        ),
+        "end does not depend on what is varied there",
     ),
     "not to be met": (
         lambda: optimize(

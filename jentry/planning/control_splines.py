@@ -9,7 +9,7 @@ import numpy as np
 
 from .._programs import kept
 from .._setup import needs_float64
-from ..flight.closed_loop import first_measurement
+from ..flight.closed_loop import first_measurement, guidance_period
 from ..flight.flight import fly
 from ..flight.scenario import Scenario, checked
 from ..flight.termination import Outcome, has_end
@@ -115,8 +115,8 @@ def _flying(
         law = ControlProfiles(index, scenario.planet, None, bank)
         before = scenario.guidance
         if isinstance(before, ContinuousComposition | SampledComposition):
-            law = compose(before.angle_of_attack, law)
-        elif not isinstance(before, ControlProfiles):
+            law = compose(before.angle_of_attack, law, before.limits)
+        else:
             measurement = first_measurement(scenario)
             if not flies_at_trim(before, 0.0 * measurement.drag, measurement):
                 raise ValueError(
@@ -136,8 +136,8 @@ def _equal_in_time(scenario: Scenario, index: AbstractIndex, count: int) -> np.n
     if not has_end(flight.outcome):
         outcome = Outcome(int(flight.outcome)).message
         raise ValueError(f"the flight under constant controls {outcome}: take others")
-    interval = float(flight.time) / _INTERVALS
-    flight = kept(fly)(scenario, history=_rounded(interval))
+    interval = guidance_period(scenario) or _rounded(float(flight.time) / _INTERVALS)
+    flight = kept(fly)(scenario, history=interval)
     assert flight.history is not None
     flown = np.isfinite(np.asarray(flight.history.time))
     time = np.append(np.asarray(flight.history.time)[flown], float(flight.time))

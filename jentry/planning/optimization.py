@@ -256,8 +256,8 @@ def optimize(
             linearized, np.zeros_like(limits.x.lower), limits.x, tolerance, iterations
         )
     except NoOptimumError as error:
-        unmet = _unmet(limits, linearized(error.x).constraints)
-        raise ValueError(f"no optimum is found: {error}; {unmet}") from error
+        why = _what_is_wrong(limits, linearized(error.x))
+        raise ValueError(f"no optimum is found: {error}; {why}") from error
 
     free = _parted(parameters, jnp.asarray(found.x))
     values = parameters.values(free)
@@ -460,8 +460,21 @@ def _require_finite(problem: _Problem, seen: _Seen, limits: _Scaled) -> None:
     )
 
 
-def _unmet(limits: _Scaled, values: np.ndarray) -> str:
-    """What keeps a point from being allowed, the worst first."""
+_STILL = 1e-12
+"""Of a derivative, in the units of the problem: rounding"""
+
+
+def _what_is_wrong(limits: _Scaled, here: Linearized) -> str:
+    """What keeps a point from being allowed, the worst first, and what nothing moves."""
+    values, equal = here.constraints, limits.x.least == limits.x.most
+    rows = np.max(np.abs(here.rows), axis=1, initial=0.0)
+    still = limits.named(equal & (rows < _STILL))
+    named = [name for name, x in still.items() if np.any(x)]
+    if named:
+        return (
+            f"{', '.join(named)} does not depend on what is varied there, where it is to "
+            "equal a value: leave the constraint out, or look at how the flight ends"
+        )
     beyond = np.maximum(limits.x.least - values, values - limits.x.most)
     worst = {n: float(np.max(x, initial=0.0)) for n, x in limits.named(beyond).items()}
     named = sorted(worst, key=lambda name: -worst[name])
