@@ -16,6 +16,7 @@ from jentry.flight import FixedStep, Scenario, Termination, VelocityBelow, fly
 from jentry.motion.constraints import LoadFactor
 from jentry.motion.quantities import energy, ground_track
 from jentry.planning.control_splines import control_coefficients
+from jentry.planning.flight_constraints import Constraint
 from jentry.planning.flight_problem import (
     AtEnd,
     FlightProblem,
@@ -24,7 +25,6 @@ from jentry.planning.flight_problem import (
     best_flight,
 )
 from jentry.planning.landing_footprint import footprint
-from jentry.planning.optimization import Constraint
 from jentry.plots.best_flight import draw_best_flight
 from jentry.plots.footprint import draw_footprint
 from jentry.units import degree, km

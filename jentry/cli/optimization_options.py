@@ -8,6 +8,7 @@ from ..addresses import nearest
 from ..flight.scenario import Scenario
 from ..missions.mission import Mission
 from ..motion.index import AbstractIndex
+from ..planning.flight_constraints import Constraint
 from ..planning.flight_problem import (
     END_QUANTITIES,
     AtEnd,
@@ -15,7 +16,6 @@ from ..planning.flight_problem import (
     FreeControl,
     Peak,
 )
-from ..planning.optimization import Constraint
 from ..units import parse_quantity
 
 

@@ -15,6 +15,11 @@ from .drag_profile import (
     DragPlan as DragPlan,
     plan_drag_profile as plan_drag_profile,
 )
+from .flight_constraints import (
+    AlongPath as AlongPath,
+    Constraint as Constraint,
+    within_limits as within_limits,
+)
 from .flight_problem import (
     AtEnd as AtEnd,
     FlightProblem as FlightProblem,
@@ -37,13 +42,7 @@ from .longitudinal_flight import (
     fly_longitudinal as fly_longitudinal,
     plan_bank_over_velocity as plan_bank_over_velocity,
 )
-from .optimization import (
-    AlongPath as AlongPath,
-    Constraint as Constraint,
-    Optimized as Optimized,
-    optimize as optimize,
-    within_limits as within_limits,
-)
+from .optimization import Optimized as Optimized, optimize as optimize
 from .reference_flight import (
     ReferenceFlight as ReferenceFlight,
     open_loop as open_loop,

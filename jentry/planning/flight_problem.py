@@ -18,7 +18,8 @@ from ..motion.state import EntryState
 from ..tuning.maps import Bounds
 from ..units import degree, km
 from .control_splines import control_coefficients, free_controls
-from .optimization import Constraint, Optimized, Quantity, optimize, within_limits
+from .flight_constraints import Constraint, Quantity, within_limits
+from .optimization import Optimized, optimize
 
 
 _STATE = units_of(EntryState)

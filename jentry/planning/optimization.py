@@ -1,7 +1,6 @@
 """Optimise a flight itself: numbers of a scenario, under constraints on how it flies."""
 
 import dataclasses
-import math
 import warnings
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
@@ -21,119 +20,11 @@ from ..flight.flight import Flight, fly
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome, has_end
-from ..motion.constraints import AbstractConstraint
-from ..tuning.maps import Linear, Ranges, linear_map_of
+from ..tuning.maps import Ranges, linear_map_of
 from ..tuning.parameters import Build, Parameters, itself, scenario_at
-from ._constrained import Limits, Linearized, NoOptimumError, sequential_quadratic
-
-
-Quantity = Callable[[Scenario, Flight], Any]
-"""Of a scenario and its flight: a number, or one for each entry of the history"""
-
-
-@dataclasses.dataclass(frozen=True)
-class Constraint:
-    """What a flight has to keep: a quantity of it equals a value, or lies between two.
-
-        Constraint(lambda s, f: f.state.altitude, equals=24.4 * km)
-        Constraint(lambda s, f: f.peaks.load_factor, at_most=2.5)
-
-    A quantity of the history is kept at each of its entries. That is better than to keep
-    the peak, which is at another place in every flight.
-    """
-
-    quantity: Quantity
-    equals: float | None = None
-    at_least: float | None = None
-    at_most: float | None = None
-    scale: float | None = None
-    """How much of the quantity counts as a lot; the larger of the values, if not given"""
-
-    def __post_init__(self):
-        equal, least, most = self.equals, self.at_least, self.at_most
-        for name in ("equals", "at_least", "at_most"):
-            value = getattr(self, name)
-            if value is not None and not np.isfinite(value):
-                raise ValueError(f"{name} is {value}: it must be a finite number")
-        if equal is None and least is None and most is None:
-            raise ValueError(
-                "a constraint has no value to keep: give equals=, at_least= or at_most="
-            )
-        if equal is not None and (least is not None or most is not None):
-            raise ValueError(
-                f"a constraint is to equal {equal}, and to be at least {least} or at most "
-                f"{most}: give the one or the other"
-            )
-        if least is not None and most is not None and not least < most:
-            raise ValueError(
-                f"a constraint is to be at least {least} and at most {most}: the first "
-                "must be the smaller; for one value give equals="
-            )
-        if self.scale is not None and not 0.0 < self.scale < np.inf:
-            raise ValueError(f"scale is {self.scale}: it must be finite and above zero")
-        if self.size == 0.0:
-            raise ValueError(
-                "a constraint is to be kept at 0, which does not tell how much is a lot: "
-                "give scale=, in the unit of the quantity"
-            )
-
-    @property
-    def least(self) -> float:
-        """Infinite where there is none."""
-        return _first(self.equals, self.at_least, -np.inf)
-
-    @property
-    def most(self) -> float:
-        """Infinite where there is none."""
-        return _first(self.equals, self.at_most, np.inf)
-
-    @property
-    def size(self) -> float:
-        """What the quantity is divided by."""
-        values = np.abs([self.least, self.most])
-        return _first(self.scale, float(np.max(values[np.isfinite(values)])))
-
-
-def _first(*values: float | None) -> float:
-    return next(float(value) for value in values if value is not None)
-
-
-@dataclasses.dataclass(frozen=True)
-class AlongPath:
-    """A path constraint at each entry of the history; of an integral the last value."""
-
-    name: str
-
-    def __call__(self, scenario: Scenario, flight: Flight) -> Array:
-        if not isinstance(scenario.constraints[self.name], AbstractConstraint):
-            return flight.peaks[self.name]
-        if flight.history is None:
-            raise ValueError(
-                f"{self.name} is to be kept along the path, at each entry of the history: "
-                "give an interval, such as history=5.0"
-            )
-        return flight.history.constraints[self.name]
-
-
-def within_limits(scenario: Scenario) -> dict[str, Constraint]:
-    """The limits of the path constraints of a scenario, as constraints of `optimize`.
-
-    They are kept at each entry of the history, so `optimize` needs one.
-
-    **Raises:** `ValueError` where no path constraint has a limit.
-    """
-    limits = {n: c.limit for n, c in scenario.constraints.items()}
-    found = {n: float(limit) for n, limit in limits.items() if limit is not None}
-    if not found:
-        raise ValueError(
-            "no path constraint of the scenario has a limit: give one, such as "
-            'constraints={**scenario.constraints, "heat_rate": HeatRate(1e6)}'
-        )
-    # What has a limit of zero, such as the equilibrium glide, is in units that are a lot.
-    return {
-        name: Constraint(AlongPath(name), at_most=limit, scale=abs(limit) or 1.0)
-        for name, limit in found.items()
-    }
+from ._constrained import Linearized, NoOptimumError, sequential_quadratic
+from ._scaled_limits import ScaledLimits, parted, scaled_limits, what_is_wrong
+from .flight_constraints import AlongPath, Constraint, Quantity
 
 
 @dataclasses.dataclass(frozen=True)
@@ -231,7 +122,7 @@ def optimize(
     check(scenario_at(parameters, parameters.at_start))
     quantities = tuple((name, each.quantity) for name, each in asked.items())
     problem = _Problem(parameters, objective, quantities, solver, history)
-    limits = _limits(problem, asked)
+    limits = scaled_limits(parameters, asked, problem.shapes())
     first = _seen(problem, jnp.zeros_like(limits.x.lower))
     _require_finite(problem, first, limits)
     # At an optimum already there is no slope to measure by.
@@ -256,10 +147,10 @@ def optimize(
             linearized, np.zeros_like(limits.x.lower), limits.x, tolerance, iterations
         )
     except NoOptimumError as error:
-        why = _what_is_wrong(limits, linearized(error.x))
+        why = what_is_wrong(limits, linearized(error.x))
         raise ValueError(f"no optimum is found: {error}; {why}") from error
 
-    free = _parted(parameters, jnp.asarray(found.x))
+    free = parted(parameters, jnp.asarray(found.x))
     values = parameters.values(free)
     best = scenario_at(parameters, values)
     flight = kept(fly)(best, solver, history)
@@ -283,7 +174,7 @@ def optimize(
         prices=limits.named(found.constraints * scale / limits.sizes),
         bound_prices={
             address: np.asarray(x)
-            for address, x in _parted(
+            for address, x in parted(
                 parameters, found.bounds * scale / limits.scales
             ).items()
         },
@@ -304,7 +195,7 @@ class _Problem(eqx.Module):
     history: float | None = eqx.field(static=True)
 
     def flown(self, x: Float[Array, " n"]) -> tuple[Scenario, Flight]:
-        scenario = self.parameters.scenario(_parted(self.parameters, x))
+        scenario = self.parameters.scenario(parted(self.parameters, x))
         return scenario, fly(scenario, self.solver, self.history)
 
     def outputs(self, x: Float[Array, " n"]) -> tuple[tuple[Array, Array], Array]:
@@ -327,6 +218,16 @@ class _Problem(eqx.Module):
             values.append(jnp.ravel(given))
             over.append(jnp.ravel(after))
         return (value, jnp.concatenate(values)), jnp.concatenate(over)
+
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Of the constrained values."""
+        values = jax.eval_shape(self._at_start)
+        return [value.shape for value in values]
+
+    def _at_start(self) -> list[Array]:
+        maps = self.parameters.maps.values()
+        x = jnp.zeros(sum(each.start.size for each in maps))
+        return [value for _, value in self.constrained(*self.flown(x))]
 
     def constrained(
         self, scenario: Scenario, flight: Flight
@@ -362,83 +263,7 @@ def _seen(problem: _Problem, x: Float[Array, " n"]) -> _Seen:
     return _Seen(value, slope, values, rows, over)
 
 
-def _parted(parameters: Parameters, x: Any) -> dict[str, Any]:
-    """Free numbers by address, out of one row of them."""
-    parted, first = {}, 0
-    for address, each in _in_order(parameters):
-        parted[address] = x[first : first + each.start.size].reshape(each.start.shape)
-        first += each.start.size
-    return parted
-
-
-def _in_order(parameters: Parameters) -> list[tuple[str, Linear]]:
-    """The maps as they follow each other in a row: JAX sorts a dictionary, too."""
-    maps = sorted(parameters.maps.items())
-    return [(address, each) for address, each in maps if isinstance(each, Linear)]
-
-
-class _Scaled(NamedTuple):
-    """The limits of all values in a row, and whose they are."""
-
-    x: Limits
-    """In units of the scales"""
-    scales: np.ndarray
-    """(n,) of the parameters"""
-    sizes: np.ndarray
-    """(m,)"""
-    inside: np.ndarray
-    """(m,) Values within the limits, in units of the sizes"""
-    names: list[str]
-    shapes: list[tuple[int, ...]]
-
-    def named(self, row: np.ndarray) -> dict[str, np.ndarray]:
-        named, first = {}, 0
-        for name, shape in zip(self.names, self.shapes, strict=True):
-            size = math.prod(shape)
-            named[name] = row[first : first + size].reshape(shape)
-            first += size
-        return named
-
-
-def _limits(problem: _Problem, asked: Mapping[str, Constraint]) -> _Scaled:
-    maps = [each for _, each in _in_order(problem.parameters)]
-
-    def all_of(name: str) -> np.ndarray:
-        return np.concatenate([np.ravel(getattr(each, name)) for each in maps])
-
-    start, scales = all_of("start"), all_of("scale")
-    lower, upper = (
-        (all_of("lower") - start) / scales,
-        (all_of("upper") - start) / scales,
-    )
-
-    def shapes_of(x):
-        return [value for _, value in problem.constrained(*problem.flown(x))]
-
-    seen = jax.eval_shape(shapes_of, jnp.asarray(start))
-    shapes = [value.shape for value in seen]
-
-    def row(of: Callable[[Constraint], float]) -> np.ndarray:
-        rows = [
-            np.full(math.prod(s), of(c))
-            for s, c in zip(shapes, asked.values(), strict=True)
-        ]
-        return np.concatenate([np.zeros(0), *rows])
-
-    sizes = row(lambda each: each.size)
-    least, most = (
-        row(lambda each: each.least) / sizes,
-        row(lambda each: each.most) / sizes,
-    )
-    from_below = np.where(np.isfinite(least), least + 1.0, most - 1.0)
-    both = np.isfinite(least) & np.isfinite(most)
-    with np.errstate(invalid="ignore"):
-        inside = np.where(both, 0.5 * (least + most), from_below)
-    x = Limits(lower, upper, least, most)
-    return _Scaled(x, scales, sizes, inside, list(asked), shapes)
-
-
-def _require_finite(problem: _Problem, seen: _Seen, limits: _Scaled) -> None:
+def _require_finite(problem: _Problem, seen: _Seen, limits: ScaledLimits) -> None:
     """Refuse a start that says nothing."""
     values = np.where(seen.over, 0.0, seen.values)
     rows = np.where(np.asarray(seen.over)[:, None], 0.0, seen.rows)
@@ -458,34 +283,6 @@ def _require_finite(problem: _Problem, seen: _Seen, limits: _Scaled) -> None:
         f"the {what}, or its derivative, is not finite at the start: start elsewhere, or "
         "look at the function there"
     )
-
-
-_STILL = 1e-12
-"""Of a derivative, in the units of the problem: rounding"""
-
-
-def _what_is_wrong(limits: _Scaled, here: Linearized) -> str:
-    """What keeps a point from being allowed, the worst first, and what nothing moves."""
-    values, equal = here.constraints, limits.x.least == limits.x.most
-    rows = np.max(np.abs(here.rows), axis=1, initial=0.0)
-    still = limits.named(equal & (rows < _STILL))
-    named = [name for name, x in still.items() if np.any(x)]
-    if named:
-        return (
-            f"{', '.join(named)} does not depend on what is varied there, where it is to "
-            "equal a value: leave the constraint out, or look at how the flight ends"
-        )
-    beyond = np.maximum(limits.x.least - values, values - limits.x.most)
-    worst = {n: float(np.max(x, initial=0.0)) for n, x in limits.named(beyond).items()}
-    named = sorted(worst, key=lambda name: -worst[name])
-    off = [
-        f"{name} by {worst[name]:.2g} of its scale"
-        for name in named
-        if worst[name] > 1e-6
-    ]
-    if not off:
-        return "all constraints are met there"
-    return f"not met there: {', '.join(off)}"
 
 
 _LEAST_SLOPE = 1e-3

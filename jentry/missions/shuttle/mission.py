@@ -2,8 +2,8 @@
 
 import dataclasses
 
+from ...planning.flight_constraints import Constraint
 from ...planning.flight_problem import AtEnd, FlightProblem, FreeControl
-from ...planning.optimization import Constraint
 from ...units import degree
 from ..mission import Mission
 from .scenario import (

@@ -5,8 +5,8 @@ import functools
 from collections.abc import Callable
 
 from ...flight.scenario import Scenario
+from ...planning.flight_constraints import Constraint
 from ...planning.flight_problem import AtEnd, FlightProblem, FreeControl
-from ...planning.optimization import Constraint
 from ...units import degree
 from ..mission import Mission
 from .cases import CASES, case

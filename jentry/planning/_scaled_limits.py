@@ -1,0 +1,107 @@
+"""Parameters and constraints of a flight as rows of numbers about one, for a solver."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..tuning.maps import Linear
+from ..tuning.parameters import Parameters
+from ._constrained import Limits, Linearized
+from .flight_constraints import Constraint
+
+
+def parted(parameters: Parameters, x: Any) -> dict[str, Any]:
+    """Free numbers by address, out of one row of them."""
+    found, first = {}, 0
+    for address, each in in_order(parameters):
+        found[address] = x[first : first + each.start.size].reshape(each.start.shape)
+        first += each.start.size
+    return found
+
+
+def in_order(parameters: Parameters) -> list[tuple[str, Linear]]:
+    """The maps as they follow each other in a row: JAX sorts a dictionary, too."""
+    maps = sorted(parameters.maps.items())
+    return [(address, each) for address, each in maps if isinstance(each, Linear)]
+
+
+class ScaledLimits(NamedTuple):
+    """The limits of all values in a row, and whose they are."""
+
+    x: Limits
+    """In units of the scales"""
+    scales: np.ndarray
+    """(n,) of the parameters"""
+    sizes: np.ndarray
+    """(m,)"""
+    inside: np.ndarray
+    """(m,) Values within the limits, in units of the sizes"""
+    names: list[str]
+    shapes: list[tuple[int, ...]]
+
+    def named(self, row: np.ndarray) -> dict[str, np.ndarray]:
+        named, first = {}, 0
+        for name, shape in zip(self.names, self.shapes, strict=True):
+            size = math.prod(shape)
+            named[name] = row[first : first + size].reshape(shape)
+            first += size
+        return named
+
+
+def scaled_limits(
+    parameters: Parameters,
+    asked: Mapping[str, Constraint],
+    shapes: Sequence[tuple[int, ...]],
+) -> ScaledLimits:
+    """Of constraints whose values have these shapes."""
+    maps = [each for _, each in in_order(parameters)]
+
+    def all_of(name: str) -> np.ndarray:
+        return np.concatenate([np.ravel(getattr(each, name)) for each in maps])
+
+    start, scales = all_of("start"), all_of("scale")
+    lower, upper = ((all_of(x) - start) / scales for x in ("lower", "upper"))
+
+    def row(of: Callable[[Constraint], float]) -> np.ndarray:
+        each = zip(shapes, asked.values(), strict=True)
+        rows = [np.full(math.prod(shape), of(constraint)) for shape, constraint in each]
+        return np.concatenate([np.zeros(0), *rows])
+
+    sizes = row(lambda each: each.size)
+    least, most = (row(of) / sizes for of in (lambda c: c.least, lambda c: c.most))
+    from_one_side = np.where(np.isfinite(least), least + 1.0, most - 1.0)
+    both = np.isfinite(least) & np.isfinite(most)
+    with np.errstate(invalid="ignore"):
+        inside = np.where(both, 0.5 * (least + most), from_one_side)
+    x = Limits(lower, upper, least, most)
+    return ScaledLimits(x, scales, sizes, inside, list(asked), list(shapes))
+
+
+_STILL = 1e-12
+"""Of a derivative, in the units of the problem: rounding"""
+
+
+def what_is_wrong(limits: ScaledLimits, here: Linearized) -> str:
+    """What keeps a point from being allowed, the worst first, and what nothing moves."""
+    values, equal = here.constraints, limits.x.least == limits.x.most
+    rows = np.max(np.abs(here.rows), axis=1, initial=0.0)
+    still = limits.named(equal & (rows < _STILL))
+    named = [name for name, x in still.items() if np.any(x)]
+    if named:
+        return (
+            f"{', '.join(named)} does not depend on what is varied there, where it is to "
+            "equal a value: leave the constraint out, or look at how the flight ends"
+        )
+    beyond = np.maximum(limits.x.least - values, values - limits.x.most)
+    worst = {n: float(np.max(x, initial=0.0)) for n, x in limits.named(beyond).items()}
+    named = sorted(worst, key=lambda name: -worst[name])
+    off = [
+        f"{name} by {worst[name]:.2g} of its scale"
+        for name in named
+        if worst[name] > 1e-6
+    ]
+    if not off:
+        return "all constraints are met there"
+    return f"not met there: {', '.join(off)}"
