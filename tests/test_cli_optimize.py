@@ -113,6 +113,7 @@ def test_a_mission_has_problems_of_its_own(command, monkeypatch, tmp_path):
     assert seen["given"][1].bank.most == 89 * degree
 
 
+@pytest.mark.slow
 def test_footprint(command, tmp_path):
     words = (*ASKED[2:], "--directions", 1, "--out", tmp_path, "--every", 20)
     ends = ("--set", "target.downrange=700km")

@@ -68,6 +68,7 @@ def test_constant_controls():
     assert_same_end(flight, *by_hand.fly(lambda e: 20 * degree, lambda e: -45 * degree))
 
 
+@pytest.mark.slow
 @pytest.mark.optimized
 def test_few_nodes():
     """An optimum of ten nodes: below the best, above what it began with, and real."""
