@@ -31,6 +31,10 @@ def test_optimize(command, tmp_path):
     assert (
         written["optimized"]["objective"] > written["optimized"]["objective_at_start"]
     )
+    for name in ("bank", "angle_of_attack"):
+        # Those of the flight that it began with, which is not flown again for them.
+        assert len(written["set"][f"guidance.{name}.breakpoints"]) == 3
+        assert len(written["set"][f"guidance.{name}.coefficients"]) == 5
     config = ("--config", out / "optimized.toml", "--step", 2)
     code, flown, _ = command("fly", "cheap", *config)
     row = next(x for x in printed.splitlines() if "│ at best" in x)
