@@ -91,9 +91,11 @@ class Search:
         return np.where(np.isfinite(cost), cost, 1e6) + WEIGHT * outside
 
 
-def by_cmaes(search: Search, seconds: float, seed: int) -> np.ndarray:
+def by_cmaes(
+    search: Search, seconds: float, seed: int, first_step: float
+) -> np.ndarray:
     optimizer = cmaes.CMA(
-        mean=search.first, sigma=0.02, seed=seed, population_size=POPULATION
+        mean=search.first, sigma=first_step, seed=seed, population_size=POPULATION
     )
     best, least, end = search.first, np.inf, time.perf_counter() + seconds
     while time.perf_counter() < end:
@@ -134,6 +136,7 @@ def main() -> None:
     parser.add_argument("--variant", default="glide")
     parser.add_argument("--times", type=float, default=10.0)
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--first-step", type=float, default=0.02)
     options = parser.parse_args()
     jentry.setup(workers=1)
     warnings.simplefilter("ignore", jentry.ResultWarning)
@@ -165,7 +168,7 @@ def main() -> None:
         found = (
             by_nelder_mead(search, seconds)
             if seed is None
-            else by_cmaes(search, seconds, seed)
+            else by_cmaes(search, seconds, seed, options.first_step)
         )
         flights = search.flights
         latitude, altitude, path, heat = search.ends(found[None])[0]
