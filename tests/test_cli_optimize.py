@@ -47,6 +47,8 @@ def test_optimize(command, tmp_path):
     # It is at the best already.
     words = ("--maximize", "downrange", "--bank", "50deg:-90deg:90deg")
     words += ("--angle-of-attack", "0deg:-1deg:1deg", "--end", "altitude=8km:40km")
+    refused = command("optimize", "cheap", *words, *config, "--nodes", 9)
+    assert_refused(refused, "--nodes and --over are given, and --config has")
     code, again, _ = command("optimize", "cheap", *words, *config, "--out", out)
     begun = next(x for x in again.splitlines() if "│ at the start" in x)
     assert float(begun.split("│")[2]) == pytest.approx(best, abs=1e-5)

@@ -1,5 +1,6 @@
 """`jentry optimize`: the best flight of a vehicle, under constraints."""
 
+import dataclasses
 from pathlib import Path
 from typing import Annotated
 
@@ -125,6 +126,13 @@ def command(
         history=every,
     )
     begin = None if overrides.free_controls is None else scenario.guidance
+    if begin is not None and (nodes is not None or over is not None):
+        raise ValueError(
+            "--nodes and --over are given, and --config has splines of its own, "
+            "[free_controls]: give the one or the other"
+        )
+    if overrides.values:
+        asked = dataclasses.replace(asked, published={})
     best = best_flight(scenario, asked, FixedStep(step), begin)
     print_optimized(chosen, name, asked, best)
     folder = Path("results") / f"{chosen.name}-optimized" if out is None else out
