@@ -130,7 +130,7 @@ def estimates(time_constant, sensed, expected, elapsed=1.0):
         numbers = (jnp.asarray(x) for x in (lift, drag, model_lift, model_drag))
         lift, drag, model_lift, model_drag = numbers
         estimate = estimator.update(
-            estimate, (lift, drag), (model_lift, model_drag), jnp.asarray(elapsed)
+            estimate, model_lift, (lift, drag), (model_lift, model_drag), jnp.asarray(elapsed)
         )
         found.append([float(estimate.factors.lift), float(estimate.factors.drag)])
     return np.array(found)
@@ -164,7 +164,9 @@ def test_estimate_is_differentiable_in_the_time_constant():
         for lift in (2.0, 2.4, 2.1):
             sensed = jnp.asarray(lift), jnp.asarray(1.0)
             expected = jnp.asarray(2.0), jnp.asarray(1.0)
-            estimate = estimator.update(estimate, sensed, expected, jnp.asarray(1.0))
+            estimate = estimator.update(
+                estimate, jnp.asarray(0.0), sensed, expected, jnp.asarray(1.0)
+            )
         return estimate.factors.lift
 
     slope = float(jax.grad(factor)(jnp.asarray(3.0)))

@@ -422,7 +422,9 @@ class Correcting(AbstractSampledLaw[tuple[()], Held]):
         )
         air = air_data(planet, vehicle, state, vehicle.trim_angle_of_attack)
         sensed, expected = (measurement.lift, measurement.drag), (air.lift, air.drag)
-        estimate = self.estimator.update(held.estimate, sensed, expected, one(2.0))
+        estimate = self.estimator.update(
+            held.estimate, state.altitude, sensed, expected, one(2.0)
+        )
 
         def miss(cosine):
             def command(time, state):

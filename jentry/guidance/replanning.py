@@ -17,7 +17,13 @@ from jaxtyping import Array, Float
 from .._newton import solve
 from ..fields import NOT_NEGATIVE, Count, Flag, Scalar, scalar
 from ..motion.state import Controls, EntryState
-from ..onboard.estimation import FactorEstimate, FactorEstimator, Factors
+from ..onboard.estimation import (
+    AbstractFactorEstimate,
+    AbstractFactorEstimator,
+    AbstractFactors,
+    FactorEstimator,
+    Factors,
+)
 from ..onboard.navigation import Measurement
 from ..onboard.profiles import AbstractProfile
 from ..onboard.propagation import Prediction, propagate_over
@@ -91,7 +97,7 @@ class Replanned(eqx.Module):
     """What is decided at a guidance cycle."""
 
     adjustment: Adjustment
-    estimate: FactorEstimate
+    estimate: AbstractFactorEstimate
     """Of the factors on lift and drag of the model"""
     decisions: Scalar
     """How many there have been"""
@@ -137,7 +143,7 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
     least_share: Scalar = scalar(0.3, range=NOT_NEGATIVE)
     """Likewise for less than this share of the miss: near the end, where what is missed
     cannot be reached any more"""
-    estimator: FactorEstimator = eqx.field(default_factory=FactorEstimator)
+    estimator: AbstractFactorEstimator = eqx.field(default_factory=FactorEstimator)
     cycle: FixedCycle = FixedCycle(10.0)
     steps: int = eqx.field(default=100, static=True)
     """Of a prediction. At the start one is to be shorter over the energy than a reversal
@@ -185,8 +191,10 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
         expected = self.law.model.forces(state, angle, Factors(one, one))
         sensed = measurement.lift, measurement.drag
         elapsed = self.cycle.period * one
-        estimate = self.estimator.update(held.estimate, sensed, expected, elapsed)
-        adjustment, found = self._adjusted(state, estimate.factors, held.adjustment)
+        estimate = self.estimator.update(
+            held.estimate, state.altitude, sensed, expected, elapsed
+        )
+        adjustment, found = self._adjusted(state, estimate.ahead, held.adjustment)
         missing = jnp.where(found, 0.0, 1.0)
         return self._from_here(measurement), Replanned(
             adjustment,
@@ -222,7 +230,7 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
         return {"decisions_without_prediction": share}
 
     def predicted(
-        self, state: EntryState, factors: Factors, adjustment: Adjustment
+        self, state: EntryState, factors: AbstractFactors, adjustment: Adjustment
     ) -> Prediction:
         """The flight of the model from a state to the end, under changed controls."""
         model = adjustment.applied(self.law.model)
@@ -245,7 +253,7 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
         return OwnReference(measurement.state, self.law.init(measurement))
 
     def _adjusted(
-        self, state: EntryState, factors: Factors, before: Adjustment
+        self, state: EntryState, factors: AbstractFactors, before: Adjustment
     ) -> tuple[Adjustment, Flag]:
         """The next adjustment, and whether a prediction told which."""
         model = self.law.model

@@ -1,6 +1,9 @@
 """Floor 3: profiles, references, what the vehicle measures and believes."""
 
 from .estimation import (
+    AbstractFactorEstimate as AbstractFactorEstimate,
+    AbstractFactorEstimator as AbstractFactorEstimator,
+    AbstractFactors as AbstractFactors,
     FactorEstimate as FactorEstimate,
     FactorEstimator as FactorEstimator,
     Factors as Factors,
@@ -28,6 +31,12 @@ from .network import (
     Network as Network,
     load_network as load_network,
     save_network as save_network,
+)
+from .profile_estimation import (
+    Departure as Departure,
+    FactorProfile as FactorProfile,
+    ProfileEstimate as ProfileEstimate,
+    ProfileEstimator as ProfileEstimator,
 )
 from .profiles import (
     AbstractProfile as AbstractProfile,

@@ -16,7 +16,7 @@ from .._newton import by_jvp, newton
 from ..fields import Count, Flag, Scalar
 from ..motion.dynamics import AbstractDynamics, EntryDynamics, with_respect_to
 from ..motion.state import Controls, EntryState
-from .estimation import Factors
+from .estimation import AbstractFactors, Factors
 from .model import OnboardModel
 
 
@@ -77,7 +77,7 @@ def propagate(
     *,
     step: Scalar | float,
     steps: int,
-    factors: Factors | None = None,
+    factors: AbstractFactors | None = None,
     dynamics: AbstractDynamics = EntryDynamics(),
     integrand: Integrand | None = None,
 ) -> Prediction:
@@ -185,7 +185,7 @@ def propagate_over(
     command: Command,
     *,
     steps: int,
-    factors: Factors | None = None,
+    factors: AbstractFactors | None = None,
     dynamics: AbstractDynamics = EntryDynamics(),
     integrand: Integrand | None = None,
 ) -> Prediction:
@@ -230,19 +230,20 @@ def propagate_over(
 def _flow(
     model: OnboardModel,
     command: Command,
-    factors: Factors | None,
+    factors: AbstractFactors | None,
     dynamics: AbstractDynamics,
     integrand: Integrand | None,
 ) -> Callable[[_Moving], _Moving]:
     """Time derivative of what is integrated."""
     planet, nominal = model.planet, model.vehicle
     factors = Factors() if factors is None else factors
-    scales = nominal.lift_scale * factors.lift, nominal.drag_scale * factors.drag
-    vehicle = eqx.tree_at(lambda v: (v.lift_scale, v.drag_scale), nominal, scales)
 
     def flow(moving: _Moving) -> _Moving:
         time, state = moving.time, moving.state
         controls = command(time, state)
+        here = factors.at(state.altitude)
+        scales = nominal.lift_scale * here.lift, nominal.drag_scale * here.drag
+        vehicle = eqx.tree_at(lambda v: (v.lift_scale, v.drag_scale), nominal, scales)
         rates = dynamics.rates(planet, vehicle, state, controls)
         more = None if integrand is None else integrand(time, state, controls)
         return _Moving(jnp.ones_like(time), rates, more)

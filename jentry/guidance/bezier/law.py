@@ -13,7 +13,11 @@ from ...fields import QUARTER, Scalar, scalar
 from ...motion.constraints import Constraints, DynamicPressure, HeatRate, LoadFactor
 from ...motion.forces import air_data
 from ...motion.state import Controls, EntryState
-from ...onboard.estimation import FactorEstimate, FactorEstimator
+from ...onboard.estimation import (
+    AbstractFactorEstimate,
+    AbstractFactorEstimator,
+    FactorEstimator,
+)
 from ...onboard.model import OnboardModel
 from ...onboard.navigation import Measurement
 from ...onboard.track import Track
@@ -43,7 +47,7 @@ class HeldCurve(AbstractTimedDecision):
     shape: Shape
     along: Scalar
     """Where the curve is anchored, rad along the track"""
-    estimate: FactorEstimate
+    estimate: AbstractFactorEstimate
     duration: Scalar
     """Length of this cycle, s"""
     count: Scalar
@@ -79,7 +83,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], HeldCurve]):
     arrival: Arrival
     model: OnboardModel
     limits: FlightLimits
-    estimator: FactorEstimator = eqx.field(default_factory=FactorEstimator)
+    estimator: AbstractFactorEstimator = eqx.field(default_factory=FactorEstimator)
     anchoring: AbstractAnchoring = StoredParameters()
     velocity_control: AbstractVelocityControl = NoVelocityControl()
     cycle: ShorteningCycle = ShorteningCycle()
@@ -137,6 +141,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], HeldCurve]):
         expected = air_data(planet, vehicle, state, flown_at)
         estimate = self.estimator.update(
             held.estimate,
+            state.altitude,
             (measurement.lift, measurement.drag),
             (expected.lift, expected.drag),
             held.duration,
@@ -148,7 +153,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], HeldCurve]):
         shape = self.anchoring.carried(held.shape, held.along, start, target)
         shape, predictions = self.velocity_control.adjusted(
             self.glide(measurement.constraints),
-            Situation(start, state.velocity, shape, target, factors),
+            Situation(start, state.velocity, shape, target, estimate.ahead),
             held.count,
             seconds_to_go,
         )
@@ -198,7 +203,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], HeldCurve]):
             velocity=state.velocity,
             shape=decision.shape,
             target=self.target(),
-            factors=decision.estimate.factors,
+            factors=decision.estimate.ahead,
         )
 
     def _point(self, state: EntryState) -> PathPoint:

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from ...fields import Scalar, table
 from ...motion.constraints import Constraints
-from ...onboard.estimation import Factors
+from ...onboard.estimation import AbstractFactors
 from ...onboard.model import OnboardModel
 from ...onboard.network import Network
 from .allocation import FlightLimits, attitude
@@ -28,7 +28,7 @@ class Situation(eqx.Module):
     """m/s"""
     shape: Shape
     target: PathPoint
-    factors: Factors
+    factors: AbstractFactors
 
 
 class Glide(eqx.Module):
@@ -63,10 +63,10 @@ class FlownModel(AbstractVelocityPredictor):
 
     def predict(self, glide: Glide, situation: Situation) -> Scalar:
         planet, vehicle = glide.model.planet, glide.model.vehicle
-        factors = situation.factors
 
         def rate(point, second_slopes, velocity):
             altitude = point.altitude
+            factors = situation.factors.at(altitude)
             radius = planet.radius + altitude
             wanted = required_acceleration(planet, point, second_slopes, velocity)
             controls = attitude(
@@ -142,7 +142,8 @@ def features(glide: Glide, situation: Situation, inputs: Inputs) -> Float[Array,
     ]
     numbers += glide.anchoring.features(situation.shape, point, target)
     if inputs is Inputs.ALL:
-        numbers += [situation.factors.lift, situation.factors.drag]
+        factors = situation.factors.at(point.altitude)
+        numbers += [factors.lift, factors.drag]
     return jnp.stack(numbers)
 
 
