@@ -225,9 +225,9 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
         )
 
     def caveats(self, held: Replanned) -> dict[str, Scalar]:
-        """Share of the decisions without a prediction of the end."""
+        """Share of the decisions without a prediction of the end, and the estimate's."""
         share = held.without_prediction / jnp.maximum(held.decisions, 1.0)
-        return {"decisions_without_prediction": share}
+        return {"decisions_without_prediction": share} | held.estimate.caveats()
 
     def predicted(
         self, state: EntryState, factors: AbstractFactors, adjustment: Adjustment

@@ -43,6 +43,10 @@ class AbstractFactorEstimate(eqx.Module):
     def ahead(self) -> AbstractFactors:
         """Over the altitude, for what is predicted."""
 
+    def caveats(self) -> dict[str, Scalar]:
+        """What a reader of the results must know: see `AbstractSampledLaw.caveats`."""
+        return {}
+
 
 Estimate = TypeVar("Estimate", bound=AbstractFactorEstimate)
 

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._math import safe_sqrt, sincos
-from ..fields import NOT_NEGATIVE, Scalar, Vector, scalar, table
+from ..fields import NOT_NEGATIVE, Scalar, Vector, optional_scalar, scalar, table
 from .estimation import (
     AbstractFactorEstimate,
     AbstractFactorEstimator,
@@ -27,6 +27,8 @@ from .estimation import (
 
 _LEAST_FACTOR = 0.2
 """Below it a factor is not believed, so that no drag becomes negative"""
+_SURPRISE = 4.0
+"""Standard deviations beyond which a sample contradicts the prior"""
 _SPECTRUM = 1e-4
 """Share of the variance that the waves of a correlation length leave out"""
 
@@ -112,26 +114,73 @@ class Departure(eqx.Module):
         return jnp.concatenate([line, self.amplitudes * sine, self.amplitudes * cosine])
 
 
+class Learnt(eqx.Module):
+    """Weights of a departure along one axis, with their covariance."""
+
+    weights: Float[Array, " weights"]
+    covariance: Float[Array, "weights weights"]
+
+    def refined(
+        self,
+        basis: Float[Array, " weights"],
+        sensed: Scalar,
+        expected: Scalar,
+        variance: Scalar,
+    ) -> tuple["Learnt", Scalar]:
+        """After a sample of a force (m/s2), and how far it was from what was believed.
+
+        In standard deviations of what was believed and of the sample, whose variance is
+        given.
+        """
+        row = expected * basis
+        spread = self.covariance @ row
+        per_variance = 1.0 / (jnp.sum(row * spread) + variance)
+        surprise = sensed - expected - jnp.sum(row * self.weights)
+        weights = self.weights + spread * (per_variance * surprise)
+        covariance = self.covariance - per_variance * jnp.outer(spread, spread)
+        return Learnt(weights, covariance), jnp.abs(surprise) * safe_sqrt(per_variance)
+
+
 class FactorProfile(AbstractFactors):
     """Factors over the altitude: one, and a departure with weights."""
 
     departure: Departure
-    lift: Float[Array, " weights"]
-    drag: Float[Array, " weights"]
+    lift: Learnt
+    drag: Learnt
+    caution: Scalar | None
+    """Standard deviations by which the factors are taken to be smaller"""
 
     def at(self, altitude: Scalar) -> Factors:
         basis = self.departure.basis(altitude)
-        found = (1.0 + jnp.sum(basis * weights) for weights in (self.lift, self.drag))
-        return Factors(*(jnp.maximum(factor, _LEAST_FACTOR) for factor in found))
+
+        def factor(learnt: Learnt) -> Scalar:
+            found = 1.0 + jnp.sum(basis * learnt.weights)
+            if self.caution is not None:
+                found = found - self.caution * _deviation(basis, learnt)
+            return jnp.maximum(found, _LEAST_FACTOR)
+
+        return Factors(factor(self.lift), factor(self.drag))
+
+    def deviations(self, altitude: Scalar) -> Factors:
+        """Standard deviations of the factors at an altitude (m), as the estimate has it."""
+        basis = self.departure.basis(altitude)
+        return Factors(_deviation(basis, self.lift), _deviation(basis, self.drag))
+
+
+def _deviation(basis: Float[Array, " weights"], learnt: Learnt) -> Scalar:
+    # By rounding it may become negative where nothing is left to be learnt.
+    return safe_sqrt(basis @ learnt.covariance @ basis)
 
 
 class ProfileEstimate(AbstractFactorEstimate):
-    """The factors where the vehicle is, and those over the altitude with covariances."""
+    """The factors where the vehicle is, and those over the altitude."""
 
     here: FactorEstimate
     profile: FactorProfile
-    lift_covariance: Float[Array, "weights weights"]
-    drag_covariance: Float[Array, "weights weights"]
+    samples: Scalar
+    """How many there have been"""
+    surprises: Scalar
+    """How many of them were beyond what the prior and the samples before make likely"""
 
     @property
     def factors(self) -> Factors:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -141,11 +190,9 @@ class ProfileEstimate(AbstractFactorEstimate):
     def ahead(self) -> FactorProfile:
         return self.profile
 
-    def deviations(self, altitude: Scalar) -> Factors:
-        """Standard deviations of the factors at an altitude (m), as the estimate has it."""
-        basis = self.profile.departure.basis(altitude)
-        both = self.lift_covariance, self.drag_covariance
-        return Factors(*(safe_sqrt(basis @ covariance @ basis) for covariance in both))
+    def caveats(self) -> dict[str, Scalar]:
+        share = self.surprises / jnp.maximum(self.samples, 1.0)
+        return {"surprising_samples": share}
 
 
 class ProfileEstimator(AbstractFactorEstimator[ProfileEstimate]):
@@ -154,22 +201,28 @@ class ProfileEstimator(AbstractFactorEstimator[ProfileEstimate]):
     What is sensed where the vehicle is goes by `here`, as without a profile: a loop that
     is closed about the present force needs the last sample, and not a fit. The profile is
     for what is ahead.
+
+    A prior that is too smooth for the air is worse than none: it carries on with
+    confidence what is not there. Then the samples contradict it. `Flight.caveats` has the
+    share of those, `surprising_samples`, that lay beyond four standard deviations.
     """
 
     departure: Departure
     noise: Scalar = scalar(1e-3, unit="m/s2", positive=True)
     """Standard deviation of a sample of lift, or of drag"""
-    misfit: Scalar = scalar(1e-3, positive=True)
+    misfit: Scalar = scalar(2e-3, positive=True)
     """Standard deviation of what the departure cannot be, in shares"""
+    caution: Scalar | None = optional_scalar()
+    """Standard deviations by which the forces ahead are taken to be smaller than is
+    likely; None for none. For a law to which too much speed is worse than too little"""
     here: FactorEstimator = eqx.field(default_factory=FactorEstimator)
 
     def start(self, like: Scalar) -> ProfileEstimate:
         nothing = 0.0 * like
-        basis = self.departure.basis(nothing)
-        weights = 0.0 * basis
-        covariance = jnp.eye(basis.shape[0]) + nothing
-        profile = FactorProfile(self.departure, weights, weights)
-        return ProfileEstimate(self.here.start(like), profile, covariance, covariance)
+        weights = 0.0 * self.departure.basis(nothing)
+        learnt = Learnt(weights, jnp.eye(weights.shape[0]) + nothing)
+        profile = FactorProfile(self.departure, learnt, learnt, self.caution)
+        return ProfileEstimate(self.here.start(like), profile, nothing, nothing)
 
     def update(
         self,
@@ -180,19 +233,17 @@ class ProfileEstimator(AbstractFactorEstimator[ProfileEstimate]):
         elapsed: Scalar,
     ) -> ProfileEstimate:
         here = self.here.update(estimate.here, altitude, sensed, expected, elapsed)
-        basis, profile = self.departure.basis(altitude), estimate.profile
-
-        def refined(weights, covariance, axis):
-            force = expected[axis]
-            row = force * basis
-            spread = covariance @ row
-            error = self.noise * self.noise + (self.misfit * force) ** 2
-            per_variance = 1.0 / (jnp.sum(row * spread) + error)
-            surprise = sensed[axis] - force - jnp.sum(row * weights)
-            weights = weights + spread * (per_variance * surprise)
-            return weights, covariance - per_variance * jnp.outer(spread, spread)
-
-        lift, lift_covariance = refined(profile.lift, estimate.lift_covariance, 0)
-        drag, drag_covariance = refined(profile.drag, estimate.drag_covariance, 1)
-        learnt = FactorProfile(self.departure, lift, drag)
-        return ProfileEstimate(here, learnt, lift_covariance, drag_covariance)
+        basis = self.departure.basis(altitude)
+        axes = estimate.profile.lift, estimate.profile.drag
+        found, surprised = [], jnp.zeros_like(altitude, dtype=bool)
+        for learnt, force, model in zip(axes, sensed, expected, strict=True):
+            variance = self.noise * self.noise + (self.misfit * model) ** 2
+            after, surprise = learnt.refined(basis, force, model, variance)
+            found.append(after)
+            surprised = surprised | (surprise > _SURPRISE)
+        return ProfileEstimate(
+            here,
+            FactorProfile(self.departure, *found, self.caution),
+            estimate.samples + 1.0,
+            estimate.surprises + jnp.where(surprised, 1.0, 0.0),
+        )

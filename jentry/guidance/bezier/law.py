@@ -191,10 +191,13 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], HeldCurve]):
         return held.controls, ()
 
     def caveats(self, held: HeldCurve) -> dict[str, Scalar]:
-        """Share of the predictions of the velocity at the target without an answer."""
+        """Share of the predictions of the velocity at the target without an answer.
+
+        And those of the estimate.
+        """
         made = held.predictions
         share = made.unanswered / jnp.maximum(made.asked, 1.0)
-        return {"unanswered_predictions": share}
+        return {"unanswered_predictions": share} | held.estimate.caveats()
 
     def situation(self, state: EntryState, decision: HeldCurve) -> Situation:
         """What a prediction of the velocity at the target starts from."""

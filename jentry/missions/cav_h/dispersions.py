@@ -20,6 +20,16 @@ RADIUS = 6371.0 * km
 """Radius of the Earth, on which Table 2 counts range and cross range, m"""
 
 
+WAVELENGTHS = 25.0 * km, 8.0 * km
+AMPLITUDES = 0.05, 0.02
+"""Of the waves of the density, in shares"""
+TREND_ALTITUDES = 30.0 * km, 80.0 * km
+TREND_DEVIATIONS = 0.1 / 3.0, 0.25 / 3.0
+"""Standard deviations of the trend of the density at these altitudes, in shares"""
+FACTOR_DEVIATION = 0.1 / 3.0
+"""Of the other factors"""
+
+
 def _initial_state(
     about_zero: Callable[[float], AbstractDistribution],
 ) -> dict[str, Dispersion]:
@@ -55,7 +65,7 @@ def _factors(distribution) -> dict[str, Dispersion]:
 @functools.cache
 def normal() -> dict[str, Dispersion]:
     """Table 2 with the factors normal, 10 % at three sigma."""
-    return _initial_state(_three_sigma) | _factors(Normal(1.0, 0.1 / 3.0))
+    return _initial_state(_three_sigma) | _factors(Normal(1.0, FACTOR_DEVIATION))
 
 
 @functools.cache
@@ -97,15 +107,17 @@ def _waves() -> dict[str, Dispersion]:
     """As in the dispersed atmosphere of studies of the RLV: a trend of 10 % at 30 km to
     25 % at 80 km at three sigma, and waves of 5 % (25 km) and 2 % (8 km).
     """
+    low, high = (Constant(share) for share in TREND_DEVIATIONS)
+    long, short = (Constant(amplitude) for amplitude in AMPLITUDES)
     air = lambda s: s.planet.atmosphere
     phase = Uniform(0.0, 2.0 * math.pi)
     return {
         "trend": Dispersion(lambda s: air(s).trend, Normal(0.0, 1.0)),
-        "trend at 30 km": Dispersion(lambda s: air(s).share_low, Constant(0.1 / 3.0)),
-        "trend at 80 km": Dispersion(lambda s: air(s).share_high, Constant(0.25 / 3.0)),
-        "long wave": Dispersion(lambda s: air(s).waves[0].amplitude, Constant(0.05)),
+        "trend at 30 km": Dispersion(lambda s: air(s).share_low, low),
+        "trend at 80 km": Dispersion(lambda s: air(s).share_high, high),
+        "long wave": Dispersion(lambda s: air(s).waves[0].amplitude, long),
         "its phase": Dispersion(lambda s: air(s).waves[0].phase, phase),
-        "short wave": Dispersion(lambda s: air(s).waves[1].amplitude, Constant(0.02)),
+        "short wave": Dispersion(lambda s: air(s).waves[1].amplitude, short),
         "phase of that": Dispersion(lambda s: air(s).waves[1].phase, phase),
     }
 
@@ -143,4 +155,4 @@ def state_training_dispersions() -> dict[str, Dispersion]:
     What the network cannot read it can only expect: the factors are those that it will
     meet.
     """
-    return _initial_state(_wider) | _factors(Normal(1.0, 0.1 / 3.0))
+    return _initial_state(_wider) | _factors(Normal(1.0, FACTOR_DEVIATION))

@@ -6,10 +6,12 @@ is chosen.
 """
 
 import functools
+import math
 from pathlib import Path
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
 
 from ...flight.scenario import Scenario, Target
@@ -41,6 +43,7 @@ from ...motion.constraints import (
 from ...motion.state import EntryState
 from ...onboard.model import OnboardModel
 from ...onboard.navigation import Accelerometers
+from ...onboard.profile_estimation import Departure, ProfileEstimator
 from ...onboard.track import Track
 from ...planning.bezier_curve import k2_polynomials
 from ...plots import GLIDE
@@ -54,7 +57,12 @@ from ...world.us_standard_atmosphere import USStandardAtmosphere1976
 from ...world.vehicle import Vehicle
 from ..mission import Mission, PublishedValue, standard_deviation
 from .dispersions import (
+    AMPLITUDES,
+    FACTOR_DEVIATION,
     RADIUS,
+    TREND_ALTITUDES,
+    TREND_DEVIATIONS,
+    WAVELENGTHS,
     normal,
     normal_sensed,
     uniform,
@@ -67,6 +75,9 @@ from .training import network_predictor, train
 TARGET_LATITUDE = 55.9067 * degree
 """Latitude of the target, rad, 6216.538 km due north: with the paper's k1 and k2 the
 velocity there is its 2630 m/s"""
+
+PIVOT = 37.5 * km
+"""Altitude in the middle of the flight"""
 
 FINAL_VELOCITY = 2630.0
 """Velocity at the target, m/s: Table 1"""
@@ -87,9 +98,9 @@ def earth() -> Planet:
 
 def disturbed(air: AbstractAtmosphere) -> PerturbedAtmosphere:
     """The planet with its actual air, as it is known on board until it is dispersed."""
-    return PerturbedAtmosphere(
-        air, (DensityWave(0.0, 25.0 * km), DensityWave(0.0, 8.0 * km))
-    )
+    low, high = TREND_ALTITUDES
+    waves = tuple(DensityWave(0.0, wavelength) for wavelength in WAVELENGTHS)
+    return PerturbedAtmosphere(air, waves, low=low, high=high)
 
 
 def glider() -> Vehicle:
@@ -252,6 +263,54 @@ def newton() -> Scenario:
     return subdivided(NewtonAdjustment(FINAL_VELOCITY, FlownModel(16)))
 
 
+def _learning(departure: Departure, caution: float | None = None) -> Scenario:
+    estimator = ProfileEstimator(departure, caution=caution)
+    return eqx.tree_at(lambda s: s.guidance.estimator, newton(), estimator)
+
+
+def _constant_and_slope() -> tuple[float, float]:
+    """Standard deviations at `PIVOT`, of the trend and one factor, and of the slope."""
+    low, high = TREND_ALTITUDES
+    at_low, at_high = TREND_DEVIATIONS
+    slope = (at_high - at_low) / (high - low)
+    return math.hypot(at_low + slope * (PIVOT - low), FACTOR_DEVIATION), slope
+
+
+def learning() -> Scenario:
+    """The variant `newton`, with factors over the altitude that are learnt on the way.
+
+    By a prior that knows trend and waves of `waves-sensed`, and not their phases.
+    """
+    constant, slope = _constant_and_slope()
+    amplitudes = np.array(AMPLITUDES) / math.sqrt(2.0)
+    return _learning(
+        Departure(np.array(WAVELENGTHS), amplitudes, constant, slope, PIVOT)
+    )
+
+
+def learning_correlated() -> Scenario:
+    """The same by a prior that knows of the waves a correlation length alone, 2.7 km.
+
+    It is that of a correlation with the curvature, at zero, of that of the waves. The
+    caution is chosen: a vehicle that is too fast near its target cannot help it any more,
+    and one that is too slow can.
+    """
+    variances = 0.5 * np.array(AMPLITUDES) ** 2
+    numbers = 2.0 * math.pi / np.array(WAVELENGTHS)
+    variance = np.sum(variances)
+    length = math.sqrt(variance / np.sum(variances * numbers**2))
+    constant, slope = _constant_and_slope()
+    departure = Departure.correlated(
+        length,
+        math.sqrt(variance),
+        PIVOT - 17.5 * km,
+        PIVOT + 17.5 * km,
+        constant=constant,
+        slope=slope,
+    )
+    return _learning(departure, caution=0.5)
+
+
 def newton_network() -> Scenario:
     """The subdivided curve, adjusted by Newton's method on the network."""
     return subdivided(
@@ -309,6 +368,8 @@ MISSION = Mission(
     variants={
         "newton": newton,
         "newton-network": newton_network,
+        "learning": learning,
+        "learning-correlated": learning_correlated,
         "stored": stored,
         "model-inversion": model_inversion,
         "adjusted-once": adjusted_once,
