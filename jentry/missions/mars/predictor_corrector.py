@@ -1,0 +1,47 @@
+"""Mars lander, numerical predictor-corrector, in the plane and in three dimensions.
+
+The entry, the target and the dispersions of `drag_tracking`. What is chosen says so.
+"""
+
+import dataclasses
+
+import equinox as eqx
+
+from ...flight.scenario import Scenario
+from ...guidance.lateral import AbstractLateralLogic, CrossrangeCorridor, FixedSide
+from ...guidance.predictor_corrector import (
+    ConstantBank,
+    GuidedEnd,
+    PredictorCorrector,
+)
+from ...motion.dynamics import AbstractDynamics, EntryDynamics, EquatorialDynamics
+from ...onboard.model import OnboardModel
+from ...units import km
+from .drag_tracking import entry
+
+
+def _guided(dynamics: AbstractDynamics, lateral: AbstractLateralLogic) -> Scenario:
+    start = entry()
+    target = start.target
+    law = PredictorCorrector(
+        model=OnboardModel(start.planet, start.vehicle),
+        shape=ConstantBank(),
+        end=GuidedEnd(target.velocity, target.altitude, ceiling=135.0 * km),
+        origin=start.initial_state,
+        downrange=target.downrange,
+        crossrange=target.crossrange,
+        lateral=lateral,
+        dynamics=dynamics,
+    )
+    guided = eqx.tree_at(lambda s: s.guidance, start, law)
+    return dataclasses.replace(guided, dynamics=dynamics)
+
+
+def in_plane() -> Scenario:
+    """A constant bank to the end, corrected every 2 s, in the vertical plane."""
+    return _guided(EquatorialDynamics(), FixedSide())
+
+
+def three_dimensional() -> Scenario:
+    """The same in three dimensions, with the corridor of range tracking."""
+    return _guided(EntryDynamics(), CrossrangeCorridor(floor=300.0, widening=4e-4))
