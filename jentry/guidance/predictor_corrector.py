@@ -20,7 +20,7 @@ from jax.core import Tracer
 from .._batching import where_due
 from .._interpolation import clamp
 from .._math import safe_sqrt, sincos
-from ..fields import NOT_NEGATIVE, Count, Flag, Scalar, optional_scalar, scalar
+from ..fields import Count, Flag, Scalar, optional_scalar, scalar
 from ..motion.dynamics import AbstractDynamics, EntryDynamics
 from ..motion.index import AbstractIndex, EnergyIndex
 from ..motion.quantities import energy, ground_track
@@ -56,14 +56,14 @@ class AbstractBankShape(eqx.Module):
     most: eqx.AbstractVar[float]
 
     @abstractmethod
-    def cos_bank(self, number: Scalar, index: Scalar, now: Scalar) -> Scalar:
+    def cos_bank(self, number: Scalar, index: Scalar, since: Scalar) -> Scalar:
         """Cosine of the bank at a value of the index of the law, from -1 to 1.
 
         **Arguments:**
 
         - `number`: as it is corrected.
         - `index`: there.
-        - `now`: where the prediction begins.
+        - `since`: its value at the decision.
         """
 
 
@@ -81,7 +81,7 @@ class ConstantBank(AbstractBankShape):
                 "these must be increasing, and from -1 to 1"
             )
 
-    def cos_bank(self, number: Scalar, index: Scalar, now: Scalar) -> Scalar:
+    def cos_bank(self, number: Scalar, index: Scalar, since: Scalar) -> Scalar:
         return number
 
 
@@ -102,10 +102,10 @@ class LinearBank(AbstractBankShape):
     least: float = eqx.field(default=0.0, static=True)
     most: float = eqx.field(default=1.0, static=True)
 
-    def cos_bank(self, number: Scalar, index: Scalar, now: Scalar) -> Scalar:
-        left = self.end - now
+    def cos_bank(self, number: Scalar, index: Scalar, since: Scalar) -> Scalar:
+        left = self.end - since
         there = left != 0.0
-        way = (index - now) / jnp.where(there, left, 1.0)
+        way = (index - since) / jnp.where(there, left, 1.0)
         way = jnp.where(there, clamp(way, 0.0, 1.0), 1.0)
         start = self.largest * (1.0 - number)
         return sincos(start + way * (self.final - start))[1]
@@ -125,7 +125,7 @@ class ShapedBank(AbstractBankShape):
     least: float = eqx.field(default=-1.0, static=True)
     most: float = eqx.field(default=1.0, static=True)
 
-    def cos_bank(self, number: Scalar, index: Scalar, now: Scalar) -> Scalar:
+    def cos_bank(self, number: Scalar, index: Scalar, since: Scalar) -> Scalar:
         cosine = clamp(self.shape(index), -1.0, 1.0)
         room = jnp.where(number > 0.0, 1.0 - cosine, 1.0 + cosine)
         return cosine + number * room
@@ -178,11 +178,11 @@ class Corrected(eqx.Module):
 
     number: Scalar
     """That of the shape"""
-    controls: Controls
+    since: Scalar
+    """Value of the index at the decision, from which the shape is counted"""
     side: object
+    """What the lateral logic decided"""
     estimate: AbstractFactorEstimate
-    time_to_go: Scalar
-    """Of the last prediction, s"""
     decisions: Scalar
     """How many corrections there have been"""
     without_prediction: Scalar
@@ -229,10 +229,11 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     dynamics: AbstractDynamics = EntryDynamics()
     """Of the prediction"""
     estimator: AbstractFactorEstimator = eqx.field(default_factory=FactorEstimator)
-    gate: Scalar = scalar(0.5, unit="m/s2", positive=True)
+    gate: Scalar = scalar(0.2, unit="m/s2", positive=True)
     """Sensed drag below which the number stays: there is nothing to steer by"""
-    last: Scalar = scalar(10.0, unit="s", range=NOT_NEGATIVE)
-    """Predicted time to go below which the number stays: it can do little more"""
+    least_effect: Scalar = scalar(1000.0, unit="m", positive=True)
+    """Change of the range for one of the number, below which the number stays. Towards the
+    end it can do less and less, and then the opposite: more lift ends sooner, higher"""
     largest_step: Scalar = scalar(0.3, positive=True)
     """Of the number, in one correction"""
     cycle: FixedCycle = FixedCycle(2.0)
@@ -263,13 +264,11 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     def init(self, measurement: Measurement) -> tuple[tuple[()], Corrected]:
         nothing = 0.0 * measurement.drag
         number = self.shape.first + nothing
-        side = self.lateral.init(measurement)
         return (), Corrected(
             number=number,
-            controls=self._controls(nothing, measurement, number, side),
-            side=side,
+            since=self.index.value(self.model.planet, nothing, measurement.state),
+            side=self.lateral.init(measurement),
             estimate=self.estimator.start(nothing),
-            time_to_go=self.last + self.step + nothing,
             decisions=nothing,
             without_prediction=nothing,
         )
@@ -284,18 +283,13 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         state, planet = measurement.state, self.model.planet
         senses = measurement.drag > self.gate
         estimate = self._estimate(measurement, held.estimate, senses)
-        corrects = senses & (held.time_to_go > self.last)
         sign = self.lateral.sign(held.side)
 
-        def correct(before: tuple[Scalar, ...]) -> tuple[Scalar, ...]:
-            return self._correct(
-                time, measurement, estimate.ahead, before[0], before[1], sign
-            )
+        def correct(before: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+            return self._correct(time, measurement, estimate.ahead, before[0], sign)
 
-        nothing = jnp.zeros_like(held.number)
-        left = held.time_to_go - self.cycle.period
-        before = held.number, left, nothing
-        number, time_to_go, lacks = where_due(corrects, correct, before)
+        before = held.number, jnp.zeros_like(held.number)
+        number, lacks = where_due(senses, correct, before)
 
         def crossrange_at_end(sign: Scalar) -> Scalar:
             end = self.predicted(time, measurement, estimate.ahead, number, sign)
@@ -312,11 +306,10 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         side = self.lateral.update(time, measurement, held.side, destination)
         return (), Corrected(
             number=number,
-            controls=self._controls(time, measurement, number, side),
+            since=self.index.value(planet, time, state),
             side=side,
             estimate=estimate,
-            time_to_go=jnp.where(senses, time_to_go, held.time_to_go),
-            decisions=held.decisions + jnp.where(corrects, 1.0, 0.0),
+            decisions=held.decisions + jnp.where(senses, 1.0, 0.0),
             without_prediction=held.without_prediction + lacks,
         )
 
@@ -327,7 +320,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         memory: tuple[()],
         held: Corrected,
     ) -> tuple[Controls, tuple[()]]:
-        return held.controls, ()
+        here = self.index.value(self.model.planet, time, measurement.state)
+        sign = self.lateral.sign(held.side)
+        return self._banked(here, held.since, measurement, held.number, sign), ()
 
     def caveats(self, held: Corrected) -> dict[str, Scalar]:
         """Share of the corrections without a prediction, and those of the estimate."""
@@ -389,11 +384,10 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         measurement: Measurement,
         factors: AbstractFactors,
         number: Scalar,
-        time_to_go: Scalar,
         sign: Scalar | float,
-    ) -> tuple[Scalar, Scalar, Scalar]:
-        """The number after the corrections of a cycle, the time to go, and 1 if the last
-        prediction had no end."""
+    ) -> tuple[Scalar, Scalar]:
+        """The number after the corrections of a cycle, and 1 if the last prediction told
+        nothing, else 0."""
         planet = self.model.planet
         downrange, _ = ground_track(planet, self.origin, measurement.state)
         most = self.largest_step
@@ -407,37 +401,30 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             return flown - self.downrange, end
 
         def improve(carry, _):
-            number, time_to_go, _ = carry
+            number, _ = carry
             one = jnp.ones_like(number)
             miss, slope, end = jax.jvp(too_far, (number,), (one,), has_aux=True)
             ends = end.has_end & jnp.logical_not(self.end.is_skip(end.ended_by))
             goes_on = end.time > (self.steps - 1) * self.step
             skips = self.end.is_skip(end.ended_by) | (~end.has_end & goes_on)
             # On both sides of the `where`, so that no derivative comes from there.
-            tells = ends & (slope > 0.0)
+            tells = ends & (slope > self.least_effect)
             newton = -jnp.where(tells, miss, 0.0) / jnp.where(tells, slope, 1.0)
             blind = jnp.where(skips | (miss > 0.0), -most, most)
+            blind = jnp.where(skips | (jnp.abs(miss) > self.least_effect), blind, 0.0)
             step = jnp.where(tells, clamp(newton, -most, most), blind)
             known = (ends | skips) & jnp.isfinite(miss)
             step = jnp.where(known, step, 0.0)
             number = clamp(number + step, self.shape.least, self.shape.most)
-            time_to_go = jnp.where(ends, end.time, time_to_go)
-            return (number, time_to_go, jnp.where(known, 0.0, one)), None
+            return (number, jnp.where(known, 0.0, one)), None
 
-        carry = number, time_to_go, jnp.zeros_like(number)
+        carry = number, jnp.zeros_like(number)
         return jax.lax.scan(improve, carry, length=self.corrections)[0]
-
-    def _controls(
-        self, time: Scalar, measurement: Measurement, number: Scalar, side: object
-    ) -> Controls:
-        here = self.index.value(self.model.planet, time, measurement.state)
-        sign = self.lateral.sign(side)
-        return self._banked(here, here, measurement, number, sign)
 
     def _banked(
         self,
         here: Scalar,
-        now: Scalar,
+        since: Scalar,
         measurement: Measurement,
         number: Scalar,
         sign: Scalar | float,
@@ -445,6 +432,6 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         angle = measurement.trim_angle_of_attack
         if self.angle_of_attack is not None:
             angle = self.angle_of_attack(here)
-        cosine = self.shape.cos_bank(number, here, now)
+        cosine = self.shape.cos_bank(number, here, since)
         sine = sign * safe_sqrt(1.0 - cosine * cosine)
         return Controls(angle, cosine, sine)

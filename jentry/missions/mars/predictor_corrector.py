@@ -8,7 +8,7 @@ import dataclasses
 import equinox as eqx
 
 from ...flight.scenario import Scenario
-from ...guidance.lateral import AbstractLateralLogic, CrossrangeCorridor, FixedSide
+from ...guidance.lateral import AbstractLateralLogic, FixedSide, PredictedCrossrange
 from ...guidance.predictor_corrector import (
     ConstantBank,
     GuidedEnd,
@@ -43,5 +43,5 @@ def in_plane() -> Scenario:
 
 
 def three_dimensional() -> Scenario:
-    """The same in three dimensions, with the corridor of range tracking."""
-    return _guided(EntryDynamics(), CrossrangeCorridor(floor=300.0, widening=4e-4))
+    """The same in three dimensions, with reversals as predicted."""
+    return _guided(EntryDynamics(), PredictedCrossrange())
