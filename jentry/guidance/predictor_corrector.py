@@ -112,22 +112,24 @@ class LinearBank(AbstractBankShape):
 
 
 class ShapedBank(AbstractBankShape):
-    """The cosine of a given bank, moved towards that of full lift up or full lift down.
+    """The cosine of a given bank, moved towards wings level or towards the largest bank.
 
-    With the number 0 it is as given, with 1 the lift is up all the way and with -1 down,
-    and the cosine is linear in between: as that of a flight that was planned, of which
-    nothing else is tracked.
+    With the number 0 it is as given, with 1 the wings are level all the way, with -1 the
+    bank is the largest, and the cosine is linear in between. A bank that was planned will
+    do, of which nothing else is tracked.
     """
 
     shape: AbstractProfile
-    """Cosine of the bank over the index of the law, above -1 and below 1"""
+    """Cosine of the bank over the index of the law"""
+    lowest: Scalar = scalar(-1.0, range=(-1.0, 1.0))
+    """Cosine of the largest bank"""
     first: Scalar = scalar(0.0)
     least: float = eqx.field(default=-1.0, static=True)
     most: float = eqx.field(default=1.0, static=True)
 
     def cos_bank(self, number: Scalar, index: Scalar, since: Scalar) -> Scalar:
-        cosine = clamp(self.shape(index), -1.0, 1.0)
-        room = jnp.where(number > 0.0, 1.0 - cosine, 1.0 + cosine)
+        cosine = clamp(self.shape(index), self.lowest, 1.0)
+        room = jnp.where(number > 0.0, 1.0 - cosine, cosine - self.lowest)
         return cosine + number * room
 
 
@@ -231,7 +233,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     estimator: AbstractFactorEstimator = eqx.field(default_factory=FactorEstimator)
     gate: Scalar = scalar(0.2, unit="m/s2", positive=True)
     """Sensed drag below which the number stays: there is nothing to steer by"""
-    least_effect: Scalar = scalar(1000.0, unit="m", positive=True)
+    least_effect: Scalar = scalar(100.0, unit="m", positive=True)
     """Change of the range for one of the number, below which the number stays. Towards the
     end it can do less and less, and then the opposite: more lift ends sooner, higher"""
     largest_step: Scalar = scalar(0.3, positive=True)
