@@ -11,15 +11,18 @@ exact, and so the derivative of the flight.
 
 import math
 from abc import abstractmethod
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.core import Tracer
+from jaxtyping import Array, Float
 
 from .._batching import where_due
 from .._interpolation import clamp
 from .._math import safe_sqrt, sincos
+from .._newton import solve
 from ..fields import Count, Flag, Scalar, optional_scalar, scalar
 from ..motion.dynamics import AbstractDynamics, EntryDynamics
 from ..motion.index import AbstractIndex, EnergyIndex
@@ -43,72 +46,109 @@ from .lateral import AbstractLateralLogic, Destination
 from .law import AbstractSampledLaw
 
 
-class AbstractBankShape(eqx.Module):
-    """The bank over the rest of the flight, told by one number.
+Numbers = Float[Array, " numbers"]
+"""One or two, which tell a bank over the rest of the flight"""
 
-    The number is such that more of it flies farther: it is corrected between `least` and
-    `most`, and so always is a bank. What the number cannot reach it saturates at.
+
+class AbstractBankShape(eqx.Module):
+    """The bank over the rest of the flight, told by one number or by two.
+
+    They are corrected between bounds, within which every number is a bank. The first one
+    is such that more of it flies farther.
     """
 
-    first: eqx.AbstractVar[Scalar]
-    """The number at the start, before there is anything to predict with"""
-    least: eqx.AbstractVar[float]
-    most: eqx.AbstractVar[float]
+    bounds: eqx.AbstractClassVar[tuple[tuple[float, float], ...]]
+    """Least and largest value of each number"""
+
+    @property
+    @abstractmethod
+    def numbers(self) -> Numbers:
+        """At the start, before there is anything to predict with."""
 
     @abstractmethod
-    def cos_bank(self, number: Scalar, index: Scalar, since: Scalar) -> Scalar:
+    def cos_bank(self, numbers: Numbers, index: Scalar, since: Scalar) -> Scalar:
         """Cosine of the bank at a value of the index of the law, from -1 to 1.
 
         **Arguments:**
 
-        - `number`: as it is corrected.
+        - `numbers`: as they are corrected.
         - `index`: there.
         - `since`: its value at the decision.
         """
 
 
 class ConstantBank(AbstractBankShape):
-    """One bank for the rest of the flight; the number is its cosine. For capsules."""
+    """One bank for the rest of the flight. For capsules.
 
-    first: Scalar = scalar(0.5)
-    least: float = eqx.field(default=-1.0, static=True)
-    most: float = eqx.field(default=1.0, static=True)
+    Its cosine goes from that of the largest bank, with the number 0, to 1.
+    """
 
-    def __check_init__(self):
-        if not -1.0 <= self.least < self.most <= 1.0:
-            raise ValueError(
-                f"the cosine of the bank is to be from {self.least} to {self.most}: "
-                "these must be increasing, and from -1 to 1"
-            )
+    bounds = ((0.0, 1.0),)
 
-    def cos_bank(self, number: Scalar, index: Scalar, since: Scalar) -> Scalar:
-        return number
+    first: Scalar = scalar(0.75, range=(0.0, 1.0))
+    """Number at the start"""
+    lowest: Scalar = scalar(-1.0, range=(-1.0, 1.0))
+    """Cosine of the largest bank"""
+
+    @property
+    def numbers(self) -> Numbers:
+        return jnp.stack([self.first])
+
+    def cos_bank(self, numbers: Numbers, index: Scalar, since: Scalar) -> Scalar:
+        return self.lowest + numbers[0] * (1.0 - self.lowest)
 
 
 class LinearBank(AbstractBankShape):
-    """A bank that goes linearly over the index to a given one at the end. For gliders.
+    """A bank that goes linearly over the index to one at the end. For gliders.
 
-    The number is the bank now, as share of the way from `largest`, where it is 0, to wings
-    level, where it is 1.
+    The first number is the bank now: with 0 it is the largest, with 1 the wings are level.
+    That at the end is given.
     """
 
-    final: Scalar = scalar(unit="rad")
-    """Magnitude of the bank at the end"""
     end: Scalar = scalar()
     """Value of the index at the end"""
-    first: Scalar = scalar(0.5)
-    largest: Scalar = scalar(90.0 * degree, unit="rad", positive=True)
-    """Magnitude of the bank now at which the number is zero"""
-    least: float = eqx.field(default=0.0, static=True)
-    most: float = eqx.field(default=1.0, static=True)
+    final: Scalar = scalar(60.0 * degree, unit="rad", range=(0.0, math.pi))
+    """Bank at the end"""
+    largest: Scalar = scalar(90.0 * degree, unit="rad", range=(0.0, math.pi))
+    """Largest bank"""
+    first: Scalar = scalar(0.5, range=(0.0, 1.0))
+    """First number at the start"""
 
-    def cos_bank(self, number: Scalar, index: Scalar, since: Scalar) -> Scalar:
+    bounds = ((0.0, 1.0),)
+
+    @property
+    def numbers(self) -> Numbers:
+        return jnp.stack([self.first])
+
+    def cos_bank(self, numbers: Numbers, index: Scalar, since: Scalar) -> Scalar:
+        return self._between(numbers[0], self.final, index, since)
+
+    def _between(
+        self, number: Scalar, final: Scalar, index: Scalar, since: Scalar
+    ) -> Scalar:
         left = self.end - since
         there = left != 0.0
         way = (index - since) / jnp.where(there, left, 1.0)
         way = jnp.where(there, clamp(way, 0.0, 1.0), 1.0)
         start = self.largest * (1.0 - number)
-        return sincos(start + way * (self.final - start))[1]
+        return sincos(start + way * (final - start))[1]
+
+
+class TwoEndedBank(LinearBank):
+    """A linear bank of which both ends are free: it meets the altitude at the end as well.
+
+    The second number is the bank at the end, likewise; `final` is where it begins.
+    """
+
+    bounds = ((0.0, 1.0), (0.0, 1.0))
+
+    @property
+    def numbers(self) -> Numbers:
+        return jnp.stack([self.first, 1.0 - self.final / self.largest])
+
+    def cos_bank(self, numbers: Numbers, index: Scalar, since: Scalar) -> Scalar:
+        final = self.largest * (1.0 - numbers[1])
+        return self._between(numbers[0], final, index, since)
 
 
 class ShapedBank(AbstractBankShape):
@@ -119,15 +159,21 @@ class ShapedBank(AbstractBankShape):
     do, of which nothing else is tracked.
     """
 
+    bounds = ((-1.0, 1.0),)
+
     shape: AbstractProfile
     """Cosine of the bank over the index of the law"""
     lowest: Scalar = scalar(-1.0, range=(-1.0, 1.0))
     """Cosine of the largest bank"""
-    first: Scalar = scalar(0.0)
-    least: float = eqx.field(default=-1.0, static=True)
-    most: float = eqx.field(default=1.0, static=True)
+    first: Scalar = scalar(0.0, range=(-1.0, 1.0))
+    """Number at the start"""
 
-    def cos_bank(self, number: Scalar, index: Scalar, since: Scalar) -> Scalar:
+    @property
+    def numbers(self) -> Numbers:
+        return jnp.stack([self.first])
+
+    def cos_bank(self, numbers: Numbers, index: Scalar, since: Scalar) -> Scalar:
+        (number,) = numbers
         cosine = clamp(self.shape(index), self.lowest, 1.0)
         room = jnp.where(number > 0.0, 1.0 - cosine, cosine - self.lowest)
         return cosine + number * room
@@ -178,8 +224,8 @@ class GuidedEnd(eqx.Module):
 class Corrected(eqx.Module):
     """What is decided at a guidance cycle."""
 
-    number: Scalar
-    """That of the shape"""
+    numbers: Numbers
+    """Those of the shape"""
     since: Scalar
     """Value of the index at the decision, from which the shape is counted"""
     side: object
@@ -188,7 +234,7 @@ class Corrected(eqx.Module):
     decisions: Scalar
     """How many corrections there have been"""
     without_prediction: Scalar
-    """How many of them found no end, and left the number as it was"""
+    """How many of them found no end, and left the numbers as they were"""
 
 
 class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
@@ -222,6 +268,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     """Of the target"""
     crossrange: Scalar = scalar(unit="m")
     """Of the target, positive to the left"""
+    altitude: Scalar = scalar(unit="m")
+    """Of the target; a shape with two numbers meets it too"""
     lateral: AbstractLateralLogic
     angle_of_attack: AbstractProfile | None = None
     """rad, over the index; None for the angle of attack at which the vehicle trims, which
@@ -265,9 +313,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
 
     def init(self, measurement: Measurement) -> tuple[tuple[()], Corrected]:
         nothing = 0.0 * measurement.drag
-        number = self.shape.first + nothing
         return (), Corrected(
-            number=number,
+            numbers=self.shape.numbers + nothing,
             since=self.index.value(self.model.planet, nothing, measurement.state),
             side=self.lateral.init(measurement),
             estimate=self.estimator.start(nothing),
@@ -287,14 +334,14 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         estimate = self._estimate(measurement, held.estimate, senses)
         sign = self.lateral.sign(held.side)
 
-        def correct(before: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+        def correct(before: tuple[Numbers, Scalar]) -> tuple[Numbers, Scalar]:
             return self._correct(time, measurement, estimate.ahead, before[0], sign)
 
-        before = held.number, jnp.zeros_like(held.number)
-        number, lacks = where_due(senses, correct, before)
+        before = held.numbers, jnp.zeros_like(held.decisions)
+        numbers, lacks = where_due(senses, correct, before)
 
         def crossrange_at_end(sign: Scalar) -> Scalar:
-            end = self.predicted(time, measurement, estimate.ahead, number, sign)
+            end = self.predicted(time, measurement, estimate.ahead, numbers, sign)
             _, reached = ground_track(planet, self.origin, end.state)
             return jnp.where(end.has_end, reached - self.crossrange, jnp.nan)
 
@@ -307,7 +354,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         )
         side = self.lateral.update(time, measurement, held.side, destination)
         return (), Corrected(
-            number=number,
+            numbers=numbers,
             since=self.index.value(planet, time, state),
             side=side,
             estimate=estimate,
@@ -324,7 +371,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     ) -> tuple[Controls, tuple[()]]:
         here = self.index.value(self.model.planet, time, measurement.state)
         sign = self.lateral.sign(held.side)
-        return self._banked(here, held.since, measurement, held.number, sign), ()
+        return self._banked(here, held.since, measurement, held.numbers, sign), ()
 
     def caveats(self, held: Corrected) -> dict[str, Scalar]:
         """Share of the corrections without a prediction, and those of the estimate."""
@@ -336,10 +383,10 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         time: Scalar,
         measurement: Measurement,
         factors: AbstractFactors,
-        number: Scalar,
+        numbers: Numbers,
         sign: Scalar | float,
     ) -> Prediction:
-        """The rest of the flight as the model flies it, with a number of the shape.
+        """The rest of the flight as the model flies it, with numbers of the shape.
 
         **Arguments:**
 
@@ -352,7 +399,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
 
         def command(elapsed: Scalar, state: EntryState) -> Controls:
             here = self.index.value(planet, time + elapsed, state)
-            return self._banked(here, now, measurement, number, sign)
+            return self._banked(here, now, measurement, numbers, sign)
 
         return propagate(
             self.model,
@@ -385,42 +432,49 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         time: Scalar,
         measurement: Measurement,
         factors: AbstractFactors,
-        number: Scalar,
+        numbers: Numbers,
         sign: Scalar | float,
-    ) -> tuple[Scalar, Scalar]:
-        """The number after the corrections of a cycle, and 1 if the last prediction told
+    ) -> tuple[Numbers, Scalar]:
+        """The numbers after the corrections of a cycle, and 1 if the last prediction told
         nothing, else 0."""
-        planet = self.model.planet
+        planet, shape, most = self.model.planet, self.shape, self.largest_step
         downrange, _ = ground_track(planet, self.origin, measurement.state)
-        most = self.largest_step
+        least, largest = (jnp.array(bounds) for bounds in zip(*shape.bounds, strict=True))
 
-        def too_far(number: Scalar) -> tuple[Scalar, Prediction]:
-            end = self.predicted(time, measurement, factors, number, sign)
+        def missed(numbers: Numbers) -> tuple[Numbers, Prediction]:
+            end = self.predicted(time, measurement, factors, numbers, sign)
             if self.dynamics.has_crossrange:
                 flown, _ = ground_track(planet, self.origin, end.state)
             else:
                 flown = downrange + planet.radius * end.state.longitude
-            return flown - self.downrange, end
+            both = flown - self.downrange, end.state.altitude - self.altitude
+            return jnp.stack(both[: numbers.shape[0]]), end
 
         def improve(carry, _):
-            number, _ = carry
-            one = jnp.ones_like(number)
-            miss, slope, end = jax.jvp(too_far, (number,), (one,), has_aux=True)
-            ends = end.has_end & jnp.logical_not(self.end.is_skip(end.ended_by))
+            numbers, _ = carry
+            misses, effects, end = _with_effects(missed, numbers)
+            too_far, effect = misses[0], effects[0, 0]
             goes_on = end.time > (self.steps - 1) * self.step
-            skips = self.end.is_skip(end.ended_by) | (~end.has_end & goes_on)
+            skips = self.end.is_skip(end.ended_by)
+            ends = end.has_end & jnp.logical_not(skips)
+            skips = skips | (jnp.logical_not(end.has_end) & goes_on)
             # On both sides of the `where`, so that no derivative comes from there.
-            tells = ends & (slope > self.least_effect)
-            newton = -jnp.where(tells, miss, 0.0) / jnp.where(tells, slope, 1.0)
-            blind = jnp.where(skips | (miss > 0.0), -most, most)
-            blind = jnp.where(skips | (jnp.abs(miss) > self.least_effect), blind, 0.0)
-            step = jnp.where(tells, clamp(newton, -most, most), blind)
-            known = (ends | skips) & jnp.isfinite(miss)
-            step = jnp.where(known, step, 0.0)
-            number = clamp(number + step, self.shape.least, self.shape.most)
-            return (number, jnp.where(known, 0.0, one)), None
+            tells = ends & (effect > self.least_effect)
+            best = least_squares_step(
+                jnp.where(tells, misses, 0.0),
+                jnp.where(tells, effects, jnp.eye(numbers.shape[0])),
+                jnp.maximum(least - numbers, -most),
+                jnp.minimum(largest - numbers, most),
+            )
+            far = skips | (jnp.abs(too_far) > self.least_effect)
+            blind = jnp.where(skips | (too_far > 0.0), -most, most)
+            blind = jnp.where(far, blind, 0.0) * jnp.eye(numbers.shape[0])[0]
+            known = (ends | skips) & jnp.all(jnp.isfinite(misses))
+            step = jnp.where(known, jnp.where(tells, best, blind), 0.0)
+            numbers = clamp(numbers + step, least, largest)
+            return (numbers, jnp.where(known, 0.0, 1.0)), None
 
-        carry = number, jnp.zeros_like(number)
+        carry = numbers, jnp.zeros_like(downrange)
         return jax.lax.scan(improve, carry, length=self.corrections)[0]
 
     def _banked(
@@ -428,12 +482,56 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         here: Scalar,
         since: Scalar,
         measurement: Measurement,
-        number: Scalar,
+        numbers: Numbers,
         sign: Scalar | float,
     ) -> Controls:
         angle = measurement.trim_angle_of_attack
         if self.angle_of_attack is not None:
             angle = self.angle_of_attack(here)
-        cosine = self.shape.cos_bank(number, here, since)
+        cosine = self.shape.cos_bank(numbers, here, since)
         sine = sign * safe_sqrt(1.0 - cosine * cosine)
         return Controls(angle, cosine, sine)
+
+
+def least_squares_step(
+    misses: Numbers,
+    effects: Float[Array, "numbers numbers"],
+    lower: Numbers,
+    upper: Numbers,
+) -> Numbers:
+    """The step between bounds that makes misses + effects step smallest.
+
+    Of one number, or of two: the best of the step that makes them zero, if it is within,
+    and of the best points of the four edges. Derivatives are those of the one that is
+    taken.
+    """
+    if misses.shape[0] == 1:
+        return clamp(-misses / effects[0], lower, upper)
+    inside = -solve(effects, misses)
+    points = [inside]
+    for fixed, free in ((0, 1), (1, 0)):
+        column = effects[:, free]
+        size = jnp.sum(column * column)
+        size = jnp.where(size > 0.0, size, 1.0)
+        for bound in (lower[fixed], upper[fixed]):
+            left = misses + effects[:, fixed] * bound
+            along = clamp(-jnp.sum(column * left) / size, lower[free], upper[free])
+            pair = (bound, along) if fixed == 0 else (along, bound)
+            points.append(jnp.stack(pair))
+    candidates = jnp.stack(points)
+    remains = jnp.sum((misses + candidates @ effects.T) ** 2, axis=1)
+    within = jnp.all((inside >= lower) & (inside <= upper))
+    remains = jnp.where(jnp.arange(5) == 0, jnp.where(within, -1.0, jnp.inf), remains)
+    return candidates[jnp.argmin(remains)]
+
+
+def _with_effects(
+    missed: Callable[[Numbers], tuple[Numbers, Prediction]], numbers: Numbers
+) -> tuple[Numbers, Float[Array, "numbers numbers"], Prediction]:
+    """The misses, and how each number (columns) changes them: the motion is flown once."""
+
+    def along(direction: Numbers) -> tuple[Numbers, Numbers, Prediction]:
+        return jax.jvp(missed, (numbers,), (direction,), has_aux=True)
+
+    every = jnp.eye(numbers.shape[0])
+    return jax.vmap(along, out_axes=(None, 1, None))(every)

@@ -30,6 +30,7 @@ def _guided(dynamics: AbstractDynamics, lateral: AbstractLateralLogic) -> Scenar
         origin=start.initial_state,
         downrange=target.downrange,
         crossrange=target.crossrange,
+        altitude=target.altitude,
         lateral=lateral,
         dynamics=dynamics,
     )
