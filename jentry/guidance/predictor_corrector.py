@@ -21,10 +21,10 @@ from jaxtyping import Array, Float
 
 from .._batching import where_due
 from .._interpolation import clamp
-from .._math import safe_sqrt, sincos
+from .._math import arcsin, safe_sqrt, sincos
 from .._newton import solve
 from ..fields import Count, Flag, Scalar, optional_scalar, scalar
-from ..motion.dynamics import AbstractDynamics, EntryDynamics
+from ..motion.dynamics import EntryDynamics, EquatorialDynamics
 from ..motion.index import AbstractIndex, EnergyIndex
 from ..motion.quantities import energy, ground_track
 from ..motion.state import Controls, EntryState
@@ -249,9 +249,11 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     the shape. A prediction that skips out is one that goes too far. One that does not end,
     or is not finite, leaves the number as it is.
 
-    The range is counted from `origin`, as in `ground_track`. In three dimensions
-    (`EntryDynamics`) the prediction keeps the side of the bank, over a rotating planet as
-    well; with `EquatorialDynamics` it is one in the vertical plane, at half of the price.
+    The range is predicted in three dimensions, over a rotating planet as well, as if the
+    bank kept its side: the downrange at the end is to be that of the target, both counted
+    from `origin`. Or it is predicted in the vertical plane (`in_space=False`), where the
+    range to go is the arc to the target: this costs half as much, and for a vehicle that
+    turns far to the sides it is the better guess of what reversals will make of its path.
 
     What the derivative of a flight means: between two flights that are near each other
     guidance cycles come at the same times, and steps are clipped or not in the same
@@ -276,17 +278,20 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     is then taken for the rest of the flight too"""
     index: AbstractIndex = EnergyIndex()
     """Of the shape and of the angle of attack"""
-    dynamics: AbstractDynamics = EntryDynamics()
-    """Of the prediction"""
     estimator: AbstractFactorEstimator = eqx.field(default_factory=FactorEstimator)
     gate: Scalar = scalar(0.2, unit="m/s2", positive=True)
     """Sensed drag below which the number stays: there is nothing to steer by"""
     least_effect: Scalar = scalar(100.0, unit="m", positive=True)
     """Change of the range for one of the number, below which the number stays. Towards the
     end it can do less and less, and then the opposite: more lift ends sooner, higher"""
+    altitude_weight: Scalar = scalar(0.1, positive=True)
+    """Of an error of the altitude beside one of the range, where both cannot be met"""
     largest_step: Scalar = scalar(0.3, positive=True)
     """Of the number, in one correction"""
     cycle: FixedCycle = FixedCycle(2.0)
+    in_space: bool = eqx.field(default=True, static=True)
+    """Whether the range is predicted in three dimensions, with the bank on its side to the
+    end, or in the vertical plane. What a lateral logic predicts is in three dimensions"""
     corrections: int = eqx.field(default=2, static=True)
     """In one guidance cycle; each is a prediction"""
     step: float = eqx.field(default=3.0, static=True)
@@ -304,11 +309,10 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             )
         turns = self.model.planet.rotation_rate
         at_rest = isinstance(turns, Tracer) or not eqx.is_array(turns) or turns == 0.0
-        if not self.dynamics.has_crossrange and not at_rest:
+        if not self.in_space and not at_rest:
             raise ValueError(
-                f"dynamics is {type(self.dynamics).__name__} and the planet turns: a "
-                "prediction in the vertical plane is one over a planet at rest; take "
-                "dynamics=EntryDynamics()"
+                "in_space is False and the planet of the model turns: a prediction in the "
+                "vertical plane is one over a planet at rest; take in_space=True"
             )
 
     def init(self, measurement: Measurement) -> tuple[tuple[()], Corrected]:
@@ -341,7 +345,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         numbers, lacks = where_due(senses, correct, before)
 
         def crossrange_at_end(sign: Scalar) -> Scalar:
-            end = self.predicted(time, measurement, estimate.ahead, numbers, sign)
+            end = self.predicted(
+                time, measurement, estimate.ahead, numbers, sign, in_space=True
+            )
             _, reached = ground_track(planet, self.origin, end.state)
             return jnp.where(end.has_end, reached - self.crossrange, jnp.nan)
 
@@ -350,7 +356,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             self.origin,
             self.downrange,
             self.crossrange,
-            crossrange_at_end if self.dynamics.has_crossrange else None,
+            crossrange_at_end,
         )
         side = self.lateral.update(time, measurement, held.side, destination)
         return (), Corrected(
@@ -385,16 +391,18 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         factors: AbstractFactors,
         numbers: Numbers,
         sign: Scalar | float,
+        in_space: bool,
     ) -> Prediction:
         """The rest of the flight as the model flies it, with numbers of the shape.
 
         **Arguments:**
 
         - `sign`: of the bank; without meaning in the vertical plane.
+        - `in_space`: in three dimensions, or in the vertical plane, from longitude zero.
         """
         planet, state = self.model.planet, measurement.state
         now = self.index.value(planet, time, state)
-        if not self.dynamics.has_crossrange:
+        if not in_space:
             state = LongitudinalState.of(planet, state).eastward()
 
         def command(elapsed: Scalar, state: EntryState) -> Controls:
@@ -409,8 +417,20 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             step=self.step,
             steps=self.steps,
             factors=factors,
-            dynamics=self.dynamics,
+            dynamics=EntryDynamics() if in_space else EquatorialDynamics(),
         )
+
+    def range_to_go(self, state: EntryState) -> Scalar:
+        """Arc to the target, m; negative where it lies behind."""
+        radius = self.model.planet.radius
+        downrange, crossrange = ground_track(self.model.planet, self.origin, state)
+        # By half angles: a small distance from its own cosine would be lost in rounding.
+        along = sincos(0.5 * (self.downrange - downrange) / radius)[0]
+        across = sincos(0.5 * (self.crossrange - crossrange) / radius)[0]
+        _, here = sincos(crossrange / radius)
+        _, there = sincos(self.crossrange / radius)
+        half = safe_sqrt(across * across + here * there * along * along)
+        return jnp.where(along < 0.0, -2.0, 2.0) * radius * arcsin(half)
 
     def _estimate(
         self, measurement: Measurement, before: AbstractFactorEstimate, senses: Flag
@@ -438,16 +458,20 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         """The numbers after the corrections of a cycle, and 1 if the last prediction told
         nothing, else 0."""
         planet, shape, most = self.model.planet, self.shape, self.largest_step
-        downrange, _ = ground_track(planet, self.origin, measurement.state)
+        to_go = self.range_to_go(measurement.state)
         least, largest = (jnp.array(bounds) for bounds in zip(*shape.bounds, strict=True))
 
         def missed(numbers: Numbers) -> tuple[Numbers, Prediction]:
-            end = self.predicted(time, measurement, factors, numbers, sign)
-            if self.dynamics.has_crossrange:
-                flown, _ = ground_track(planet, self.origin, end.state)
+            end = self.predicted(
+                time, measurement, factors, numbers, sign, self.in_space
+            )
+            if self.in_space:
+                reached, _ = ground_track(planet, self.origin, end.state)
+                too_far = reached - self.downrange
             else:
-                flown = downrange + planet.radius * end.state.longitude
-            both = flown - self.downrange, end.state.altitude - self.altitude
+                too_far = planet.radius * end.state.longitude - to_go
+            high = end.state.altitude - self.altitude
+            both = too_far, self.altitude_weight * high
             return jnp.stack(both[: numbers.shape[0]]), end
 
         def improve(carry, _):
@@ -474,7 +498,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             numbers = clamp(numbers + step, least, largest)
             return (numbers, jnp.where(known, 0.0, 1.0)), None
 
-        carry = numbers, jnp.zeros_like(downrange)
+        carry = numbers, jnp.zeros_like(to_go)
         return jax.lax.scan(improve, carry, length=self.corrections)[0]
 
     def _banked(

@@ -32,7 +32,7 @@ def _guided(dynamics: AbstractDynamics, lateral: AbstractLateralLogic) -> Scenar
         crossrange=target.crossrange,
         altitude=target.altitude,
         lateral=lateral,
-        dynamics=dynamics,
+        in_space=dynamics.has_crossrange,
     )
     guided = eqx.tree_at(lambda s: s.guidance, start, law)
     return dataclasses.replace(guided, dynamics=dynamics)
