@@ -130,7 +130,11 @@ def estimates(time_constant, sensed, expected, elapsed=1.0):
         numbers = (jnp.asarray(x) for x in (lift, drag, model_lift, model_drag))
         lift, drag, model_lift, model_drag = numbers
         estimate = estimator.update(
-            estimate, model_lift, (lift, drag), (model_lift, model_drag), jnp.asarray(elapsed)
+            estimate,
+            model_lift,
+            (lift, drag),
+            (model_lift, model_drag),
+            jnp.asarray(elapsed),
         )
         found.append([float(estimate.factors.lift), float(estimate.factors.drag)])
     return np.array(found)

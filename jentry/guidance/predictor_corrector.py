@@ -12,6 +12,7 @@ exact, and so the derivative of the flight.
 import math
 from abc import abstractmethod
 from collections.abc import Callable
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -44,6 +45,7 @@ from ..world.planet import Planet
 from .cycle import FixedCycle
 from .lateral import AbstractLateralLogic, Destination
 from .law import AbstractSampledLaw
+from .path_limits import BankBounds, PathLimits
 
 
 Numbers = Float[Array, " numbers"]
@@ -57,7 +59,7 @@ class AbstractBankShape(eqx.Module):
     is such that more of it flies farther.
     """
 
-    bounds: eqx.AbstractClassVar[tuple[tuple[float, float], ...]]
+    bounds: ClassVar[tuple[tuple[float, float], ...]]
     """Least and largest value of each number"""
 
     @property
@@ -201,24 +203,23 @@ class GuidedEnd(eqx.Module):
     def margins(self, planet: Planet) -> tuple[Margin, ...]:
         """The ends of a prediction; with a ceiling it is the last one."""
         found: list[Margin] = []
-        if self.velocity is not None:
-            found.append(lambda state: state.velocity - self.velocity)
-        if self.altitude is not None:
-            found.append(lambda state: state.altitude - self.altitude)
-        else:
-            found.append(lambda state: state.altitude)
-        if self.energy is not None:
-            found.append(lambda state: energy(planet, state) - self.energy)
-        if self.ceiling is not None:
-            found.append(lambda state: self.ceiling - state.altitude)
+        velocity, energy_there, ceiling = self.velocity, self.energy, self.ceiling
+        lowest = 0.0 if self.altitude is None else self.altitude
+        if velocity is not None:
+            found.append(lambda state: state.velocity - velocity)
+        found.append(lambda state: state.altitude - lowest)
+        if energy_there is not None:
+            found.append(lambda state: energy(planet, state) - energy_there)
+        if ceiling is not None:
+            found.append(lambda state: ceiling - state.altitude)
         return tuple(found)
 
     def is_skip(self, ended_by: Count) -> Flag:
         """Whether a prediction ended at the ceiling."""
         if self.ceiling is None:
             return jnp.zeros_like(ended_by, dtype=bool)
-        given = self.velocity is not None, True, self.energy is not None
-        return ended_by == sum(given)
+        before = self.velocity is not None, True, self.energy is not None
+        return ended_by == sum(before)
 
 
 class Corrected(eqx.Module):
@@ -228,8 +229,10 @@ class Corrected(eqx.Module):
     """Those of the shape"""
     since: Scalar
     """Value of the index at the decision, from which the shape is counted"""
-    side: object
+    side: Any
     """What the lateral logic decided"""
+    bounds: BankBounds
+    """Within which the path constraints are kept"""
     estimate: AbstractFactorEstimate
     decisions: Scalar
     """How many corrections there have been"""
@@ -266,16 +269,18 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     end: GuidedEnd
     origin: EntryState
     """Where downrange and crossrange are counted from"""
+    lateral: AbstractLateralLogic
     downrange: Scalar = scalar(unit="m")
     """Of the target"""
     crossrange: Scalar = scalar(unit="m")
     """Of the target, positive to the left"""
     altitude: Scalar = scalar(unit="m")
     """Of the target; a shape with two numbers meets it too"""
-    lateral: AbstractLateralLogic
     angle_of_attack: AbstractProfile | None = None
     """rad, over the index; None for the angle of attack at which the vehicle trims, which
     is then taken for the rest of the flight too"""
+    limits: PathLimits | None = None
+    """Of the bank, by the path constraints of the scenario; the prediction has none"""
     index: AbstractIndex = EnergyIndex()
     """Of the shape and of the angle of attack"""
     estimator: AbstractFactorEstimator = eqx.field(default_factory=FactorEstimator)
@@ -321,6 +326,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             numbers=self.shape.numbers + nothing,
             since=self.index.value(self.model.planet, nothing, measurement.state),
             side=self.lateral.init(measurement),
+            bounds=BankBounds(nothing - 1.0, nothing + 1.0),
             estimate=self.estimator.start(nothing),
             decisions=nothing,
             without_prediction=nothing,
@@ -359,10 +365,24 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             crossrange_at_end,
         )
         side = self.lateral.update(time, measurement, held.side, destination)
+        since = self.index.value(planet, time, state)
+        bounds = held.bounds
+        if self.limits is not None:
+
+            def banked(state: EntryState) -> Controls:
+                here = self.index.value(planet, time, state)
+                sign = self.lateral.sign(side)
+                return self._banked(here, since, measurement, numbers, sign)
+
+            factors = estimate.factors
+            bounds = self.limits.bounds(self.model, measurement, factors, banked)
         return (), Corrected(
             numbers=numbers,
-            since=self.index.value(planet, time, state),
+            since=since,
             side=side,
+            bounds=jax.tree.map(
+                lambda a, b: jnp.where(senses, a, b), bounds, held.bounds
+            ),
             estimate=estimate,
             decisions=held.decisions + jnp.where(senses, 1.0, 0.0),
             without_prediction=held.without_prediction + lacks,
@@ -377,7 +397,11 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     ) -> tuple[Controls, tuple[()]]:
         here = self.index.value(self.model.planet, time, measurement.state)
         sign = self.lateral.sign(held.side)
-        return self._banked(here, held.since, measurement, held.numbers, sign), ()
+        wanted = self._banked(here, held.since, measurement, held.numbers, sign)
+        if self.limits is None:
+            return wanted, ()
+        cosine = held.bounds.kept(wanted.cos_bank)
+        return _banked_to(cosine, wanted.angle_of_attack, sign), ()
 
     def caveats(self, held: Corrected) -> dict[str, Scalar]:
         """Share of the corrections without a prediction, and those of the estimate."""
@@ -459,7 +483,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         nothing, else 0."""
         planet, shape, most = self.model.planet, self.shape, self.largest_step
         to_go = self.range_to_go(measurement.state)
-        least, largest = (jnp.array(bounds) for bounds in zip(*shape.bounds, strict=True))
+        least, largest = (
+            jnp.array(bounds) for bounds in zip(*shape.bounds, strict=True)
+        )
 
         def missed(numbers: Numbers) -> tuple[Numbers, Prediction]:
             end = self.predicted(
@@ -495,7 +521,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             blind = jnp.where(far, blind, 0.0) * jnp.eye(numbers.shape[0])[0]
             known = (ends | skips) & jnp.all(jnp.isfinite(misses))
             step = jnp.where(known, jnp.where(tells, best, blind), 0.0)
-            numbers = clamp(numbers + step, least, largest)
+            numbers = _clamped(numbers + step, least, largest)
             return (numbers, jnp.where(known, 0.0, 1.0)), None
 
         carry = numbers, jnp.zeros_like(to_go)
@@ -513,8 +539,11 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         if self.angle_of_attack is not None:
             angle = self.angle_of_attack(here)
         cosine = self.shape.cos_bank(numbers, here, since)
-        sine = sign * safe_sqrt(1.0 - cosine * cosine)
-        return Controls(angle, cosine, sine)
+        return _banked_to(cosine, angle, sign)
+
+
+def _banked_to(cosine: Scalar, angle: Scalar, sign: Scalar | float) -> Controls:
+    return Controls(angle, cosine, sign * safe_sqrt(1.0 - cosine * cosine))
 
 
 def least_squares_step(
@@ -530,7 +559,7 @@ def least_squares_step(
     taken.
     """
     if misses.shape[0] == 1:
-        return clamp(-misses / effects[0], lower, upper)
+        return _clamped(-misses / effects[0], lower, upper)
     inside = -solve(effects, misses)
     points = [inside]
     for fixed, free in ((0, 1), (1, 0)):
@@ -547,6 +576,11 @@ def least_squares_step(
     within = jnp.all((inside >= lower) & (inside <= upper))
     remains = jnp.where(jnp.arange(5) == 0, jnp.where(within, -1.0, jnp.inf), remains)
     return candidates[jnp.argmin(remains)]
+
+
+def _clamped(x: Numbers, low: Numbers, high: Numbers) -> Numbers:
+    # As `clamp`, of which one number is asked.
+    return jnp.where(x < low, low, jnp.where(x > high, high, x))
 
 
 def _with_effects(

@@ -10,7 +10,7 @@ from ..fields import NOT_NEGATIVE, Scalar, scalar
 
 
 class AbstractFactors(eqx.Module):
-    """Actual lift and drag in units of what the onboard model expects, over the altitude."""
+    """Actual lift and drag in units of those of the onboard model, over the altitude."""
 
     @abstractmethod
     def at(self, altitude: Scalar) -> "Factors":
@@ -35,8 +35,10 @@ class Factors(AbstractFactors):
 class AbstractFactorEstimate(eqx.Module):
     """What is known of the factors after some samples."""
 
-    factors: eqx.AbstractVar[Factors]
-    """Where the vehicle is"""
+    @property
+    @abstractmethod
+    def factors(self) -> Factors:
+        """Where the vehicle is."""
 
     @property
     @abstractmethod
@@ -80,13 +82,17 @@ class AbstractFactorEstimator(eqx.Module, Generic[Estimate]):
 class FactorEstimate(AbstractFactorEstimate):
     """Factors, and the weight of the samples behind each, (m/s2)^2."""
 
-    factors: Factors
+    here: Factors
     lift_weight: Scalar
     drag_weight: Scalar
 
     @property
+    def factors(self) -> Factors:
+        return self.here
+
+    @property
     def ahead(self) -> Factors:
-        return self.factors
+        return self.here
 
 
 class FactorEstimator(AbstractFactorEstimator[FactorEstimate]):

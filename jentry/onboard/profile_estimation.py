@@ -183,7 +183,7 @@ class ProfileEstimate(AbstractFactorEstimate):
     """How many of them were beyond what the prior and the samples before make likely"""
 
     @property
-    def factors(self) -> Factors:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def factors(self) -> Factors:
         return self.here.factors
 
     @property
@@ -234,16 +234,18 @@ class ProfileEstimator(AbstractFactorEstimator[ProfileEstimate]):
     ) -> ProfileEstimate:
         here = self.here.update(estimate.here, altitude, sensed, expected, elapsed)
         basis = self.departure.basis(altitude)
-        axes = estimate.profile.lift, estimate.profile.drag
-        found, surprised = [], jnp.zeros_like(altitude, dtype=bool)
-        for learnt, force, model in zip(axes, sensed, expected, strict=True):
-            variance = self.noise * self.noise + (self.misfit * model) ** 2
-            after, surprise = learnt.refined(basis, force, model, variance)
-            found.append(after)
-            surprised = surprised | (surprise > _SURPRISE)
+        profile = estimate.profile
+
+        def refined(learnt: Learnt, axis: int) -> tuple[Learnt, Scalar]:
+            variance = self.noise * self.noise + (self.misfit * expected[axis]) ** 2
+            return learnt.refined(basis, sensed[axis], expected[axis], variance)
+
+        lift, by_lift = refined(profile.lift, 0)
+        drag, by_drag = refined(profile.drag, 1)
+        surprised = jnp.maximum(by_lift, by_drag) > _SURPRISE
         return ProfileEstimate(
             here,
-            FactorProfile(self.departure, *found, self.caution),
+            FactorProfile(self.departure, lift, drag, self.caution),
             estimate.samples + 1.0,
             estimate.surprises + jnp.where(surprised, 1.0, 0.0),
         )

@@ -282,9 +282,9 @@ def learning() -> Scenario:
     By a prior that knows trend and waves of `waves-sensed`, and not their phases.
     """
     constant, slope = _constant_and_slope()
-    amplitudes = np.array(AMPLITUDES) / math.sqrt(2.0)
+    amplitudes = jnp.array(AMPLITUDES) / math.sqrt(2.0)
     return _learning(
-        Departure(np.array(WAVELENGTHS), amplitudes, constant, slope, PIVOT)
+        Departure(jnp.array(WAVELENGTHS), amplitudes, constant, slope, PIVOT)
     )
 
 

@@ -23,6 +23,7 @@ from ...onboard.reference import DragReference
 from ...planning.reference_flight import ReferenceFlight, open_loop, plan_drag_reference
 from ...units import km
 from ..mission import Mission
+from . import predictor_corrector
 from .drag_tracking import (
     TABULATED_TO,
     entry,
@@ -106,7 +107,12 @@ MISSION = Mission(
     title="Mars lander, drag tracking scaled to the range to go, with bank reversals",
     source='The family of Yan and He, "Drag-Tracking Guidance for Entry Vehicles '
     'Without Drag Rate Measurement", beyond the paper',
-    variants={"three-dimensional": three_dimensional, "in-plane": in_plane},
+    variants={
+        "three-dimensional": three_dimensional,
+        "in-plane": in_plane,
+        "predictor-corrector": predictor_corrector.three_dimensional,
+        "predictor-corrector-in-plane": predictor_corrector.in_plane,
+    },
     dispersions={
         "lift-to-drag-held": lift_to_drag_held,
         "independent": independent,

@@ -4,6 +4,7 @@ from ...plots.campaign import HISTORIES
 from ..mission import Mission, PublishedValue
 from . import figures
 from .dispersions import atmosphere, table_1, table_1_estimated_angle, table_1_noise
+from .predictor_corrector import predictor_corrector
 from .scenario import (
     a8,
     hard,
@@ -28,6 +29,7 @@ MISSION = Mission(
         "shuttle": shuttle,
         "shuttle-quarter": shuttle_quarter,
         "shuttle-as-flown": shuttle_as_flown,
+        "predictor-corrector": predictor_corrector,
     },
     dispersions={
         "table-1": table_1,

@@ -141,6 +141,18 @@ def limits() -> BankLimits:
     return BankLimits(12.0 * degree, LARGEST_BANK)
 
 
+def start() -> EntryState:
+    """Where the flight begins."""
+    return EntryState(
+        altitude=120.0 * km,
+        longitude=0.0,
+        latitude=0.0,
+        velocity=7700.0,
+        flight_path_angle=-1.0 * degree,
+        heading=90.0 * degree,
+    )
+
+
 def entry(law: AbstractLaw, frequency: float) -> Scenario:
     """From 120 km to 1600 m/s, with an attitude of a bandwidth (rad/s).
 
@@ -152,14 +164,7 @@ def entry(law: AbstractLaw, frequency: float) -> Scenario:
     return Scenario(
         planet=actual_earth(),
         vehicle=vehicle(),
-        initial_state=EntryState(
-            altitude=120.0 * km,
-            longitude=0.0,
-            latitude=0.0,
-            velocity=7700.0,
-            flight_path_angle=-1.0 * degree,
-            heading=90.0 * degree,
-        ),
+        initial_state=start(),
         guidance=law,
         termination=Termination(
             {

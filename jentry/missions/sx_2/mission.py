@@ -15,6 +15,7 @@ from .dispersions import (
     off_by,
     one_at_a_time,
 )
+from .predictor_corrector import predictor_corrector
 from .scenario import full, measured, replanned, scheduled, small_angle
 
 
@@ -64,6 +65,7 @@ MISSION = Mission(
         "measured": measured,
         "scheduled": scheduled,
         "replanned": replanned,
+        "predictor-corrector": predictor_corrector,
         "figures": figure_case,
         **{name: _builder(errors) for name, errors in cases().items()},
     },

@@ -11,6 +11,10 @@ from ...units import degree
 from ..mission import Mission
 from .cases import CASES, case
 from .dispersions import air_and_vehicle, everything, initial_errors
+from .predictor_corrector import (
+    predictor_corrector,
+    predictor_corrector_in_space,
+)
 from .scenario import (
     GLIDE_BANK,
     exact_inverse,
@@ -87,6 +91,8 @@ MISSION = Mission(
         },
         "glide": glide,
         "glide-3d": glide_in_space,
+        "predictor-corrector": predictor_corrector,
+        "predictor-corrector-3d": predictor_corrector_in_space,
     },
     problems={"longest": longest, "shortest": shortest, "footprint": to_both_sides},
     dispersions={

@@ -1,0 +1,41 @@
+"""RLV, numerical predictor-corrector: to a point, through the attitude that lags."""
+
+import equinox as eqx
+
+from ...flight.scenario import Scenario
+from ...guidance.lateral import PredictedCrossrange
+from ...guidance.predictor_corrector import GuidedEnd, LinearBank, PredictorCorrector
+from ...motion.index import VelocityIndex
+from ...onboard.profiles import QuinticTable
+from ...units import degree, km
+from .scenario import END_VELOCITY, LARGEST_BANK, entry, model, plan, start
+
+
+RANGE = 7400.0 * km
+"""To a point straight ahead: the paper's law, which has no such aim, flies about as far"""
+
+
+def predictor_corrector() -> Scenario:
+    """At the angle of attack of the plan over the velocity, with an attitude of 5 rad/s.
+
+    The prediction takes the bank to be flown at once. A reversal takes half a minute here,
+    and what the last ones leave is the miss. The bank at the end is chosen.
+    """
+    table = plan().quantities
+    assert isinstance(table, QuinticTable)
+    law = PredictorCorrector(
+        model=model(),
+        shape=LinearBank(end=END_VELOCITY, final=45.0 * degree, largest=LARGEST_BANK),
+        end=GuidedEnd(velocity=END_VELOCITY, ceiling=130.0 * km),
+        origin=start(),
+        downrange=RANGE,
+        crossrange=0.0,
+        altitude=0.0,
+        lateral=PredictedCrossrange(factor=5.0),
+        angle_of_attack=table.profile("angle_of_attack"),
+        index=VelocityIndex(),
+        in_space=False,
+        step=5.0,
+        steps=400,
+    )
+    return eqx.tree_at(lambda s: s.target.downrange, entry(law, 5.0), RANGE)

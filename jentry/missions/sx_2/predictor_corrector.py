@@ -1,0 +1,36 @@
+"""SX-2, numerical predictor-corrector: no reference to track, and the bank alone."""
+
+import equinox as eqx
+
+from ...flight.scenario import Scenario
+from ...guidance.lateral import PredictedCrossrange
+from ...guidance.path_limits import PathLimits
+from ...guidance.predictor_corrector import GuidedEnd, LinearBank, PredictorCorrector
+from ...units import degree
+from .scenario import energies, full, reference_controls, start, track_model
+
+
+def predictor_corrector() -> Scenario:
+    """To the end of the reference, under its angle of attack over the energy.
+
+    The bank at the end is chosen, and the largest is that of the band of the other laws.
+    Six reversals are enough for a target that lies 145 n mile to one side.
+    """
+    scenario, (_, last) = full(), energies()
+    target = scenario.target
+    angle, _ = reference_controls()
+    law = PredictorCorrector(
+        model=track_model().onboard,
+        shape=LinearBank(end=last, final=30.0 * degree, largest=80.0 * degree),
+        end=GuidedEnd(energy=last),
+        origin=start(),
+        downrange=target.downrange,
+        crossrange=target.crossrange,
+        altitude=target.altitude,
+        lateral=PredictedCrossrange(factor=5.0),
+        angle_of_attack=angle,
+        limits=PathLimits(),
+        in_space=False,
+        step=5.0,
+    )
+    return eqx.tree_at(lambda s: s.guidance, scenario, law)

@@ -1,0 +1,55 @@
+"""X-33, numerical predictor-corrector: to the end of the reference, without tracking it."""
+
+import dataclasses
+
+import equinox as eqx
+
+from ...flight.scenario import Scenario
+from ...guidance.lateral import AbstractLateralLogic, FixedSide, PredictedCrossrange
+from ...guidance.path_limits import PathLimits
+from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector, TwoEndedBank
+from ...motion.index import VelocityIndex
+from ...units import degree
+from .airframe import ScheduledAngleOfAttack
+from .scenario import LAST_VELOCITY, glide, glide_in_space, model, reference, start
+
+
+STEP = 0.5
+"""s; the bank is smooth within a guidance cycle"""
+
+
+def _guided(free: Scenario, lateral: AbstractLateralLogic) -> Scenario:
+    of = reference()
+    law = PredictorCorrector(
+        model=model().onboard,
+        shape=TwoEndedBank(
+            end=LAST_VELOCITY, final=45.0 * degree, largest=80.0 * degree
+        ),
+        end=GuidedEnd(velocity=LAST_VELOCITY),
+        origin=start(of),
+        downrange=of.end.downrange,
+        crossrange=0.0,
+        altitude=of.end.altitude,
+        lateral=lateral,
+        angle_of_attack=ScheduledAngleOfAttack(),
+        limits=PathLimits(),
+        index=VelocityIndex(),
+        in_space=False,
+        step=5.0,
+        steps=400,
+    )
+    guided = eqx.tree_at(lambda s: s.guidance, free, law)
+    return dataclasses.replace(guided, step=STEP)
+
+
+def predictor_corrector() -> Scenario:
+    """In the vertical plane, down to the velocity at the end of the reference.
+
+    Both ends of the bank are free, so that the altitude there is met as well.
+    """
+    return _guided(glide(), FixedSide())
+
+
+def predictor_corrector_in_space() -> Scenario:
+    """The same in three dimensions, to the point straight ahead."""
+    return _guided(glide_in_space(), PredictedCrossrange(factor=5.0))
