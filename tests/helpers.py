@@ -35,18 +35,22 @@ from jentry.guidance import (
     AttitudeBand,
     AttitudeLag,
     BankProfile,
+    ConstantBankShape,
     ControlProfiles,
     CrossrangeCorridor,
     DeviationWeights,
     DynamicalModulation,
     ErrorGains,
     FixedCycle,
+    FixedSide,
     Gate,
     GroundTrackModel,
     GroundTrackTracking,
+    GuidedEnd,
     ModulationGains,
     ObserverDragTracking,
     ObserverGains,
+    PredictorCorrector,
     PseudospectralTracking,
     RangeTracking,
     Regulator,
@@ -263,6 +267,23 @@ def range_tracking(reference) -> RangeTracking:
     )
 
 
+def predictor_corrector() -> PredictorCorrector:
+    """In the plane, towards the target of Yan and He, in long steps."""
+    return PredictorCorrector(
+        model=OnboardModel(mars_planet(), mars_vehicle()),
+        shape=ConstantBankShape(),
+        end=GuidedEnd(503.0, 10 * km, ceiling=135 * km),
+        origin=mars_entry(),
+        lateral=FixedSide(),
+        downrange=723.32 * km,
+        crossrange=0.0,
+        altitude=10 * km,
+        in_space=False,
+        step=8.0,
+        steps=80,
+    )
+
+
 def gliding_vehicle() -> Vehicle:
     """The lander with lift and drag that rise with the angle of attack."""
     aerodynamics = PolynomialAerodynamics([-0.04, 1.5], [0.5, -0.1, 3.0])
@@ -385,6 +406,7 @@ all_laws = {
     "state feedback": state_feedback,
     "observer": observer_law,
     "range tracking": range_tracking,
+    "predictor-corrector": lambda reference: predictor_corrector(),
     "Bézier": lambda reference: stored().guidance,
     "ground track": ground_track_law,
     "replanning": replanning_law,

@@ -1,5 +1,7 @@
 """Lateral logic: where the flight would pass, and which way it is banked."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,6 +25,7 @@ from jentry.guidance import (
     Destination,
     FixedSide,
     HeadingCorridor,
+    PredictedCrossrange,
     Sampled,
     SmoothReversals,
     VelocityReversals,
@@ -417,3 +420,59 @@ def test_decisions_side_by_side_are_those_one_by_one(make):
     alone = jax.jit(lambda x: jax.lax.map(end, x))(masses)
     for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-11, atol=1e-11)
+
+
+# A side by what is predicted
+
+
+def towards(kept, reversed_now, sign=1.0):
+    """A destination whose law predicts these errors of the crossrange."""
+
+    def predicted(side):
+        return jnp.where(side == sign, kept, reversed_now)
+
+    nothing = jnp.asarray(0.0)
+    return Destination(mars_planet(), ORIGIN, nothing, nothing, predicted)
+
+
+@pytest.mark.parametrize(
+    ("kept", "reversed_now", "turns"),
+    [
+        (9e3, 2.9e3, True),
+        (-9e3, 2.9e3, True),
+        (9e3, -3.1e3, False),
+        (1e3, 9e3, False),
+        (400.0, 1.0, False),  # within the tolerance
+        (9e3, float("nan"), False),
+        (float("nan"), 1.0, False),
+    ],
+)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_bank_is_reversed_where_that_is_predicted_to_end_nearer(
+    kept, reversed_now, turns, sign
+):
+    logic = PredictedCrossrange(factor=3.0, tolerance=500.0, first_sign=sign)
+    side = logic.init(seen(ORIGIN))
+    after = logic.update(TIME, seen(ORIGIN), side, towards(kept, reversed_now, sign))
+    assert float(logic.sign(after)) == (-sign if turns else sign)
+    assert float(after.reversals) == turns
+
+
+def test_reversals_are_counted_and_limited():
+    logic = PredictedCrossrange(most=2.0)
+    side = logic.init(seen(ORIGIN))
+    signs = []
+    for _ in range(4):
+        to_there = towards(9e3, 1e3, float(logic.sign(side)))
+        side = logic.update(TIME, seen(ORIGIN), side, to_there)
+        signs.append(float(logic.sign(side)))
+    assert signs == [-1.0, 1.0, 1.0, 1.0]
+    assert float(side.reversals) == 2.0
+
+
+def test_a_prediction_is_needed_to_go_by():
+    logic = PredictedCrossrange()
+    silent = dataclasses.replace(towards(1.0, 1.0), predicted=None)
+    for destination in (None, silent):
+        with pytest.raises(ValueError, match="take a CrossrangeCorridor"):
+            logic.update(TIME, seen(ORIGIN), logic.init(seen(ORIGIN)), destination)

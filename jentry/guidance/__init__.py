@@ -68,6 +68,7 @@ from .lateral import (
     Destination as Destination,
     FixedSide as FixedSide,
     HeadingCorridor as HeadingCorridor,
+    PredictedCrossrange as PredictedCrossrange,
     VelocityReversals as VelocityReversals,
 )
 from .law import (
@@ -87,6 +88,17 @@ from .lift_tradeoff import (
     WeightedTradeoff as WeightedTradeoff,
 )
 from .open_loop import BankProfile as BankProfile, ControlProfiles as ControlProfiles
+from .path_limits import BankBounds as BankBounds, PathLimits as PathLimits
+from .predictor_corrector import (
+    AbstractBankShape as AbstractBankShape,
+    ConstantBankShape as ConstantBankShape,
+    Corrected as Corrected,
+    GivenBankShape as GivenBankShape,
+    GuidedEnd as GuidedEnd,
+    LinearBankShape as LinearBankShape,
+    PredictorCorrector as PredictorCorrector,
+    TwoEndedBankShape as TwoEndedBankShape,
+)
 from .pseudospectral_tracking import (
     ControlPlan as ControlPlan,
     DeviationWeights as DeviationWeights,

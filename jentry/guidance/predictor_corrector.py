@@ -79,7 +79,7 @@ class AbstractBankShape(eqx.Module):
         """
 
 
-class ConstantBank(AbstractBankShape):
+class ConstantBankShape(AbstractBankShape):
     """One bank for the rest of the flight. For capsules.
 
     Its cosine goes from that of the largest bank, with the number 0, to 1.
@@ -100,7 +100,7 @@ class ConstantBank(AbstractBankShape):
         return self.lowest + numbers[0] * (1.0 - self.lowest)
 
 
-class LinearBank(AbstractBankShape):
+class LinearBankShape(AbstractBankShape):
     """A bank that goes linearly over the index to one at the end. For gliders.
 
     The first number is the bank now: with 0 it is the largest, with 1 the wings are level.
@@ -136,7 +136,7 @@ class LinearBank(AbstractBankShape):
         return sincos(start + way * (final - start))[1]
 
 
-class TwoEndedBank(LinearBank):
+class TwoEndedBankShape(LinearBankShape):
     """A linear bank of which both ends are free: it meets the altitude at the end as well.
 
     The second number is the bank at the end, likewise; `final` is where it begins.
@@ -153,7 +153,7 @@ class TwoEndedBank(LinearBank):
         return self._between(numbers[0], final, index, since)
 
 
-class ShapedBank(AbstractBankShape):
+class GivenBankShape(AbstractBankShape):
     """The cosine of a given bank, moved towards wings level or towards the largest bank.
 
     With the number 0 it is as given, with 1 the wings are level all the way, with -1 the
@@ -560,7 +560,10 @@ def least_squares_step(
     """
     if misses.shape[0] == 1:
         return _clamped(-misses / effects[0], lower, upper)
-    inside = -solve(effects, misses)
+    (a, b), (c, d) = effects
+    regular = a * d - b * c != 0.0
+    # On both sides of what is chosen, so that no derivative comes from there.
+    inside = -solve(jnp.where(regular, effects, jnp.eye(2)), misses)
     points = [inside]
     for fixed, free in ((0, 1), (1, 0)):
         column = effects[:, free]
@@ -572,8 +575,9 @@ def least_squares_step(
             pair = (bound, along) if fixed == 0 else (along, bound)
             points.append(jnp.stack(pair))
     candidates = jnp.stack(points)
-    remains = jnp.sum((misses + candidates @ effects.T) ** 2, axis=1)
-    within = jnp.all((inside >= lower) & (inside <= upper))
+    left = jax.vmap(lambda step: misses + effects @ step)(candidates)
+    remains = jnp.sum(left * left, axis=1)
+    within = regular & jnp.all((inside >= lower) & (inside <= upper))
     remains = jnp.where(jnp.arange(5) == 0, jnp.where(within, -1.0, jnp.inf), remains)
     return candidates[jnp.argmin(remains)]
 

@@ -10,7 +10,7 @@ import equinox as eqx
 from ...flight.scenario import Scenario
 from ...guidance.lateral import AbstractLateralLogic, FixedSide, PredictedCrossrange
 from ...guidance.predictor_corrector import (
-    ConstantBank,
+    ConstantBankShape,
     GuidedEnd,
     PredictorCorrector,
 )
@@ -25,7 +25,7 @@ def _guided(dynamics: AbstractDynamics, lateral: AbstractLateralLogic) -> Scenar
     target = start.target
     law = PredictorCorrector(
         model=OnboardModel(start.planet, start.vehicle),
-        shape=ConstantBank(),
+        shape=ConstantBankShape(),
         end=GuidedEnd(target.velocity, target.altitude, ceiling=135.0 * km),
         origin=start.initial_state,
         downrange=target.downrange,

@@ -2,9 +2,8 @@
 
 from ...plots.campaign import HISTORIES
 from ..mission import Mission, PublishedValue
-from . import figures
+from . import figures, predictor_corrector
 from .dispersions import atmosphere, table_1, table_1_estimated_angle, table_1_noise
-from .predictor_corrector import predictor_corrector
 from .scenario import (
     a8,
     hard,
@@ -29,7 +28,7 @@ MISSION = Mission(
         "shuttle": shuttle,
         "shuttle-quarter": shuttle_quarter,
         "shuttle-as-flown": shuttle_as_flown,
-        "predictor-corrector": predictor_corrector,
+        "predictor-corrector": predictor_corrector.guided,
     },
     dispersions={
         "table-1": table_1,

@@ -4,7 +4,11 @@ import equinox as eqx
 
 from ...flight.scenario import Scenario
 from ...guidance.lateral import PredictedCrossrange
-from ...guidance.predictor_corrector import GuidedEnd, LinearBank, PredictorCorrector
+from ...guidance.predictor_corrector import (
+    GuidedEnd,
+    LinearBankShape,
+    PredictorCorrector,
+)
 from ...motion.index import VelocityIndex
 from ...onboard.profiles import QuinticTable
 from ...units import degree, km
@@ -15,7 +19,7 @@ RANGE = 7400.0 * km
 """To a point straight ahead: the paper's law, which has no such aim, flies about as far"""
 
 
-def predictor_corrector() -> Scenario:
+def guided() -> Scenario:
     """At the angle of attack of the plan over the velocity, with an attitude of 5 rad/s.
 
     The prediction takes the bank to be flown at once. A reversal takes half a minute here,
@@ -25,7 +29,9 @@ def predictor_corrector() -> Scenario:
     assert isinstance(table, QuinticTable)
     law = PredictorCorrector(
         model=model(),
-        shape=LinearBank(end=END_VELOCITY, final=45.0 * degree, largest=LARGEST_BANK),
+        shape=LinearBankShape(
+            end=END_VELOCITY, final=45.0 * degree, largest=LARGEST_BANK
+        ),
         end=GuidedEnd(velocity=END_VELOCITY, ceiling=130.0 * km),
         origin=start(),
         downrange=RANGE,

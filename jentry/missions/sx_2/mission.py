@@ -7,6 +7,7 @@ import numpy as np
 from ...flight.scenario import Scenario
 from ...units import nautical_mile
 from ..mission import Mission, PublishedValue
+from . import predictor_corrector
 from .dispersions import (
     INITIAL_ERRORS,
     air_and_vehicle,
@@ -15,7 +16,6 @@ from .dispersions import (
     off_by,
     one_at_a_time,
 )
-from .predictor_corrector import predictor_corrector
 from .scenario import full, measured, replanned, scheduled, small_angle
 
 
@@ -65,7 +65,7 @@ MISSION = Mission(
         "measured": measured,
         "scheduled": scheduled,
         "replanned": replanned,
-        "predictor-corrector": predictor_corrector,
+        "predictor-corrector": predictor_corrector.guided,
         "figures": figure_case,
         **{name: _builder(errors) for name, errors in cases().items()},
     },

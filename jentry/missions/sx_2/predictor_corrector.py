@@ -5,12 +5,16 @@ import equinox as eqx
 from ...flight.scenario import Scenario
 from ...guidance.lateral import PredictedCrossrange
 from ...guidance.path_limits import PathLimits
-from ...guidance.predictor_corrector import GuidedEnd, LinearBank, PredictorCorrector
+from ...guidance.predictor_corrector import (
+    GuidedEnd,
+    LinearBankShape,
+    PredictorCorrector,
+)
 from ...units import degree
 from .scenario import energies, full, reference_controls, start, track_model
 
 
-def predictor_corrector() -> Scenario:
+def guided() -> Scenario:
     """To the end of the reference, under its angle of attack over the energy.
 
     The bank at the end is chosen, and the largest is that of the band of the other laws.
@@ -21,7 +25,7 @@ def predictor_corrector() -> Scenario:
     angle, _ = reference_controls()
     law = PredictorCorrector(
         model=track_model().onboard,
-        shape=LinearBank(end=last, final=30.0 * degree, largest=80.0 * degree),
+        shape=LinearBankShape(end=last, final=30.0 * degree, largest=80.0 * degree),
         end=GuidedEnd(energy=last),
         origin=start(),
         downrange=target.downrange,

@@ -9,12 +9,9 @@ from ...planning.flight_constraints import Constraint
 from ...planning.flight_problem import AtEnd, FlightProblem, FreeControl
 from ...units import degree
 from ..mission import Mission
+from . import predictor_corrector
 from .cases import CASES, case
 from .dispersions import air_and_vehicle, everything, initial_errors
-from .predictor_corrector import (
-    predictor_corrector,
-    predictor_corrector_in_space,
-)
 from .scenario import (
     GLIDE_BANK,
     exact_inverse,
@@ -91,8 +88,9 @@ MISSION = Mission(
         },
         "glide": glide,
         "glide-3d": glide_in_space,
-        "predictor-corrector": predictor_corrector,
-        "predictor-corrector-3d": predictor_corrector_in_space,
+        "predictor-corrector": predictor_corrector.in_plane,
+        "predictor-corrector-limited": predictor_corrector.limited,
+        "predictor-corrector-3d": predictor_corrector.in_space,
     },
     problems={"longest": longest, "shortest": shortest, "footprint": to_both_sides},
     dispersions={

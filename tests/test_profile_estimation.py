@@ -1,0 +1,427 @@
+"""Factors of lift and drag over the altitude, as they are learnt on the way down."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import mars_scenario, with_leaf
+from test_propagation import ENDS, MODEL, START, downrange, one, profile
+
+from jentry.motion import EquatorialDynamics
+from jentry.onboard import FactorEstimator, propagate
+from jentry.onboard.profile_estimation import (
+    Departure,
+    FactorProfile,
+    Learnt,
+    ProfileEstimator,
+)
+from jentry.units import km
+from jentry.world import DensityWave, PerturbedAtmosphere
+
+
+WAVELENGTHS, AMPLITUDES = np.array([25 * km, 8 * km]), np.array([0.05, 0.02])
+CONSTANT, SLOPE, PIVOT = 0.1, 2e-6, 40 * km
+DEPARTURE = Departure(WAVELENGTHS, AMPLITUDES, CONSTANT, SLOPE, PIVOT)
+
+COUNT = 40
+"""Samples in each test, which so share what is compiled"""
+
+
+def basis(altitudes):
+    """Of `DEPARTURE`, by hand: a row for each altitude."""
+    h = np.asarray(altitudes)[:, None]
+    turns = 2.0 * np.pi * h / WAVELENGTHS
+    line = [np.full_like(h, CONSTANT), SLOPE * (h - PIVOT)]
+    waves = [AMPLITUDES * np.sin(turns), AMPLITUDES * np.cos(turns)]
+    return np.hstack(line + waves)
+
+
+@eqx.filter_jit
+def after(estimator, altitudes, sensed, expected):
+    """The estimate after samples; forces as (lift, drag) in each row."""
+
+    def update(estimate, sample):
+        altitude, sensed, expected = sample
+        forces = (sensed[0], sensed[1]), (expected[0], expected[1])
+        return estimator.update(estimate, altitude, *forces, one(1.0)), None
+
+    start = estimator.start(one(0.0))
+    samples = tuple(jnp.asarray(x) for x in (altitudes, sensed, expected))
+    return jax.lax.scan(update, start, samples)[0]
+
+
+@eqx.filter_jit
+def over(found, altitudes):
+    """Factors (lift, drag) and their standard deviations at altitudes."""
+    return jax.vmap(lambda h: (found.at(h), found.deviations(h)))(
+        jnp.asarray(altitudes)
+    )
+
+
+def pairs(factors):
+    return np.stack([factors.lift, factors.drag], axis=-1)
+
+
+def some_samples():
+    """Altitudes, sensed and expected forces: random, from a few km to 60 km."""
+    rng = np.random.default_rng(3)
+    altitudes = rng.uniform(5 * km, 60 * km, COUNT)
+    expected = rng.uniform(0.5, 8.0, (COUNT, 2))
+    sensed = expected * rng.normal(1.05, 0.1, (COUNT, 2))
+    return altitudes, sensed, expected
+
+
+# What is learnt.
+
+
+def test_weights_are_those_of_bayesian_least_squares():
+    """Of all samples at once, along each axis; and so in any order."""
+    noise, misfit = 0.03, 0.02
+    estimator = ProfileEstimator(DEPARTURE, noise, misfit)
+    altitudes, sensed, expected = some_samples()
+    estimate = after(estimator, altitudes, sensed, expected)
+    backwards = after(estimator, altitudes[::-1], sensed[::-1], expected[::-1])
+    assert float(estimate.samples) == COUNT
+    heights = np.linspace(5 * km, 60 * km, 12)
+    factors, deviations = over(estimate.ahead, heights)
+    for axis, name in enumerate(("lift", "drag")):
+        rows = expected[:, axis, None] * basis(altitudes)
+        variances = noise**2 + (misfit * expected[:, axis]) ** 2
+        weighted = rows / variances[:, None]
+        covariance = np.linalg.inv(np.eye(6) + weighted.T @ rows)
+        departed = sensed[:, axis] - expected[:, axis]
+        weights = covariance @ (weighted.T @ departed)
+        for found in (estimate, backwards):
+            learnt = getattr(found.profile, name)
+            # The least eigenvalue of the covariance is 1e-5: rounding may be 1e5 times.
+            np.testing.assert_allclose(learnt.weights, weights, rtol=1e-9)
+            size = np.sqrt(np.diag(covariance))
+            np.testing.assert_allclose(
+                learnt.covariance / np.outer(size, size),
+                covariance / np.outer(size, size),
+                rtol=0.0,
+                atol=1e-9,
+            )
+        there = basis(heights)
+        np.testing.assert_allclose(
+            getattr(factors, name), 1.0 + there @ weights, rtol=1e-9
+        )
+        spread = np.sqrt(np.sum((there @ covariance) * there, axis=1))
+        np.testing.assert_allclose(getattr(deviations, name), spread, rtol=1e-9)
+
+
+def test_a_sample_without_force_tells_nothing():
+    altitudes, sensed, _ = some_samples()
+    estimate = after(ProfileEstimator(DEPARTURE), altitudes, sensed, 0.0 * sensed)
+    for learnt in (estimate.profile.lift, estimate.profile.drag):
+        np.testing.assert_array_equal(learnt.weights, np.zeros(6))
+        np.testing.assert_array_equal(learnt.covariance, np.eye(6))
+
+
+def test_before_a_sample_it_is_the_prior():
+    heights = np.linspace(-5 * km, 90 * km, 20)
+    profile = ProfileEstimator(DEPARTURE).start(one(0.0)).ahead
+    factors, deviations = over(profile, heights)
+    np.testing.assert_array_equal(pairs(factors), np.ones((20, 2)))
+    # A sine and a cosine of one deviation have it in all phases.
+    variance = CONSTANT**2 + (SLOPE * (heights - PIVOT)) ** 2 + np.sum(AMPLITUDES**2)
+    for found in (deviations.lift, deviations.drag):
+        np.testing.assert_allclose(found, np.sqrt(variance), rtol=1e-13)
+
+
+def test_waves_that_are_known_are_predicted_below_the_samples():
+    """From 50 km down to 38 km without noise; what is left goes by the trust in samples.
+
+    With weights w the error is phi P w, which by Cauchy and Schwarz is no more than the
+    deviation times the norm of w, as P is no more than one.
+    """
+    sizes, phases, constant = np.array([0.05, 0.02]), np.array([0.7, -1.9]), 0.06
+    weights = np.hstack(
+        [constant / CONSTANT, 0.0, np.sqrt(2) * np.cos(phases), np.sqrt(2) * np.sin(phases)]
+    )
+    departure = Departure(WAVELENGTHS, sizes / np.sqrt(2), CONSTANT, SLOPE, PIVOT)
+
+    def factor(h):
+        waves = np.sin(2.0 * np.pi * h[:, None] / WAVELENGTHS + phases)
+        return 1.0 + constant + waves @ sizes
+
+    altitudes = np.linspace(50 * km, 38 * km, COUNT)
+    expected = np.stack([np.linspace(1.0, 4.0, COUNT), np.linspace(2.0, 9.0, COUNT)], 1)
+    sensed = expected * factor(altitudes)[:, None]
+    estimate = after(
+        ProfileEstimator(departure, 1e-4, 1e-4), altitudes, sensed, expected
+    )
+    below = np.linspace(38 * km, 25 * km, 27)
+    found, deviations = over(estimate.ahead, below)
+    actual = factor(below)
+    last = pairs(estimate.factors)
+    np.testing.assert_allclose(last, np.full(2, actual[0]), rtol=1e-12)
+    for axis in range(2):
+        errors = np.abs(pairs(found)[:, axis] - actual)
+        bound = np.linalg.norm(weights) * pairs(deviations)[:, axis]
+        assert np.all(errors <= bound)
+        assert np.max(np.abs(last[axis] - actual)) > 0.08
+        assert np.max(errors) < 0.008, errors
+
+
+def test_deviations_grow_from_the_samples_to_those_of_the_prior():
+    departure = Departure.correlated(5 * km, 0.04, 0.0, 80 * km, constant=0.0)
+    altitudes = np.linspace(60 * km, 40 * km, COUNT)
+    expected = np.full((COUNT, 2), [2.0, 4.0])
+    noise = 1e-3
+    estimate = after(
+        ProfileEstimator(departure, noise, 1e-9), altitudes, expected, expected
+    )
+    below = np.linspace(40 * km, 20 * km, 41)
+    _, deviations = over(estimate.ahead, below)
+    for found, force in ((deviations.lift, 2.0), (deviations.drag, 4.0)):
+        # Where there is a sample it is known at least as well as by this one.
+        assert found[0] <= noise / force
+        assert np.all(np.diff(found) > 0.0)
+        # Four lengths away, exp(-8) of it is correlated with what was sampled.
+        assert found[-1] == pytest.approx(0.04, rel=1e-3)
+
+
+def test_caution_takes_standard_deviations_off():
+    altitudes, sensed, expected = some_samples()
+    how = altitudes, sensed, expected
+    heights = np.linspace(5 * km, 60 * km, 12)
+    likely, deviations = over(after(ProfileEstimator(DEPARTURE), *how).ahead, heights)
+    cautious = ProfileEstimator(DEPARTURE, caution=1.5)
+    found, same = over(after(cautious, *how).ahead, heights)
+    taken = pairs(likely) - 1.5 * pairs(deviations)
+    np.testing.assert_allclose(pairs(found), taken, rtol=1e-14)
+    np.testing.assert_allclose(pairs(same), pairs(deviations), rtol=1e-11)
+    assert np.min(pairs(deviations)) > 1e-4
+    # Before a sample as well.
+    found = over(cautious.start(one(0.0)).ahead, [PIVOT])[0]
+    expected = 1.0 - 1.5 * math.sqrt(CONSTANT**2 + np.sum(AMPLITUDES**2))
+    np.testing.assert_allclose(pairs(found), [[expected, expected]], rtol=1e-14)
+
+
+def test_factors_do_not_fall_below_a_fifth():
+    weights = {"low": [-7.9, -8.1, -40.0], "nan": [math.nan]}
+    for given, factors in (
+        (weights["low"], [0.21, 0.2, 0.2]),
+        (weights["nan"], [math.nan]),
+    ):
+        for weight, factor in zip(given, factors, strict=True):
+            known = Learnt(one([weight, 0, 0, 0, 0, 0]), jnp.zeros((6, 6)))
+            found = FactorProfile(DEPARTURE, known, known, None)
+            there = pairs(over(found, [30 * km])[0])
+            np.testing.assert_allclose(there, [[factor, factor]], rtol=1e-14)
+    careful = ProfileEstimator(DEPARTURE, caution=100.0).start(one(0.0)).ahead
+    np.testing.assert_array_equal(pairs(over(careful, [0.0])[0]), [[0.2, 0.2]])
+
+
+# What is said of it.
+
+
+@eqx.filter_jit
+def share(estimator, altitudes, sensed, expected):
+    """Of surprising samples, and where it is."""
+    estimate = after(estimator, altitudes, sensed, expected)
+    return estimate.caveats()["surprising_samples"], estimate.factors
+
+
+@pytest.mark.parametrize(
+    ("lift", "drag", "expected"),
+    [(3.9, -3.9, 0.0), (4.1, 0.0, 0.5), (0.0, -4.1, 0.5), (-4.1, 4.1, 0.5)],
+)
+def test_samples_that_the_prior_makes_unlikely_are_counted(lift, drag, expected):
+    """The first as expected, the second so many deviations off: 4 are the limit."""
+    estimator = ProfileEstimator(DEPARTURE, 0.03, 0.02)
+    altitudes, forces = np.array([50 * km, 45 * km]), np.array([[4.0, 2.0], [5.0, 3.0]])
+    before, second = basis(altitudes)
+    deviations = []
+    for first, force in forces.T:
+        row = first * before
+        variance = 0.03**2 + (0.02 * first) ** 2
+        covariance = np.eye(6) - np.outer(row, row) / (row @ row + variance)
+        there = force * second
+        variance = 0.03**2 + (0.02 * force) ** 2
+        deviations.append(np.sqrt(there @ covariance @ there + variance))
+    sensed = forces.copy()
+    sensed[1] += np.array([lift, drag]) * deviations
+    found, _ = share(estimator, altitudes, sensed, forces)
+    assert float(found) == expected
+
+
+def test_consistent_samples_surprise_nobody():
+    """Of what the prior draws none of 40 is beyond 4 deviations; before a sample none."""
+    rng = np.random.default_rng(7)
+    altitudes, _, expected = some_samples()
+    factor = 1.0 + basis(altitudes) @ rng.normal(size=(6, 2))
+    variances = 0.03**2 + (0.02 * expected) ** 2
+    sensed = expected * factor + np.sqrt(variances) * rng.normal(size=(COUNT, 2))
+    estimator = ProfileEstimator(DEPARTURE, 0.03, 0.02)
+    estimate = after(estimator, altitudes, sensed, expected)
+    assert float(estimate.caveats()["surprising_samples"]) == 0.0
+    assert float(estimator.start(one(0.0)).caveats()["surprising_samples"]) == 0.0
+
+
+@pytest.mark.parametrize("time_constant", [0.0, 7.0])
+def test_where_the_vehicle_is_it_goes_by_the_estimator_without_a_profile(time_constant):
+    """Without memory, as it is if none is given, that is the last ratio."""
+    here = FactorEstimator(time_constant)
+    given = {"here": here} if time_constant else {}
+    altitudes, sensed, expected = some_samples()
+    _, found = share(ProfileEstimator(DEPARTURE, **given), altitudes, sensed, expected)
+    _, plain = alone(here, altitudes, sensed, expected)
+    np.testing.assert_allclose(pairs(found), pairs(plain), rtol=1e-14)
+    ratio = sensed[-1] / expected[-1]
+    is_last = np.allclose(pairs(found), ratio, rtol=1e-13)
+    assert is_last == (time_constant == 0.0)
+
+
+def alone(estimator, *samples):
+    estimate = after(estimator, *samples)
+    return estimate, estimate.factors
+
+
+def test_a_sample_that_is_not_a_number_leaves_none():
+    """Nothing that looks right: along its axis all factors ahead are NaN from then on.
+
+    The covariance knows nothing of what was sensed. Nor is such a sample counted.
+    """
+    altitudes, sensed, expected = some_samples()
+    sensed[COUNT // 2, 1] = math.nan
+    estimate = after(ProfileEstimator(DEPARTURE), altitudes, sensed, expected)
+    assert np.all(np.isfinite(estimate.profile.lift.weights))
+    assert np.all(np.isnan(estimate.profile.drag.weights))
+    factors, deviations = over(estimate.ahead, [10 * km, 30 * km])
+    assert np.all(np.isfinite(factors.lift)) and np.all(np.isnan(factors.drag))
+    assert np.all(np.isfinite(pairs(deviations)))
+    assert np.isfinite(float(estimate.caveats()["surprising_samples"]))
+
+
+# A correlation length.
+
+
+@pytest.mark.parametrize("length", [2 * km, 5 * km, 12 * km])
+def test_correlation_goes_with_the_distance(length):
+    """As exp(-d^2 / (2 length^2)), on a circle of twice the way from low to high.
+
+    By Poisson's sum the whole series is this summed over the turns of the circle. What is
+    left out of it is 1e-4, and what the turns add at no distance.
+    """
+    low, high, deviation = 10 * km, 60 * km, 0.04
+    departure = Departure.correlated(length, deviation, low, high, constant=0.0)
+    heights = np.linspace(low, high, 26)
+    rows = np.asarray(jax.jit(jax.vmap(departure.basis))(jnp.asarray(heights)))
+    found = rows @ rows.T / deviation**2
+    distance = heights[:, None] - heights
+    turns = 2.0 * (high - low) * np.array([-1.0, 1.0])[:, None, None]
+    gauss = np.exp(-0.5 * (distance / length) ** 2)
+    around = np.sum(np.exp(-0.5 * ((distance + turns) / length) ** 2), axis=0)
+    left_out = 1e-4 + around[0, 0] + 1e-13
+    assert np.max(np.abs(found - gauss - around)) < left_out
+    assert np.all(np.abs(found - gauss) < left_out + around)
+    # The variance is the same everywhere, and no wave more than needed.
+    variance = np.diag(found)
+    np.testing.assert_allclose(variance, variance[0], rtol=1e-13)
+    assert 1.0 - 1e-4 <= variance[0] <= 1.0 + around[0, 0] + 1e-13
+    least = float(departure.amplitudes[-1]) ** 2 / deviation**2
+    assert variance[0] - least < 1.0 - 1e-4
+
+
+def test_constant_and_slope_come_beside_the_correlation():
+    plain, more = (
+        Departure.correlated(5 * km, 0.04, 10 * km, 60 * km, constant=c, slope=s)
+        for c, s in ((0.0, 0.0), (0.07, 3e-6))
+    )
+    pair = jnp.array([22 * km, 51 * km])
+    both = [np.asarray(jax.jit(jax.vmap(d.basis))(pair)) for d in (plain, more)]
+    without, found = (rows[0] @ rows[1] for rows in both)
+    # The slope turns about the middle.
+    added = 0.07**2 + 3e-6**2 * (22 * km - 35 * km) * (51 * km - 35 * km)
+    assert found - without == pytest.approx(added, rel=1e-12)
+
+
+@pytest.mark.parametrize("length", [0.0, -3e3, 50e3, 7e4, math.inf, math.nan])
+def test_a_length_that_is_none_is_refused(length):
+    with pytest.raises(ValueError, match=f"length is {length} m: it must be positive"):
+        Departure.correlated(length, 0.04, 10e3, 60e3)
+
+
+def test_waves_without_one_amplitude_each_are_refused():
+    with pytest.raises(ValueError, match=r"have the shapes \(2,\) and \(3,\)"):
+        Departure([1e4, 2e4], [0.1, 0.1, 0.1])
+
+
+# What is predicted with it.
+
+
+WAVE_PHASES = np.array([0.4, 2.6])
+SIZES = np.array([0.06, 0.03])
+WEIGHTS = np.hstack(
+    [0.5, 1.5, SIZES / AMPLITUDES * np.cos(WAVE_PHASES), [0.0, 0.0]]
+) + np.hstack([np.zeros(4), SIZES / AMPLITUDES * np.sin(WAVE_PHASES)])
+"""Of the density that `disturbed` has"""
+
+
+@eqx.filter_jit
+def predicted(model, lift, drag):
+    """Under weights; none for the model as it is."""
+    factors = None
+    if lift is not None:
+        known = (Learnt(weights, jnp.eye(6)) for weights in (lift, drag))
+        factors = FactorProfile(DEPARTURE, *known, None)
+    return propagate(
+        model,
+        START,
+        profile,
+        ENDS,
+        step=3.0,
+        steps=128,
+        factors=factors,
+        dynamics=EquatorialDynamics(),
+    )
+
+
+def disturbed():
+    """The model in air with these waves, and with a constant and a slope as a trend."""
+    waves = tuple(
+        DensityWave(*wave)
+        for wave in zip(SIZES, WAVELENGTHS, WAVE_PHASES, strict=True)
+    )
+    constant, slope = WEIGHTS[0] * CONSTANT, WEIGHTS[1] * SLOPE
+    low, high = 0.0, 200 * km
+    ends = [constant + slope * (h - PIVOT) for h in (low, high)]
+    air = PerturbedAtmosphere(
+        mars_scenario().planet.atmosphere, waves, 1.0, low, high, *ends
+    )
+    return eqx.tree_at(lambda m: m.planet.atmosphere, MODEL, air)
+
+
+def test_a_profile_of_waves_is_air_with_these_waves():
+    weights = jnp.asarray(WEIGHTS)
+    found = predicted(MODEL, weights, weights)
+    expected = predicted(disturbed(), None, None)
+    assert bool(found.has_end) and int(found.ended_by) == int(expected.ended_by)
+    np.testing.assert_allclose(
+        jax.tree.leaves(found), jax.tree.leaves(expected), rtol=1e-9, atol=1e-9
+    )
+    plain = predicted(MODEL, 0.0 * weights, 0.0 * weights)
+    assert abs(float(downrange(found.state) - downrange(plain.state))) > 1e3
+
+
+def test_a_prediction_has_derivatives_in_the_weights():
+    """Of the end, where the phase of a wave and the constant go."""
+
+    def reached(weight, place):
+        drag = with_leaf(jnp.asarray(WEIGHTS), lambda w: w, WEIGHTS).at[place].set(weight)
+        end = predicted(MODEL, jnp.asarray(WEIGHTS), drag)
+        return downrange(end.state)
+
+    slope = jax.jit(jax.jacfwd(reached))
+    for place in (0, 5):
+        at, h = WEIGHTS[place], 1e-4
+        ends = [float(reached(one(at + d), place)) for d in (h, -h)]
+        difference = (ends[0] - ends[1]) / (2.0 * h)
+        assert abs(difference) > 100.0  # m for one deviation
+        found = float(slope(one(at), place))
+        assert found == pytest.approx(difference, rel=1e-6)
