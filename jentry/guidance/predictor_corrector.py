@@ -351,11 +351,14 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         numbers, lacks = where_due(senses, correct, before)
 
         def crossrange_at_end(sign: Scalar) -> Scalar:
-            end = self.predicted(
-                time, measurement, estimate.ahead, numbers, sign, in_space=True
-            )
-            _, reached = ground_track(planet, self.origin, end.state)
-            return jnp.where(end.has_end, reached - self.crossrange, jnp.nan)
+            def predict(unknown: Scalar) -> Scalar:
+                end = self.predicted(
+                    time, measurement, estimate.ahead, numbers, sign, in_space=True
+                )
+                _, reached = ground_track(planet, self.origin, end.state)
+                return jnp.where(end.has_end, reached - self.crossrange, unknown)
+
+            return where_due(senses, predict, jnp.full_like(sign, jnp.nan))
 
         destination = Destination(
             planet,
