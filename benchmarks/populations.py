@@ -1,13 +1,15 @@
 """How far does a statistic of one Monte Carlo set go from one set to another?
 
-Flies 16 sets of 500 runs of each law of the CAV-H mission, and 16 of 1000 of the Mars
-missions: consecutive runs of one seed, which share no draw. Prints the mean of each
+Flies 16 sets of 500 runs of each law of the CAV-H mission, 16 of 1000 of the Mars missions,
+and smaller ones of the other missions, where the predictor-corrector flies beside the laws
+of the papers: consecutive runs of one seed, which share no draw. Prints the mean of each
 statistic over the sets and its standard deviation from set to set: the tables of the
 README. Campaigns are stored below --out, and are resumed or read again from there.
 
     python benchmarks/populations.py cav-h
     python benchmarks/populations.py mars-range-tracking
     python benchmarks/populations.py mars-drag-tracking
+    python benchmarks/populations.py sx-2
 
 `populations.csv` beside this file has each statistic of each set: `--save` writes it anew.
 The tests compare the README with it, and its first sets with what they fly.
@@ -26,6 +28,7 @@ from jentry.campaign import open_campaign, run_campaign
 from jentry.campaign.populations import finite_flights, population, sets_of
 from jentry.flight import Outcome
 from jentry.missions import find_mission
+from jentry.missions.x_33.scenario import corridor
 from jentry.units import degree, km
 
 
@@ -61,6 +64,21 @@ VELOCITY, ANGLE = "velocity_error", "flight_path_angle_error"
 PRESSURE = "peak_dynamic_pressure"
 DOWNRANGE, CROSSRANGE = "downrange_error", "crossrange_error"
 
+_END = tuple(
+    Column(f"{name}, {heading}, km", variable, km, statistic)
+    for name, variable in (
+        ("downrange error", DOWNRANGE),
+        ("crossrange error", CROSSRANGE),
+        ("altitude error", "altitude_error"),
+    )
+    for heading, statistic in (
+        ("median", np.median),
+        ("99th percentile", percentile(99)),
+        ("maximum", np.max),
+    )
+)
+"""Of a mission whose laws are compared by where they end"""
+
 COLUMNS = {
     "cav-h": (
         Column("velocity error, mean, m/s", VELOCITY, 1.0, np.mean),
@@ -80,12 +98,23 @@ COLUMNS = {
         Column("crossrange error, 95th percentile", CROSSRANGE, km, percentile(95)),
     ),
     "mars-drag-tracking": (),
+    "sx-2": _END,
+    "x-33": _END,
+    "rlv": _END,
 }
 
 
 def lost(results) -> float:
     """Share of the flights that did not reach the target, %"""
     return 100.0 * float(np.mean(results["outcome"].values != Outcome.REACHED))
+
+
+def share_of_limit(name: str) -> Callable[..., float]:
+    def share(results) -> float:
+        limit = corridor()[name].limit
+        return float(np.max(results[f"peak_{name}"].values) / limit)
+
+    return share
 
 
 OTHERS = {
@@ -100,6 +129,12 @@ OTHERS = {
         "crossrange std": deviation(CROSSRANGE),
         "altitude std": deviation("altitude_error"),
     },
+    "sx-2": {"lost, %": lost},
+    "x-33": {
+        f"{name}, maximum, share of the limit": share_of_limit(name)
+        for name in ("heat_rate", "normal_load_factor")
+    },
+    "rlv": {"downrange std, km": deviation(DOWNRANGE)},
     "mars-drag-tracking": {
         value.name: value.statistic
         for value in find_mission("mars-drag-tracking").published
@@ -119,30 +154,61 @@ ROWS = {
         ("newton", "normal-sensed"),
         ("newton-network", "normal-sensed"),
         ("newton", "waves-sensed"),
+        ("learning", "waves-sensed"),
+        ("learning-correlated", "waves-sensed"),
+        ("learning", "normal-sensed"),
+        ("learning-correlated", "normal-sensed"),
         ("us-1976", "normal-sensed"),
     ),
     "mars-range-tracking": (
         ("three-dimensional", "lift-to-drag-held"),
         ("three-dimensional", "independent"),
+        ("predictor-corrector", "lift-to-drag-held"),
+        ("predictor-corrector", "independent"),
+        ("predictor-corrector-in-plane", "independent"),
     ),
+    "sx-2": tuple(
+        (variant, reading)
+        for reading in ("initial-errors", "air-and-vehicle")
+        for variant in ("full", "replanned", "predictor-corrector")
+    ),
+    "x-33": tuple(
+        (variant, reading)
+        for reading in ("initial-errors", "air-and-vehicle")
+        for variant in (
+            "with-range",
+            "predictor-corrector",
+            "predictor-corrector-limited",
+            "predictor-corrector-3d",
+        )
+    ),
+    "rlv": (("r5", "table-1"), ("predictor-corrector", "table-1")),
     "mars-drag-tracking": (
         ("table-3", "lift-to-drag-held"),
         ("energy-index", "lift-to-drag-held"),
     ),
 }
 
-RUNS = {"cav-h": 500, "mars-range-tracking": 1000, "mars-drag-tracking": 1000}
+RUNS = {
+    "cav-h": 500,
+    "mars-range-tracking": 1000,
+    "mars-drag-tracking": 1000,
+    "sx-2": 500,
+    "x-33": 100,
+    "rlv": 50,
+}
 """In a set"""
 
 SAVED = Path(__file__).with_suffix(".csv")
 
 
 def save(mission: str, rows: dict[tuple[str, str, str], np.ndarray]) -> None:
-    """Put the statistics of a mission into the file, each with its sets in a row."""
+    """Put statistics of a mission into the file, each with its sets in a row."""
+    flown = {(mission, *row[:2]) for row in rows}
     kept = []
     if SAVED.exists():
         with open(SAVED, newline="") as file:
-            kept = [row for row in csv.reader(file) if row[0] != mission]
+            kept = [row for row in csv.reader(file) if tuple(row[:3]) not in flown]
     kept += [
         [mission, *row, *(f"{value:.9g}" for value in values)]
         for row, values in rows.items()
@@ -181,8 +247,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/populations"))
     parser.add_argument("--save", action="store_true", help=f"to {SAVED.name}")
     options = parser.parse_args()
-    if options.save and (options.only or options.sets != SETS or options.seed != 0):
-        parser.error("--save is for all variants, in 16 sets of seed 0")
+    if options.save and (options.sets != SETS or options.seed != 0):
+        parser.error("--save is for 16 sets of seed 0")
     jentry.setup()
     mission, size = options.mission, RUNS[options.mission]
     statistics = statistics_of(mission)

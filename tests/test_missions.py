@@ -167,7 +167,25 @@ def test_mars_in_three_dimensions(unplanned):
         scenario = RANGE.scenario(variant)
         assert_mars(scenario, *NOMINAL, **aim)
         assert type(scenario.dynamics) is dynamics
-    assert len(RANGE.variants) == 2
+
+
+def test_mars_by_a_predictor_corrector():
+    """To the target of the paper, which the law knows as its own."""
+    aim = mars_entry("guidance.origin") | mars_target("guidance")
+    aim = {a: value for a, value in aim.items() if a != "guidance.velocity"}
+    target = YAN_HE["target"]
+    ends = {"velocity": target["velocity_m_s"], "altitude": target["altitude_m"]}
+    expected = mars_world() | mars_world("guidance.model.") | mars_entry()
+    expected |= mars_target() | aim | below("guidance.end", **ends)
+    for variant, dynamics in (
+        ("predictor-corrector", EntryDynamics),
+        ("predictor-corrector-in-plane", EquatorialDynamics),
+    ):
+        scenario = RANGE.scenario(variant)
+        assert_has(scenario, expected)
+        assert type(scenario.dynamics) is dynamics
+        assert scenario.guidance.in_space == (dynamics is EntryDynamics)
+    assert len(RANGE.variants) == 4
 
 
 def test_downrange_of_the_paper_is_its_longitude():
