@@ -17,6 +17,7 @@ from jentry.guidance.path_limits import BankBounds, PathLimits
 from jentry.missions.sx_2 import scenario as sx_2
 from jentry.motion import (
     Controls,
+    Drag,
     DynamicPressure,
     EntryState,
     EquilibriumGlide,
@@ -179,14 +180,24 @@ def test_factors_are_of_the_density_and_of_lift_over_drag():
     assert more == pytest.approx(bounds(LIMITED, factors=both), rel=1e-12)
 
 
-def test_without_a_limit_all_banks_are_allowed():
-    assert bounds(usual_constraints()) == bounds({}) == (-1.0, 1.0)
-
-
-def test_integrals_are_not_looked_at():
-    assert bounds({"heat_load": HeatLoad(1.0)}) == (-1.0, 1.0)
-    with_more = bounds({"heat_load": HeatLoad(1.0), **LIMITED})
+def test_what_has_no_limit_and_integrals_are_not_looked_at():
+    without = {"heat_load": HeatLoad(1.0), "drag": Drag()}
+    with_more = bounds({**without, **LIMITED})
     assert with_more == pytest.approx(bounds(LIMITED), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("constraints", "said"),
+    [
+        ({}, "there are none"),
+        (usual_constraints(), "drag, dynamic_pressure, heat_rate, load_factor"),
+        ({"heat_load": HeatLoad(1.0)}, "heat_load"),
+    ],
+    ids=["none", "no limit", "an integral"],
+)
+def test_nothing_to_keep_is_refused(constraints, said):
+    with pytest.raises(ValueError, match=rf"none of them has one \({said}\)"):
+        bounds(constraints)
 
 
 def test_a_limit_far_away_bounds_nothing():

@@ -358,6 +358,7 @@ def campaign():
 
 
 @pytest.mark.optimized
+@pytest.mark.slow
 def test_every_vehicle_that_can_reach_the_target_does():
     flown = monte_carlo(entry(), independent(), jax.random.key(0), 64)
     reaches = flown.misses.downrange > 0.0
@@ -370,6 +371,7 @@ def test_every_vehicle_that_can_reach_the_target_does():
 
 
 @pytest.mark.optimized
+@pytest.mark.slow
 def test_a_run_of_a_campaign_is_the_flight_alone():
     flown = campaign()
     for i in (3, 40):

@@ -62,7 +62,21 @@ class PathLimits(eqx.Module):
         **Arguments:**
 
         - `controls`: that the law would fly, over the state.
+
+        **Raises:** `ValueError` where no constraint has a limit.
         """
+        limited = {
+            name: constraint
+            for name, constraint in measurement.constraints.items()
+            if isinstance(constraint, AbstractConstraint)
+            and constraint.limit is not None
+        }
+        if not limited:
+            raise ValueError(
+                "PathLimits keeps the limits of Scenario.constraints, and none of them "
+                f"has one ({', '.join(measurement.constraints) or 'there are none'}): "
+                "give a limit, or leave limits at None"
+            )
         planet, vehicle = model.planet, model.vehicle
         ratio = factors.lift / factors.drag
         planet = eqx.tree_at(
@@ -80,11 +94,7 @@ class PathLimits(eqx.Module):
 
         now = controls(state).cos_bank
         lower, upper = jnp.full_like(now, -1.0), jnp.ones_like(now)
-        for constraint in measurement.constraints.values():
-            if not isinstance(constraint, AbstractConstraint):
-                continue
-            if constraint.limit is None:
-                continue
+        for constraint in limited.values():
 
             def value(state: EntryState, constraint=constraint) -> Scalar:
                 point = PathPoint.of(planet, vehicle, state, controls(state))

@@ -1,8 +1,8 @@
 """Numerical predictor-corrector: the bank with which the rest of the flight ends there.
 
 In each guidance cycle the onboard model is flown to the end under a bank that is a function
-of one number, and Newton's method corrects the number so that it ends at the range of the
-target. There is no reference to track.
+of one number or of two, and Newton's method corrects them so that it ends at the range of
+the target, and at its altitude. There is no reference to track.
 
 After P. Lu, "Entry Guidance: A Unified Method", Journal of Guidance, Control, and Dynamics
 37(3), 2014, and what it stands on. What is our own: the derivative of the prediction is
@@ -47,6 +47,10 @@ from .lateral import AbstractLateralLogic, Destination
 from .law import AbstractSampledLaw
 from .path_limits import BankBounds, PathLimits
 
+
+_FAR = 100.0
+"""Times `least_effect`: from so large a miss the first number goes its largest step, where
+the slope does not tell"""
 
 Numbers = Float[Array, " numbers"]
 """One or two, which tell a bank over the rest of the flight"""
@@ -247,10 +251,10 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     at the angle of attack that is flown. Under these factors the rest of the flight is
     predicted to the first of the ends that guided flight has, from the measured state. A
     few safeguarded Newton steps, with the exact derivative of the prediction, correct the
-    number of the bank's shape. Each goes at most `largest_step`, in the direction in which
-    the miss tells it to go even where the slope does not, and stays within the bounds of
-    the shape. A prediction that skips out is one that goes too far. One that does not end,
-    or is not finite, leaves the number as it is.
+    numbers of the bank's shape. Each goes at most `largest_step` and stays within the
+    bounds of the shape; what cannot be reached ends at a bound. A prediction that skips
+    out, or is still flying after all of its steps, is one that goes too far. One that is
+    not finite leaves the numbers as they are.
 
     The range is predicted in three dimensions, over a rotating planet as well, as if the
     bank kept its side: the downrange at the end is to be that of the target, both counted
@@ -261,7 +265,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     What the derivative of a flight means: between two flights that are near each other
     guidance cycles come at the same times, and steps are clipped or not in the same
     cycles. Where a number saturates it has no derivative, as it should. Reversals of the
-    bank and the cycle at which `gate` or `last` is passed are discrete: see `Smooth`.
+    bank, and the cycles from which on there is air and in which `least_effect` is passed,
+    are discrete.
     """
 
     model: OnboardModel
@@ -287,8 +292,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     gate: Scalar = scalar(0.2, unit="m/s2", positive=True)
     """Sensed drag below which the number stays: there is nothing to steer by"""
     least_effect: Scalar = scalar(100.0, unit="m", positive=True)
-    """Change of the range for one of the number, below which the number stays. Towards the
-    end it can do less and less, and then the opposite: more lift ends sooner, higher"""
+    """Change of the range for one of the first number, below which the numbers stay. It can
+    do less and less, and at last the opposite: more lift ends sooner, and higher"""
     altitude_weight: Scalar = scalar(0.1, positive=True)
     """Of an error of the altitude beside one of the range, where both cannot be met"""
     largest_step: Scalar = scalar(0.3, positive=True)
@@ -519,7 +524,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 jnp.maximum(least - numbers, -most),
                 jnp.minimum(largest - numbers, most),
             )
-            far = skips | (jnp.abs(too_far) > self.least_effect)
+            far = skips | (jnp.abs(too_far) > _FAR * self.least_effect)
             blind = jnp.where(skips | (too_far > 0.0), -most, most)
             blind = jnp.where(far, blind, 0.0) * jnp.eye(numbers.shape[0])[0]
             known = (ends | skips) & jnp.all(jnp.isfinite(misses))
