@@ -170,7 +170,7 @@ ROWS = {
     "sx-2": tuple(
         (variant, reading)
         for reading in ("initial-errors", "air-and-vehicle")
-        for variant in ("full", "replanned", "predictor-corrector")
+        for variant in ("full", "predictor-corrector")
     ),
     "x-33": tuple(
         (variant, reading)
@@ -193,9 +193,9 @@ RUNS = {
     "cav-h": 500,
     "mars-range-tracking": 1000,
     "mars-drag-tracking": 1000,
-    "sx-2": 500,
-    "x-33": 100,
-    "rlv": 50,
+    "sx-2": 100,
+    "x-33": 50,
+    "rlv": 25,
 }
 """In a set"""
 

@@ -204,9 +204,6 @@ def test_a_limit_far_away_bounds_nothing():
     assert bounds({"load_factor": LoadFactor(1e3)}) == (-1.0, 1.0)
 
 
-@pytest.mark.xfail(
-    reason="rounding: with little optimization the gain is not zero, but 1e-16 of it"
-)
 def test_a_quantity_that_the_bank_does_not_move_bounds_nothing():
     """Without lift, however far the limit is exceeded."""
     blunt = with_leaf(MODEL, lambda m: m.vehicle.lift_scale, 0.0)

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from first_sets import assert_first_set, populations
 from helpers import fly_compiled, with_leaf
-from readme import assert_prints, assert_says, rows
 
 from jentry.campaign import monte_carlo
 from jentry.flight import Outcome, misses
@@ -59,7 +58,9 @@ def test_first_set_of_a_population_is_the_saved_one(mission, variant, reading):
 
 @pytest.mark.optimized
 @pytest.mark.slow
-@pytest.mark.parametrize("variant", ["predictor-corrector", "predictor-corrector-in-plane"])
+@pytest.mark.parametrize(
+    "variant", ["predictor-corrector", "predictor-corrector-in-plane"]
+)
 def test_mars_lander_comes_to_its_target_where_full_lift_does(variant):
     _, flown = campaign("mars-range-tracking", variant, "independent", 1000)
     table = find_mission("mars-range-tracking").dispersion_table("independent")
@@ -76,7 +77,10 @@ def test_mars_lander_comes_to_its_target_where_full_lift_does(variant):
 @pytest.mark.slow
 def test_mars_lander_reverses_its_bank_six_times_at_most():
     mission = find_mission("mars-range-tracking")
-    scenario, table = mission.scenario("predictor-corrector"), mission.dispersion_table()
+    scenario, table = (
+        mission.scenario("predictor-corrector"),
+        mission.dispersion_table(),
+    )
     flown = monte_carlo(scenario, table, jax.random.key(KEY), 200, history=2.0)
     sines = np.asarray(flown.flights.history.controls.sin_bank)
     # A bank of zero is to no side.

@@ -43,6 +43,9 @@ class PathLimits(eqx.Module):
     density, which is what is least known. A limit that the full lift up cannot keep is
     broken all the same: the peaks of the flight say so.
 
+    The rate q' is that under the bank that is wished. It goes with the bank itself for the
+    equilibrium glide alone, by a share of the order of the path angle.
+
     An exponential control barrier function: Q. Nguyen, K. Sreenath, American Control
     Conference, 2016. Constraints that are integrals are not kept.
     """
@@ -93,6 +96,9 @@ class PathLimits(eqx.Module):
             return entry_dynamics(planet, vehicle, state, turned)
 
         now = controls(state).cos_bank
+        level = rates(state, jnp.zeros_like(now))
+        # The difference before the derivative: where the bank moves nothing it is zero.
+        turn = jax.tree.map(jnp.subtract, rates(state, jnp.ones_like(now)), level)
         lower, upper = jnp.full_like(now, -1.0), jnp.ones_like(now)
         for constraint in limited.values():
 
@@ -105,8 +111,7 @@ class PathLimits(eqx.Module):
                 return slope, here
 
             slope, second, here = jax.linearize(rate, state, has_aux=True)
-            drift = second(rates(state, jnp.zeros_like(now)))
-            gain = second(rates(state, jnp.ones_like(now))) - drift
+            drift, gain = second(level), second(turn)
             w = self.frequency
             room = -(drift + 2.0 * w * slope + w * w * (here - constraint.limit))
             moves = gain != 0.0

@@ -78,16 +78,19 @@ class Departure(eqx.Module):
 
         - `length`: m.
         - `deviation`: standard deviation, everywhere.
-        - `low`, `high`: altitudes that are flown through, m.
+        - `low`, `high`: altitudes that are flown through, m; five lengths apart or more.
         - `constant`, `slope`: of what does not vary, or not by itself.
 
-        **Raises:** `ValueError` for a length that is not positive and finite, or not below
-        the distance between the altitudes.
+        **Raises:** `ValueError` for numbers that are not so, or not finite.
         """
-        if not 0.0 < length < high - low:
+        if not 0.0 < 5.0 * length <= high - low < math.inf:
             raise ValueError(
-                f"length is {length} m: it must be positive, and below the "
-                f"{high - low} m between low and high"
+                f"length is {length} m, and the altitudes are {low} and {high} m: the "
+                "length must be positive, and at most a fifth of the way between them"
+            )
+        if not 0.0 <= deviation < math.inf:
+            raise ValueError(
+                f"deviation is {deviation}: it must be zero or positive, and finite"
             )
         # On a circle twice as long the two ends know nothing of each other.
         around = 2.0 * (high - low)
@@ -242,10 +245,11 @@ class ProfileEstimator(AbstractFactorEstimator[ProfileEstimate]):
 
         lift, by_lift = refined(profile.lift, 0)
         drag, by_drag = refined(profile.drag, 1)
-        surprised = jnp.maximum(by_lift, by_drag) > _SURPRISE
+        # What is not a number is a surprise.
+        expected_so = jnp.maximum(by_lift, by_drag) <= _SURPRISE
         return ProfileEstimate(
             here,
             FactorProfile(self.departure, lift, drag, self.caution),
             estimate.samples + 1.0,
-            estimate.surprises + jnp.where(surprised, 1.0, 0.0),
+            estimate.surprises + jnp.where(expected_so, 0.0, 1.0),
         )
