@@ -9,10 +9,12 @@ import pytest
 README = Path(__file__).parents[1].joinpath("README.md").read_text()
 
 
-def rows(heading):
-    """Cells of the table whose first line has a text."""
+def rows(heading, after=""):
+    """Cells of the table whose first line has a text, behind another text."""
     lines = README.splitlines()
-    begin = next(i for i, line in enumerate(lines) if heading in line)
+    start = next(i for i, line in enumerate(lines) if after in line)
+    places = range(start, len(lines))
+    begin = next(i for i in places if heading in lines[i])
     found = []
     for line in lines[begin + 2 :]:
         if not line.startswith("|"):

@@ -17,7 +17,8 @@ from .scenario import energies, full, reference_controls, start, track_model
 def guided() -> Scenario:
     """To the end of the reference, under its angle of attack over the energy.
 
-    The bank at the end is chosen, and the largest is that of the band of the other laws.
+    With this bank at the end the nominal flight has the altitude there as well. The
+    largest bank is that of the band of the other laws.
     Six reversals are enough for a target that lies 145 n mile to one side.
     """
     scenario, (_, last) = full(), energies()
@@ -25,7 +26,7 @@ def guided() -> Scenario:
     angle, _ = reference_controls()
     law = PredictorCorrector(
         model=track_model().onboard,
-        shape=LinearBankShape(end=last, final=30.0 * degree, largest=80.0 * degree),
+        shape=LinearBankShape(end=last, final=25.0 * degree, largest=80.0 * degree),
         end=GuidedEnd(energy=last),
         origin=start(),
         downrange=target.downrange,
