@@ -66,8 +66,8 @@ def test_both_ends_of_a_bank_are_free():
         end=2.0, final=60 * degree, largest=80 * degree, first=0.5
     )
     np.testing.assert_allclose(shape.numbers, [0.5, 0.25], rtol=1e-14)
-    found = shape.cos_bank(jnp.array([0.75, 0.5]), number(6.0), number(10.0))
-    assert float(found) == pytest.approx(math.cos(30 * degree), abs=1e-15)
+    found = shape.cos_bank(jnp.array([0.75, 0.25]), number(6.0), number(10.0))
+    assert float(found) == pytest.approx(math.cos(40 * degree), abs=1e-15)
 
 
 @pytest.mark.parametrize(

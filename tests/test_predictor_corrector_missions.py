@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 from first_sets import assert_first_set, populations
 from helpers import fly_compiled, with_leaf
+from readme import assert_prints, assert_says, rows
 
 from jentry.campaign import monte_carlo
 from jentry.flight import Outcome, misses
 from jentry.missions import find_mission
 from jentry.missions.mars.drag_tracking import entry
-from jentry.units import km, nautical_mile
+from jentry.units import nautical_mile
 
 
 KEY = 0
@@ -56,6 +57,53 @@ def test_first_set_of_a_population_is_the_saved_one(mission, variant, reading):
     assert_first_set(mission, variant, reading, scenario, flown, rel=1e-4)
 
 
+def test_ends_of_the_gliders():
+    table, saved = rows("| mission, dispersions | law"), populations.saved()
+    assert len(table) == 13
+    for first, law, *cells in table:
+        (mission, reading), (variant,) = first.split("`")[1::2], law.split("`")[1::2]
+        for axis, cell in zip(
+            ("downrange", "crossrange", "altitude"), cells, strict=True
+        ):
+            sets = {
+                what: saved[mission, variant, reading, f"{axis} error, {what}, km"]
+                for what in ("median", "99th percentile", "maximum")
+            }
+            if not cell:  # in the vertical plane
+                assert np.max(sets["maximum"]) < 1e-9
+                continue
+            median, high, most = sets.values()
+            assert_prints(cell, np.mean(median), np.mean(high), np.max(most))
+
+
+def test_what_is_said_of_limits_and_of_the_rlv():
+    saved = populations.saved()
+    of_limit = "maximum, share of the limit"
+    shares = [
+        np.max(saved["x-33", variant, "initial-errors", f"{name}, {of_limit}"])
+        for variant in (
+            "predictor-corrector",
+            "with-range",
+            "predictor-corrector-limited",
+        )
+        for name in ("heat_rate", "normal_load_factor")
+    ]
+    assert_says("up to 1.26 and 2.37 times the limit", *shares[:2])
+    assert_says("(`with-range` 1.37 and 2.11)", *shares[2:4])
+    assert_says("keeps them within 1.03 and 1.00", *shares[4:])
+    spread, crossrange, altitude = (
+        np.mean(saved["rlv", "r5", "table-1", heading])
+        for heading in (
+            "downrange std, km",
+            "crossrange error, median, km",
+            "altitude error, median, km",
+        )
+    )
+    assert_says("has a standard deviation of 87 km", spread)
+    said = "crossrange a median of 117 km, and the altitude one of 4.3 km"
+    assert_says(said, crossrange, altitude)
+
+
 @pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize(
@@ -67,9 +115,11 @@ def test_mars_lander_comes_to_its_target_where_full_lift_does(variant):
     full_lift = monte_carlo(entry(), table, jax.random.key(KEY), 1000)
     reaches = full_lift.misses.downrange > 0.0
     off = np.abs(flown.misses.downrange)
-    assert 0.93 < np.mean(reaches) < 0.96
-    assert np.max(off[reaches]) < 1.0 * km
-    assert np.percentile(off[reaches], 95) < 0.1 * km
+    # 5.1 % of 16 000 fall short, 3.7 to 6.8 % of a set.
+    assert 0.932 <= np.mean(reaches) <= 0.963
+    assert np.max(off[reaches]) < 40.0
+    lost = (full_lift.misses.downrange - flown.misses.downrange)[~reaches]
+    assert np.all(np.abs(lost) < 90.0)
     assert np.median(off) < 15.0
 
 
