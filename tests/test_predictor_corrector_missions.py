@@ -19,6 +19,9 @@ from jentry.units import nautical_mile
 
 KEY = 0
 
+# Where a predicted flight grazes its end, single decisions of single flights have none.
+pytestmark = pytest.mark.filterwarnings("ignore:.*decisions without prediction")
+
 
 @functools.cache
 def campaign(mission, variant, reading, runs, seed=KEY):
