@@ -35,7 +35,6 @@ FIRST_SETS = [
     ("mars-range-tracking", "predictor-corrector", "lift-to-drag-held"),
     ("mars-range-tracking", "predictor-corrector", "independent"),
     ("mars-range-tracking", "predictor-corrector-in-plane", "independent"),
-    ("sx-2", "predictor-corrector", "initial-errors"),
     ("sx-2", "predictor-corrector", "air-and-vehicle"),
     ("x-33", "predictor-corrector", "initial-errors"),
     ("x-33", "predictor-corrector-limited", "initial-errors"),
