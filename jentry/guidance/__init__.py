@@ -10,6 +10,13 @@ from .angle_of_attack_modulation import (
     ModulationGains as ModulationGains,
     ObserverStates as ObserverStates,
 )
+from .bank_shapes import (
+    AbstractBankShape as AbstractBankShape,
+    ConstantBankShape as ConstantBankShape,
+    GivenBankShape as GivenBankShape,
+    LinearBankShape as LinearBankShape,
+    TwoEndedBankShape as TwoEndedBankShape,
+)
 from .bezier import (
     AbstractAnchoring as AbstractAnchoring,
     AbstractVelocityControl as AbstractVelocityControl,
@@ -90,14 +97,9 @@ from .lift_tradeoff import (
 from .open_loop import BankProfile as BankProfile, ControlProfiles as ControlProfiles
 from .path_limits import BankBounds as BankBounds, PathLimits as PathLimits
 from .predictor_corrector import (
-    AbstractBankShape as AbstractBankShape,
-    ConstantBankShape as ConstantBankShape,
     Corrected as Corrected,
-    GivenBankShape as GivenBankShape,
     GuidedEnd as GuidedEnd,
-    LinearBankShape as LinearBankShape,
     PredictorCorrector as PredictorCorrector,
-    TwoEndedBankShape as TwoEndedBankShape,
 )
 from .pseudospectral_tracking import (
     ControlPlan as ControlPlan,

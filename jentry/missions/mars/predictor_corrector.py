@@ -8,12 +8,9 @@ import dataclasses
 import equinox as eqx
 
 from ...flight.scenario import Scenario
+from ...guidance.bank_shapes import ConstantBankShape
 from ...guidance.lateral import AbstractLateralLogic, FixedSide, PredictedCrossrange
-from ...guidance.predictor_corrector import (
-    ConstantBankShape,
-    GuidedEnd,
-    PredictorCorrector,
-)
+from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector
 from ...motion.dynamics import AbstractDynamics, EntryDynamics, EquatorialDynamics
 from ...onboard.model import OnboardModel
 from ...units import km

@@ -3,12 +3,9 @@
 import equinox as eqx
 
 from ...flight.scenario import Scenario
+from ...guidance.bank_shapes import LinearBankShape
 from ...guidance.lateral import PredictedCrossrange
-from ...guidance.predictor_corrector import (
-    GuidedEnd,
-    LinearBankShape,
-    PredictorCorrector,
-)
+from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector
 from ...motion.index import VelocityIndex
 from ...onboard.profiles import QuinticTable
 from ...units import degree, km

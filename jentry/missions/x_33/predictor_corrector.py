@@ -5,13 +5,10 @@ import dataclasses
 import equinox as eqx
 
 from ...flight.scenario import Scenario
+from ...guidance.bank_shapes import TwoEndedBankShape
 from ...guidance.lateral import AbstractLateralLogic, FixedSide, PredictedCrossrange
 from ...guidance.path_limits import PathLimits
-from ...guidance.predictor_corrector import (
-    GuidedEnd,
-    PredictorCorrector,
-    TwoEndedBankShape,
-)
+from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector
 from ...motion.index import VelocityIndex
 from ...units import degree
 from .airframe import ScheduledAngleOfAttack
