@@ -9,14 +9,12 @@ turns. Prints medians of the processor time, flights a second, and ratios.
 
 import argparse
 import statistics
-import time
 
-import equinox as eqx
 import jax
 import numpy as np
+from costs import program
 
 import jentry
-from jentry.addresses import replace_leaves
 from jentry.campaign.campaign import drawn_inputs
 
 
@@ -34,27 +32,10 @@ VARIANTS = {
 ROUNDS = 5
 
 
-def program(scenario, table, flights):
-    """All flights, compiled; a call gives its processor time, s."""
+def drawn_program(scenario, table, flights):
+    """The first dispersed flights of seed 0."""
     inputs = drawn_inputs(scenario, table, jax.random.key(0), np.arange(flights))
-
-    @eqx.filter_jit
-    def ends(scenario, inputs):
-        def end(values):
-            flight = jentry.fly(replace_leaves(scenario, values))
-            return flight.time, flight.state, flight.peaks
-
-        return jax.vmap(end)(inputs)
-
-    compiled = ends.lower(scenario, inputs).compile()
-
-    def timed() -> float:
-        begin = time.process_time()
-        jax.block_until_ready(compiled(scenario, inputs))
-        return time.process_time() - begin
-
-    timed()
-    return timed
+    return program(scenario, inputs)
 
 
 def main() -> None:
@@ -72,7 +53,7 @@ def main() -> None:
         mission = jentry.find_mission(name)
         table = mission.dispersion_table()
         programs = {
-            variant: program(mission.scenario(variant), table, options.flights)
+            variant: drawn_program(mission.scenario(variant), table, options.flights)
             for variant in VARIANTS[name]
         }
         times: dict[str, list[float]] = {variant: [] for variant in programs}

@@ -1,0 +1,89 @@
+"""How near does the predictor-corrector come to what full lift reaches, and in harder air?
+
+Flies the Mars lander with independent coefficients: with all of its lift up all the way, and
+under the predictor-corrector in three dimensions, the same draws. Prints the share that
+falls short with full lift up, over all and by sets of 1000, the largest miss of those that
+do not, and how much nearer full lift brings the others. Then it flies two seeds of a sixteenth
+as many through air with waves and another scale height, with errors of the accelerometers.
+
+    python benchmarks/mars_reach.py --runs 16000
+"""
+
+import argparse
+import dataclasses
+import math
+
+import equinox as eqx
+import jax
+import numpy as np
+
+import jentry
+from jentry.campaign.dispersions import Constant, Dispersion, Normal, Uniform, multiply
+from jentry.missions.mars.drag_tracking import entry, independent, lift_to_drag_held
+from jentry.missions.mars.predictor_corrector import three_dimensional
+from jentry.onboard import Accelerometers
+from jentry.units import km, micro_g
+from jentry.world import DensityWave, PerturbedAtmosphere
+
+
+WAVES = (25.0 * km, 0.05), (8.0 * km, 0.02)
+
+
+def harder():
+    """The scenario with waves and accelerometers, and what of them is dispersed."""
+    scenario = dataclasses.replace(three_dimensional(), accelerometers=Accelerometers())
+    waves = tuple(DensityWave(0.0, wavelength) for wavelength, _ in WAVES)
+    air = PerturbedAtmosphere(scenario.planet.atmosphere, waves)
+    scenario = eqx.tree_at(lambda s: s.planet.atmosphere, scenario, air)
+    bias, sensors = Normal(0.0, 100.0 * micro_g / 3.0), lambda s: s.accelerometers
+    table = lift_to_drag_held() | {
+        "scale height": Dispersion(
+            lambda s: s.planet.atmosphere.undisturbed.scale_height,
+            Normal(1.0, 0.05 / 3.0),
+            apply=multiply,
+        ),
+        "lift bias": Dispersion(lambda s: sensors(s).lift_bias, bias),
+        "drag bias": Dispersion(lambda s: sensors(s).drag_bias, bias),
+        "noise": Dispersion(lambda s: sensors(s).noise, Constant(50.0 * micro_g)),
+        "noise seed": Dispersion(lambda s: sensors(s).noise_seed, Uniform(0, 1)),
+    }
+    for i, (_, amplitude) in enumerate(WAVES):
+        wave = lambda s, i=i: s.planet.atmosphere.waves[i]
+        table[f"wave {i}"] = Dispersion(
+            lambda s, wave=wave: wave(s).amplitude, Constant(amplitude)
+        )
+        table[f"phase {i}"] = Dispersion(
+            lambda s, wave=wave: wave(s).phase, Uniform(0.0, 2.0 * math.pi)
+        )
+    return scenario, table
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=16_000)
+    options = parser.parse_args()
+    jentry.setup()
+    key, runs = jax.random.key(0), options.runs
+    reached, guided = (
+        np.asarray(jentry.monte_carlo(s, independent(), key, runs).misses.downrange)
+        for s in (entry(), three_dimensional())
+    )
+    short = reached < 0.0
+    sets = [np.mean(one) for one in np.array_split(short, max(1, runs // 1000))]
+    print(f"{np.mean(short):.2%} short, {min(sets):.2%} to {max(sets):.2%} of a set")
+    print(f"largest miss of the others: {np.max(np.abs(guided[~short])):.1f} m")
+    print(
+        f"full lift brings the short {np.max((reached - guided)[short]):.1f} m nearer"
+    )
+    scenario, table = harder()
+    for seed in range(2):
+        flown = jentry.monte_carlo(scenario, table, jax.random.key(seed), runs // 16)
+        off = np.abs(flown.misses.downrange)
+        high = np.percentile(off, 95)
+        print(
+            f"harder, seed {seed}: 95 % within {high:.0f} m, all within {off.max():.0f}"
+        )
+
+
+if __name__ == "__main__":
+    main()
