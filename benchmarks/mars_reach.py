@@ -1,10 +1,11 @@
 """How near does the predictor-corrector come to what full lift reaches, and in harder air?
 
-Flies the Mars lander with independent coefficients: with all of its lift up all the way, and
-under the predictor-corrector in three dimensions, the same draws. Prints the share that
-falls short with full lift up, over all and by sets of 1000, the largest miss of those that
-do not, and how much nearer full lift brings the others. Then it flies two seeds of a sixteenth
-as many through air with waves and another scale height, with errors of the accelerometers.
+Flies the Mars lander with independent coefficients: with all of its lift up all the way,
+and under the predictor-corrector in three dimensions, the same draws. Prints the share
+that falls short with full lift up, over all and by sets of 1000, the largest miss of those
+that do not, and how much nearer full lift brings the others. Then it flies two seeds of a
+sixteenth as many through air with waves and another scale height, with errors of the
+accelerometers.
 
     python benchmarks/mars_reach.py --runs 16000
 """
