@@ -1,7 +1,6 @@
 """What does the gradient of a 256-flight loss with respect to six gains cost?
 
-Mean square downrange miss of the Mars drag-tracking mission, on one core, with the XLA
-options of `jentry.setup(fast=True)`: the loss alone, its reverse-mode gradient and its
+Mean square downrange miss of the Mars drag-tracking mission, on one core: the loss alone, its reverse-mode gradient and its
 forward-mode gradient. Loss and gradients are computed chunk by chunk, so that memory does
 not grow with the number of flights.
 
@@ -23,7 +22,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=11)
     parser.add_argument("--step", type=float, default=0.1)
     options = parser.parse_args()
-    jentry.setup(workers=1, fast=True)
+    jentry.setup(workers=1)
 
     import jax
     import jax.numpy as jnp

@@ -24,6 +24,16 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
+@pytest.hookimpl(
+    trylast=True
+)  # jentry must not be imported before its types are checked
+def pytest_configure(config):
+    """Compile loops as users do; commands that tests start, and workers, find it so."""
+    from jentry import _setup
+
+    _setup._turn_on(_setup._LOOPS, remember=False)
+
+
 def optimized(item) -> bool:
     """Whether the closest mark says so: `optimized`, and not `optimized(False)`."""
     mark = item.get_closest_marker("optimized")

@@ -83,7 +83,8 @@ jentry.setup(cache=False)
 import jax, jax.numpy as jnp
 print(len(jax.devices()), jax.config.jax_compilation_cache_dir)
 print(jax.jit(lambda x: 3.0 * x)(jnp.asarray(1.0)).dtype)
-print("XLA_FLAGS" in os.environ)
+from jentry._setup import xla_options
+print(len(xla_options()))
 """
 
 
@@ -91,7 +92,8 @@ print("XLA_FLAGS" in os.environ)
 def test_as_many_workers_as_cores_and_no_cache_where_none_is_asked_for(
     process, tmp_path
 ):
-    assert process(LEFT_ALONE) == ["1 None", "float64", "False"]
+    assert process(LEFT_ALONE) == ["1 None", "float64", "1"]
+    assert process(LEFT_ALONE, JENTRY_FAST="0") == ["1 None", "float64", "0"]
     assert not (tmp_path / "cache").exists()
 
 
@@ -156,28 +158,36 @@ def test_fast_executes_nothing_of_the_working_folder(process, tmp_path):
     assert not (tmp_path / "work" / "executed").exists()
 
 
-@pytest.mark.parametrize(("forbidden", "tried"), [("0", 0), ("1", 1), (None, 1)])
-def test_fast_can_be_forbidden(monkeypatch, forbidden, tried):
-    tries = []
-    monkeypatch.setattr(_setup, "_turn_on_fast_options", lambda: tries.append(1))
+@pytest.mark.parametrize("forbidden", ["0", "1", None])
+def test_options_can_be_forbidden(monkeypatch, forbidden):
+    tried = []
+    monkeypatch.setattr(_setup, "_turn_on", lambda *names, **how: tried.append(names))
     monkeypatch.delenv("JENTRY_FAST", raising=False)
     if forbidden is not None:
         monkeypatch.setenv("JENTRY_FAST", forbidden)
     as_it_is = {"workers": jax.local_device_count("cpu"), "cache": False}
     _setup.setup(**as_it_is, fast=True)
     _setup.setup(**as_it_is)
-    assert len(tries) == tried
+    both = [(_setup._LOOPS, _setup._FUSION), (_setup._LOOPS,)]
+    assert tried == ([] if forbidden == "0" else both)
+
+
+def test_tests_compile_loops_as_users_do():
+    assert _setup._LOOPS in _setup.xla_options()
 
 
 @pytest.fixture
-def flags(monkeypatch):
+def flags(monkeypatch, tmp_path):
     """Sets XLA_FLAGS, and gives what becomes of them; of this process JAX has read them."""
+    monkeypatch.setattr(_setup, "_jax_has_begun", lambda: False)
+    monkeypatch.setenv("JENTRY_CACHE", str(tmp_path / "cache"))
 
-    def turn_on(before):
+    def turn_on(before, *options, remember=False):
         monkeypatch.setenv("XLA_FLAGS", before)
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            _setup._turn_on_fast_options()
+            options = options or (_setup._LOOPS, _setup._FUSION)
+            _setup._turn_on(*options, remember=remember)
         return os.environ["XLA_FLAGS"], [str(warning.message) for warning in caught]
 
     return turn_on
@@ -188,18 +198,83 @@ def test_flags_of_the_user_stay(flags, monkeypatch):
     after, said = flags("--xla_one=1")
     assert after.startswith("--xla_one=1 ") and not said
     assert "--xla_cpu_prefer_vector_width=512" in after
-    assert all(option in after for option in _setup._FAST_OPTIONS)
+    assert _setup.xla_options() == [_setup._LOOPS, _setup._FUSION]
     assert _setup.fast_options_are_on()
     assert flags(after) == (after, [])  # once is enough
+    assert flags(after, _setup._LOOPS) == (after, [])
+
+
+def test_one_more_option_joins_those_that_are_on(flags, monkeypatch):
+    monkeypatch.setattr(_setup, "_failure_of_self_test", lambda environment: None)
+    usual, _ = flags("", _setup._LOOPS)
+    assert _setup.xla_options() == [_setup._LOOPS]
+    assert not _setup.fast_options_are_on()
+    assert flags(f"{usual} --xla_one=1") == (
+        f"--xla_one=1 --xla_cpu_prefer_vector_width=512 --xla_backend_extra_options="
+        f"{_setup._LOOPS},{_setup._FUSION}",
+        [],
+    )
 
 
 def test_options_of_the_users_own_keep_the_fast_ones_off(flags):
     own = "--xla_backend_extra_options=something"
     after, (said,) = flags(own)
-    assert after == own and not _setup.fast_options_are_on()
+    assert after == own and not _setup.xla_options()
     assert (
         "the fast XLA options stay off" in said and "extra_options of its own" in said
     )
+
+
+def test_they_stay_off_where_jax_would_not_see_them(flags, monkeypatch):
+    """It reads them once: a campaign would be stored as flown with what it was not."""
+    monkeypatch.setattr(_setup, "_jax_has_begun", lambda: True)
+    after, (said,) = flags("")
+    assert after == "" and "JAX has compiled without them" in said
+
+
+def test_jax_has_begun_in_this_process_and_not_in_one_without_it(process):
+    jax.devices()
+    assert _setup._jax_has_begun()
+    without = "from jentry import _setup; print(_setup._jax_has_begun())"
+    imported = f"import jax; {without}"
+    used = f"import jax; jax.devices(); {without}"
+    assert [process(code) for code in (without, imported, used)] == [
+        ["False"],
+        ["False"],
+        ["True"],
+    ]
+
+
+def test_the_self_test_runs_once_for_each_set_of_flags(flags, monkeypatch):
+    tried = []
+    monkeypatch.setattr(
+        _setup, "_failure_of_self_test", lambda env: tried.append(env["XLA_FLAGS"])
+    )
+    for _ in range(2):
+        flags("", remember=True)
+    assert len(tried) == 1
+    flags("", _setup._LOOPS, remember=True)
+    flags("--xla_one=1", remember=True)
+    assert len(tried) == 3
+    monkeypatch.setattr(_setup, "version", lambda name: "another")
+    flags("", remember=True)
+    assert len(tried) == 4
+
+
+@pytest.mark.parametrize("remember", [True, False])
+def test_a_self_test_that_fails_or_is_not_to_be_kept_runs_again(
+    flags, monkeypatch, remember
+):
+    tried = []
+
+    def tests(environment):
+        tried.append(1)
+        return "numbers differ" if remember else None
+
+    monkeypatch.setattr(_setup, "_failure_of_self_test", tests)
+    for _ in range(2):
+        flags("", remember=remember)
+    assert len(tried) == 2
 
 
 FAILURES = {

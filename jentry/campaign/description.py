@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from .._setup import fast_options_are_on
+from .._setup import xla_options
 from ..addresses import addresses_of, leaves_by_address, unit_of, with_leaves
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
@@ -36,7 +36,7 @@ def describe(
         "seed": seed,
         "history_interval": None if history is None else float(history),
         "solver": repr(solver),
-        "fast_options": fast_options_are_on(),
+        "xla_options": xla_options(),
         "structure": repr(scenario),
         "dispersions": {
             name: {
