@@ -43,8 +43,9 @@ class Mission(NamedTuple):
     reference_start: float
     """Energy at the first node of the reference drag, J/kg"""
     reference_spacing: float
-    """Of the nodes; the reference has a row of six quintic coefficients for each interval,
-    highest power first"""
+    """Mean one of the nodes, of which node k of n lies at the share (k / n)^2 of the way;
+    the reference has a row of six quintic coefficients for each interval, highest power
+    first"""
 
 
 class Plan(NamedTuple):
@@ -110,8 +111,9 @@ def rates(
     # The reference drag and its two derivatives over energy.
     position = (0.5 * square - attraction - p.reference_start) * p.per_spacing
     inside = min(max(position, 0.0), p.intervals)
-    interval = min(int(inside), p.intervals - 1)
-    x = inside - interval
+    interval = min(int(math.sqrt(inside * p.intervals)), p.intervals - 1)
+    per_width = p.intervals / (2.0 * interval + 1.0)
+    x = inside * per_width - interval * (interval / (2.0 * interval + 1.0))
     row = 6 * interval
     c0 = table[row]
     c1 = table[row + 1]
@@ -122,10 +124,11 @@ def rates(
     wanted = ((((c0 * x + c1) * x + c2) * x + c3) * x + c4) * x + c5
     first = (((5.0 * c0 * x + 4.0 * c1) * x + 3.0 * c2) * x + 2.0 * c3) * x + c4
     second = ((20.0 * c0 * x + 12.0 * c1) * x + 6.0 * c2) * x + 2.0 * c3
-    beyond = position - inside
+    beyond = (position - inside) * per_width
     wanted += beyond * (first + 0.5 * beyond * second)
-    first = (first + beyond * second) * p.per_spacing
-    second *= p.per_spacing * p.per_spacing
+    per_unit = p.per_spacing * per_width
+    first = (first + beyond * second) * per_unit
+    second *= per_unit * per_unit
 
     # Drag dynamics as modelled on board: drag'' = f + g0 u.
     gravity_along = gravity * sin
@@ -357,16 +360,19 @@ def _jax_rates(p: Plan, table, y, lift_factor, drag_factor):
     energy = 0.5 * velocity**2 - p.gravitational_parameter / radius
     position = (energy - p.reference_start) * p.per_spacing
     inside = jnp.clip(position, 0.0, p.intervals)
-    interval = jnp.clip(jnp.floor(inside), 0, p.intervals - 1)
+    interval = jnp.floor(jnp.sqrt(inside * p.intervals))
+    interval = jnp.clip(interval, 0, p.intervals - 1)
     row = table[interval.astype(int)]
-    x = inside - interval
-    beyond = position - inside
+    per_width = p.intervals / (2.0 * interval + 1.0)
+    x = (inside - interval**2 / p.intervals) * per_width
+    beyond = (position - inside) * per_width
     wanted = jnp.polyval(row, x)
     first = jnp.polyval(row[:5] * jnp.arange(5.0, 0.0, -1.0), x)
     second = jnp.polyval(row[:4] * jnp.array([20.0, 12.0, 6.0, 2.0]), x)
     wanted = wanted + beyond * (first + 0.5 * beyond * second)
-    first = (first + beyond * second) * p.per_spacing
-    second = second * p.per_spacing**2
+    per_unit = p.per_spacing * per_width
+    first = (first + beyond * second) * per_unit
+    second = second * per_unit**2
 
     common = -velocity * sin * p.per_scale_height - 2.0 * gravity * sin / velocity
     drag_rate = drag * (common - 2.0 * drag / velocity)

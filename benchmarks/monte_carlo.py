@@ -16,6 +16,7 @@ import importlib.metadata
 import multiprocessing
 import os
 import platform
+import sys
 import time
 import traceback
 from collections.abc import Callable
@@ -31,6 +32,10 @@ ADDRESSES = {
     "lift_scale": "vehicle.lift_scale",
     "drag_scale": "vehicle.drag_scale",
 }
+
+
+_WRONG = 10.0
+"""m, rms; far more than any of the programs errs"""
 
 
 class Problem(NamedTuple):
@@ -258,6 +263,16 @@ def machine() -> str:
     return f"{name}, {cores} cores\nPython {platform.python_version()}, {versions}"
 
 
+def check_errors(programs, errors) -> None:
+    """Raises `SystemExit` for a program that has flown another mission."""
+    for program, error in zip(programs, errors, strict=True):
+        if not error < _WRONG:
+            sys.exit(
+                f"{program.name} ends {error:.3g} m from the reference solution, more than "
+                f"{_WRONG:g} m: it flies something else, and its speed says nothing"
+            )
+
+
 def print_table(programs, speeds, starts, errors) -> None:
     """Speeds: (programs, rounds) in flights/s; each compared on as many cores."""
     print(f"{'':30s}{'cores':>6s}{'flights/s':>11s}{'range':>14s}", end="")
@@ -298,6 +313,7 @@ def main() -> None:
         flights.append(count)
         miss = np.array(workers[-1].result)[1:3, : options.judged] - truth[1:3]
         errors.append(np.sqrt(np.mean(np.sum(miss**2, axis=0))))
+    check_errors(programs, errors)
 
     seconds = np.array([[w.time() for w in workers] for _ in range(options.rounds)]).T
     speeds = np.array(flights)[:, None] / seconds
