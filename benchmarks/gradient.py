@@ -1,8 +1,8 @@
 """What does the gradient of a 256-flight loss with respect to six gains cost?
 
 Mean square downrange miss of the Mars drag-tracking mission, on one core: the loss alone,
-its reverse-mode gradient and its forward-mode gradient. Loss and gradients are computed chunk by chunk, so that memory does
-not grow with the number of flights.
+its reverse-mode gradient and its forward-mode gradient. Loss and gradients are computed
+chunk by chunk, so that memory does not grow with the number of flights.
 
     python benchmarks/gradient.py
 """
