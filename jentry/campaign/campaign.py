@@ -219,13 +219,12 @@ def drawn_inputs(
     Raises `ValueError` for a draw that cannot be flown.
     """
     inputs = _drawn(scenario, dispersions, key, runs)
+    moved = {
+        f"dispersions.{name}": addresses_of(scenario, dispersion.where)
+        for name, dispersion in dispersions.items()
+    }
     for address, values in inputs.items():
-        movers = [
-            f"dispersions.{name}"
-            for name, dispersion in dispersions.items()
-            if address in addresses_of(scenario, dispersion.where)
-        ]
-        source = " and ".join(movers)
+        source = " and ".join(name for name in moved if address in moved[name])
         _check_runs(scenario, address, values, runs, source)
     return inputs
 

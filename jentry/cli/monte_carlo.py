@@ -64,11 +64,12 @@ def command(
 ) -> None:
     """Fly dispersed runs, store them, print their statistics and draw figures."""
     set_up(workers, fast)
-    import_meanwhile("xarray", "h5netcdf", "rich.table", "rich.progress")
+    drawing = ("matplotlib.figure", "matplotlib.backends.backend_agg") if figures else ()
+    import_meanwhile("xarray", "h5netcdf", "rich.table", "rich.progress", *drawing)
     from ..campaign.store import open_campaign, run_campaign
     from ..flight.solver import FixedStep
     from .dispersions_report import print_what_is_flown
-    from .figures import draw_figures
+    from .figures import draw_figures, histories_of
     from .overrides import read_inputs
     from .report import print_campaign, progress
 
@@ -94,9 +95,14 @@ def command(
         runs = 1000
     folder = Path("results") / chosen.name if out is None else out
     solver = FixedStep(step)
-    with rounding_off("the same command resumes") as look, progress(runs) as told:
+    given_runs = scenario, table, seed, given, runs
+    histories = histories_of(*given_runs, history, solver)
+    resumed = rounding_off("the same command resumes")
+    with resumed as look, progress(runs) as told, histories:
 
         def report(stored: int) -> None:
+            if figures:  # now that the campaign is one that can be flown
+                histories.begin()
             told(stored)
             look()
 
@@ -119,5 +125,5 @@ def command(
     print_campaign(chosen, results, as_published)
     typer.echo(f"stored: {folder}")
     if figures:
-        drawn = draw_figures(folder, chosen, scenario, results, solver)
+        drawn = draw_figures(folder, chosen, scenario, results, histories)
         typer.echo(f"figures: {drawn}")

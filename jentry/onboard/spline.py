@@ -1,5 +1,6 @@
 """Cubic splines, such as a bank over the energy: through knots, and of B-splines."""
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -52,6 +53,12 @@ def cubic_spline(knots: Vector, values: Vector) -> CubicSpline:
             f"the spline has knots of shape {x.shape} and values of shape {y.shape}: "
             "expected (n,) of both, with n of 4 or more"
         )
+    return CubicSpline(x, y, _bends(x, y))
+
+
+@jax.jit
+def _bends(x: Vector, y: Vector) -> Vector:
+    """Second derivatives at the knots. Compiled: it is some forty operations."""
     n, h = x.shape[0], jnp.diff(x)
     slopes = jnp.diff(y) / h
     inside = jnp.arange(1, n - 1)
@@ -62,7 +69,7 @@ def cubic_spline(knots: Vector, values: Vector) -> CubicSpline:
     system = system.at[0, :3].set(jnp.stack([-h[1], h[0] + h[1], -h[0]]))
     system = system.at[-1, -3:].set(jnp.stack([-h[-1], h[-2] + h[-1], -h[-2]]))
     right = jnp.zeros(n).at[inside].set(6.0 * jnp.diff(slopes))
-    return CubicSpline(x, y, jnp.linalg.solve(system, right))
+    return jnp.linalg.solve(system, right)
 
 
 class BSpline(AbstractProfile):

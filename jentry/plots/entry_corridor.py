@@ -3,11 +3,11 @@
 import itertools
 from typing import TYPE_CHECKING
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from .._printed import in_words
+from .._programs import kept
 from ..motion.corridor import bounding, entry_corridor
 from ..units import at_edge
 from .bands import at_velocity, velocity_grid
@@ -44,7 +44,7 @@ def corridor(data: FigureData) -> "matplotlib.figure.Figure | None":
     (angle,) = at_velocity(
         flown["velocity"].values, flown["angle_of_attack"].values, velocity
     )
-    curves = eqx.filter_jit(entry_corridor)(
+    curves = kept(entry_corridor)(
         held,
         scenario.planet,
         scenario.vehicle,
