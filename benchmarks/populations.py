@@ -166,6 +166,7 @@ ROWS = {
         ("predictor-corrector", "lift-to-drag-held"),
         ("predictor-corrector", "independent"),
         ("predictor-corrector-in-plane", "independent"),
+        ("predictor-corrector-network", "independent"),
     ),
     "sx-2": tuple(
         (variant, reading)

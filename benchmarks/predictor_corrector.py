@@ -22,6 +22,7 @@ VARIANTS = {
     "mars-range-tracking": (
         "in-plane",
         "predictor-corrector-in-plane",
+        "predictor-corrector-network",
         "three-dimensional",
         "predictor-corrector",
     ),

@@ -93,6 +93,7 @@ def test_the_downrange_goes_on_past_half_of_the_way_around():
         assert float(AtEnd("downrange")(moved, ended)) == pytest.approx(share * around)
 
 
+@pytest.mark.slow
 def test_large_and_small():
     """The farthest flight is full lift up here, and no bank is better than the bounds."""
     far, near = best(AtEnd("downrange"), True), best(AtEnd("downrange"), False)

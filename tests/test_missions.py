@@ -180,6 +180,7 @@ def test_mars_by_a_predictor_corrector():
     for variant, dynamics in (
         ("predictor-corrector", EntryDynamics),
         ("predictor-corrector-in-plane", EquatorialDynamics),
+        ("predictor-corrector-network", EquatorialDynamics),
     ):
         scenario = RANGE.scenario(variant)
         assert_has(scenario, expected)

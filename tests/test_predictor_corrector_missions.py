@@ -35,6 +35,7 @@ FIRST_SETS = [
     ("mars-range-tracking", "predictor-corrector", "lift-to-drag-held"),
     ("mars-range-tracking", "predictor-corrector", "independent"),
     ("mars-range-tracking", "predictor-corrector-in-plane", "independent"),
+    ("mars-range-tracking", "predictor-corrector-network", "independent"),
     ("sx-2", "predictor-corrector", "air-and-vehicle"),
     ("x-33", "predictor-corrector", "initial-errors"),
     ("x-33", "predictor-corrector-limited", "initial-errors"),
@@ -143,6 +144,7 @@ def test_mars_lander_reverses_its_bank_six_times_at_most():
     assert 3 <= np.min(counts) and np.max(counts) <= 6
 
 
+@pytest.mark.slow
 def test_crossrange_is_met_where_the_range_is():
     scenario = find_mission("mars-range-tracking").scenario("predictor-corrector")
     miss = misses(scenario, fly_compiled(scenario))

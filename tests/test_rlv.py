@@ -133,6 +133,7 @@ def test_flight_conditions_along_the_plan():
     assert np.any(found[blended] == 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("glide", "intervals", "message"),
     [

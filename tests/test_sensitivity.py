@@ -248,6 +248,7 @@ def of_teeth(mode):
     )
 
 
+@pytest.mark.slow
 def test_a_dispersion_that_is_constant_spoils_no_prediction():
     """Of a table that has one, as that of cav-h has; its draws have no deviation."""
     for mode in (None, "difference"):

@@ -164,6 +164,7 @@ def test_readme():
         assert_prints(fourth, ranged.downrange[k] / km)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["with-range", "receding-with-range"])
 def test_with_the_range_as_a_state(variant):
     missed, cosines, outcome = flown(variant)
@@ -193,6 +194,7 @@ def test_table_1():
     np.testing.assert_allclose(missed.downrange[1:], printed, rtol=0.22)
 
 
+@pytest.mark.slow
 def test_exact_inverse_ends_where_its_profile_does():
     """Within 1 m of the altitude that has the drag at 760 m/s."""
     end = x_33.reference(exact=True).end
@@ -205,6 +207,7 @@ def test_exact_inverse_ends_where_its_profile_does():
     assert np.max(np.abs(missed.altitude)) < 15.0
 
 
+@pytest.mark.slow
 def test_shorter_cycles_tend_to_stored_gains():
     """The plan that is flown for 1 s instead of 10 ends nearer to continuous feedback."""
     stored, _, _ = flown("tracking")
@@ -221,6 +224,7 @@ def test_shorter_cycles_tend_to_stored_gains():
     assert np.all(away[0] < 0.2 * away[1])
 
 
+@pytest.mark.slow
 def test_dispersed_flights():
     """What the regulator is for: with the range as a state it is met 20 times better."""
     far = {}

@@ -64,7 +64,9 @@ def command(
 ) -> None:
     """Fly dispersed runs, store them, print their statistics and draw figures."""
     set_up(workers, fast)
-    drawing = ("matplotlib.figure", "matplotlib.backends.backend_agg") if figures else ()
+    drawing = (
+        ("matplotlib.figure", "matplotlib.backends.backend_agg") if figures else ()
+    )
     import_meanwhile("xarray", "h5netcdf", "rich.table", "rich.progress", *drawing)
     from ..campaign.store import open_campaign, run_campaign
     from ..flight.solver import FixedStep

@@ -7,21 +7,29 @@ from ..missions.mission import Mission
 from .tables import new_console, new_table, print_under
 
 
-def print_cards(mission: Mission, cards: Mapping[str, Mapping[str, Any]]) -> None:
-    """What each trained network is for, and how well it does on flights held out.
+_COLUMNS = {
+    # Of the velocity at the target: at the entry, where a flight is adjusted first, and
+    # what a prediction of the median would miss by there.
+    "mean error at the entry, m/s": "held out mean error at the entry, m/s",
+    "of the median there, m/s": "mean deviation at the entry from the median, m/s",
+    "mean, all times to go, m/s": "held out mean error, m/s",
+    "95 %, all times to go, m/s": "held out 95 % error, m/s",
+    # Of the range.
+    "mean error, m": "held out mean error, m",
+    "95 %, m": "held out 95 % error, m",
+    "mean, below 100 km, m": "held out mean error below 100 km, m",
+    "95 %, below 100 km, m": "held out 95 % error below 100 km, m",
+}
+"""What is told of a network, if its card has it"""
 
-    At the entry, where a flight is adjusted first, beside the mean over all times to go;
-    and what a prediction of the median would miss by there.
-    """
-    keys = {
-        "mean error at the entry": "held out mean error at the entry, m/s",
-        "of the median there": "mean deviation at the entry from the median, m/s",
-        "mean, all times to go": "held out mean error, m/s",
-        "95 %, all times to go": "held out 95 % error, m/s",
-    }
-    table = new_table("network", *(f"{title}, m/s" for title in keys))
+
+def print_cards(mission: Mission, cards: Mapping[str, Mapping[str, Any]]) -> None:
+    """What each trained network is for, and how well it does on flights held out."""
+    some = next(iter(cards.values()))
+    columns = {title: key for title, key in _COLUMNS.items() if key in some}
+    table = new_table("network", *columns)
     for name, card in cards.items():
-        table.add_row(name, *(f"{card[key]:.3f}" for key in keys.values()))
+        table.add_row(name, *(f"{card[key]:.3f}" for key in columns.values()))
     console = new_console()
     print_under(console, f"{mission.name}: trained networks, held-out errors", table)
     for name, card in cards.items():

@@ -11,7 +11,7 @@ exact, and so the derivative of the flight.
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -40,11 +40,12 @@ from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
 from ..onboard.propagation import Margin, Prediction, propagate
 from ..world.planet import Planet
-from .bank_shapes import AbstractBankShape, Numbers
+from .bank_shapes import AbstractBankShape, ConstantBankShape, Numbers
 from .cycle import FixedCycle
 from .lateral import AbstractLateralLogic, Destination
 from .law import AbstractSampledLaw
 from .path_limits import BankBounds, PathLimits
+from .range_network import Answer, RangeNetwork
 
 
 _FAR = 100.0
@@ -91,6 +92,14 @@ class GuidedEnd(eqx.Module):
             return jnp.zeros_like(ended_by, dtype=bool)
         before = self.velocity is not None, True, self.energy is not None
         return ended_by == sum(before)
+
+
+class _End(NamedTuple):
+    """Whether a predicted flight has an end that counts."""
+
+    is_there: Flag
+    skips: Flag
+    """It goes too far, however far"""
 
 
 class Corrected(eqx.Module):
@@ -166,6 +175,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     largest_step: Scalar = scalar(0.3, positive=True)
     """Of the number, in one correction"""
     cycle: FixedCycle = FixedCycle(2.0)
+    network: RangeNetwork | None = None
+    """In place of the prediction, for a constant bank in the vertical plane; where it knows
+    nothing, the number stays"""
     in_space: bool = eqx.field(default=True, static=True)
     """Whether the range is predicted in three dimensions, with the bank on its side to the
     end, or in the vertical plane. What a lateral logic predicts is in three dimensions"""
@@ -183,6 +195,13 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             raise ValueError(
                 f"a prediction has {self.steps} steps of {self.step} s: both must be "
                 "positive"
+            )
+        plain = isinstance(self.shape, ConstantBankShape) and not self.in_space
+        if self.network is not None and (not plain or self.end.velocity is None):
+            raise ValueError(
+                "a network takes the place of the prediction of a constant bank to a "
+                f"velocity, in the vertical plane: shape is {type(self.shape).__name__}, "
+                f"in_space is {self.in_space}, end.velocity is {self.end.velocity}"
             )
         turns = self.model.planet.rotation_rate
         at_rest = isinstance(turns, Tracer) or not eqx.is_array(turns) or turns == 0.0
@@ -362,7 +381,12 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             jnp.array(bounds) for bounds in zip(*shape.bounds, strict=True)
         )
 
-        def missed(numbers: Numbers) -> tuple[Numbers, Prediction]:
+        def missed(numbers: Numbers) -> tuple[Numbers, _End]:
+            if self.network is not None:
+                found = self._asked(self.network, measurement, factors, numbers)
+                return jnp.stack([found.range - to_go]), _End(
+                    found.knows, found.range < 0
+                )
             end = self.predicted(
                 time, measurement, factors, numbers, sign, self.in_space
             )
@@ -373,16 +397,17 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 too_far = planet.radius * end.state.longitude - to_go
             high = end.state.altitude - self.altitude
             both = too_far, self.altitude_weight * high
-            return jnp.stack(both[: numbers.shape[0]]), end
+            goes_on = end.time > (self.steps - 1) * self.step
+            skips = self.end.is_skip(end.ended_by)
+            is_there = end.has_end & jnp.logical_not(skips)
+            skips = skips | (jnp.logical_not(end.has_end) & goes_on)
+            return jnp.stack(both[: numbers.shape[0]]), _End(is_there, skips)
 
         def improve(carry, _):
             numbers, _ = carry
             misses, effects, end = _with_effects(missed, numbers)
             too_far, effect = misses[0], effects[0, 0]
-            goes_on = end.time > (self.steps - 1) * self.step
-            skips = self.end.is_skip(end.ended_by)
-            ends = end.has_end & jnp.logical_not(skips)
-            skips = skips | (jnp.logical_not(end.has_end) & goes_on)
+            ends, skips = end
             # On both sides of the `where`, so that no derivative comes from there.
             tells = ends & (effect > self.least_effect)
             best = least_squares_step(
@@ -401,6 +426,20 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
 
         carry = numbers, jnp.zeros_like(to_go)
         return jax.lax.scan(improve, carry, length=self.corrections)[0]
+
+    def _asked(
+        self,
+        network: RangeNetwork,
+        measurement: Measurement,
+        factors: AbstractFactors,
+        numbers: Numbers,
+    ) -> Answer:
+        """The range to the end, of the network."""
+        state, velocity = measurement.state, self.end.velocity
+        assert velocity is not None
+        angle = measurement.trim_angle_of_attack
+        known = factors.at(state.altitude)
+        return network(self.model, state, angle, known, numbers[0], velocity)
 
     def _banked(
         self,
@@ -463,11 +502,11 @@ def _clamped(x: Numbers, low: Numbers, high: Numbers) -> Numbers:
 
 
 def _with_effects(
-    missed: Callable[[Numbers], tuple[Numbers, Prediction]], numbers: Numbers
-) -> tuple[Numbers, Float[Array, "numbers numbers"], Prediction]:
+    missed: Callable[[Numbers], tuple[Numbers, _End]], numbers: Numbers
+) -> tuple[Numbers, Float[Array, "numbers numbers"], _End]:
     """The misses, and how each number (columns) changes them: the motion is flown once."""
 
-    def along(direction: Numbers) -> tuple[Numbers, Numbers, Prediction]:
+    def along(direction: Numbers) -> tuple[Numbers, Numbers, _End]:
         return jax.jvp(missed, (numbers,), (direction,), has_aux=True)
 
     every = jnp.eye(numbers.shape[0])

@@ -1,21 +1,20 @@
 """Training of a network that predicts the velocity at the target, on flown samples."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
-from jax import lax
 from jaxtyping import Array, Key
 
 from ..flight.scenario import Scenario
 from ..guidance.bezier.prediction import Inputs, NetworkPredictor, Situation, features
 from ..onboard.network import Network
 from ..planning.bezier_curve import bezier_law
+from .descent import descended, robust
 from .velocity_samples import Samples
 
 
@@ -41,16 +40,14 @@ def train_predictor(
 ) -> Trained:
     """Fit a network to samples: Adam to begin with, then L-BFGS on a part of them.
 
-    The loss is the mean of sqrt(1 + e^2) - 1 for an error of e m/s: quadratic below 1 m/s
-    and linear above, so that the few flights near a limit do not rule the others. One
-    share of the vehicles, with all their samples, is held out and tells the error.
+    The loss is that of `robust`, of the error in m/s. One share of the vehicles, with all
+    their samples, is held out and tells the error.
 
     **Arguments:**
 
     - `hidden`: neurons of the hidden layers.
     - `warm_up`: steps of Adam, on 2048 samples each.
-    - `iterations`: of L-BFGS, on `fitted` samples. This is what the last digits take:
-      Adam alone stays ten times as far off.
+    - `iterations`: of L-BFGS, on `fitted` samples.
     - `held_out`: share of the vehicles.
     - `report`: is told how it goes.
     """
@@ -81,30 +78,20 @@ def train_predictor(
         read, to_go, velocity, final = (jnp.asarray(x)[chosen] for x in given)
         return velocity * jnp.exp(-to_go * jax.vmap(network)(read)) - final
 
-    def loss(layers: Layers, chosen: Array) -> Array:
-        error = errors(_with_layers(network, layers), chosen)
-        return jnp.mean(jnp.sqrt(1.0 + error * error) - 1.0)
+    def loss(network: Network, chosen: Array) -> Array:
+        return robust(errors(network, chosen))
 
-    def told(step: str, value: Array) -> None:
-        report(f"{step}: loss {float(value):.4f}")
-
-    train = jnp.asarray(inside)
-    part = jax.random.permutation(fitted_key, train)[:fitted]
-    layers = network.weights, network.biases
-    for name, optimizer, batch, steps in (
-        (
-            "Adam",
-            optax.adam(optax.cosine_decay_schedule(1e-2, warm_up)),
-            lambda key: train[jax.random.randint(key, (2048,), 0, len(train))],
-            warm_up,
-        ),
-        ("L-BFGS", optax.lbfgs(memory_size=30), lambda key: part, iterations),
-    ):
-        keys = jax.random.split(batch_key, steps)
-        for done, moved, value in _descended(optimizer, loss, batch, layers, keys):
-            told(f"{name}, {done} steps", value)
-            layers = moved
-    network = _with_layers(network, layers)
+    network = descended(
+        network,
+        loss,
+        jnp.asarray(inside),
+        batch_key,
+        fitted_key,
+        warm_up=warm_up,
+        iterations=iterations,
+        part=fitted,
+        report=report,
+    )
 
     slowest, fastest = (f(samples.final_velocity[inside]) for f in (np.min, np.max))
     predictor = NetworkPredictor(network, jnp.stack([slowest, fastest]), inputs)
@@ -145,57 +132,3 @@ def train_predictor(
 
 VELOCITIES = "velocity at the target, m/s"
 """Of a model card: smallest and largest in training"""
-
-Layers = tuple[tuple[Array, ...], tuple[Array, ...]]
-"""Weights and biases of a network: what is trained of it"""
-
-
-def _with_layers(network: Network, layers: Layers) -> Network:
-    return eqx.tree_at(lambda n: (n.weights, n.biases), network, layers)
-
-
-def _descended(
-    optimizer: optax.GradientTransformation,
-    loss: Callable[[Layers, Array], Array],
-    batch: Callable[[Key[Array, ""]], Array],
-    layers: Layers,
-    keys: Key[Array, " steps"],
-) -> Iterator[tuple[int, Layers, Array]]:
-    """Steps done, layers, and mean loss over the last hundred of them, now and then.
-
-    Each step is on the samples that `batch` makes of its key.
-    """
-
-    optimizer = optax.with_extra_args_support(optimizer)
-
-    @jax.jit
-    def run(layers, state, keys):
-        def step(carry, key):
-            layers, state = carry
-            chosen = batch(key)
-            here = lambda layers: loss(layers, chosen)
-            value, gradient = _value_and_gradient(here, layers, state)
-            update, state = optimizer.update(
-                gradient, state, layers, value=value, grad=gradient, value_fn=here
-            )
-            return (optax.apply_updates(layers, update), state), value
-
-        (layers, state), values = lax.scan(step, (layers, state), keys)
-        return layers, state, jnp.mean(values[-100:])
-
-    state: Any = optimizer.init(layers)
-    for begin in range(0, len(keys), _REPORT_EVERY):
-        some = keys[begin : begin + _REPORT_EVERY]
-        layers, state, value = run(layers, state, some)
-        yield begin + len(some), layers, value
-
-
-def _value_and_gradient(loss, layers: Layers, state: Any) -> tuple[Array, Any]:
-    """As the line search has left them in the state, if the optimizer has one."""
-    if optax.tree.get(state, "value") is None:
-        return jax.value_and_grad(loss)(layers)
-    value, gradient = optax.value_and_grad_from_state(loss)(layers, state=state)
-    return jnp.asarray(value), gradient
-
-
-_REPORT_EVERY = 500

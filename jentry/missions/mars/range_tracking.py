@@ -112,9 +112,11 @@ MISSION = Mission(
         "in-plane": in_plane,
         "predictor-corrector": predictor_corrector.three_dimensional,
         "predictor-corrector-in-plane": predictor_corrector.in_plane,
+        "predictor-corrector-network": predictor_corrector.networked,
     },
     dispersions={
         "lift-to-drag-held": lift_to_drag_held,
         "independent": independent,
     },
+    train=predictor_corrector.train,
 )

@@ -1,0 +1,272 @@
+"""Training of a network that predicts the range of a flight, on predictions of the model.
+
+Flights of the predictor-corrector say where a vehicle comes along. About these places the
+rest of the flight is predicted, as the law would, under banks of all sizes.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Key
+
+from .._setup import needs_float64
+from ..campaign.batch import over_runs
+from ..campaign.campaign import monte_carlo
+from ..campaign.dispersions import Dispersion
+from ..fields import Flag, Scalar
+from ..flight.scenario import Scenario
+from ..flight.solver import AbstractSolver, FixedStep
+from ..guidance.predictor_corrector import PredictorCorrector
+from ..guidance.range_network import INPUTS, OUTPUT, PURPOSE, RangeNetwork, features
+from ..motion.state import EntryState
+from ..onboard.estimation import Factors
+from ..onboard.navigation import Measurement, measure
+from ..onboard.network import Network
+from .descent import descended, robust
+
+
+INTERVAL = 4.0
+"""s between the places of a flight"""
+
+LEAST = 1e3
+"""m to the end, below which there is nothing left to correct"""
+
+_NEAR = 100e3
+"""m to the end, within which the error is told apart"""
+
+_RIGHT = 20.0, 0.002
+"""m, and share of the range: unit of the error in the loss. An error far from the end is
+corrected on the way"""
+
+_MOVED = {"altitude": 1000.0, "velocity": 50.0, "flight_path_angle": 0.02}
+"""Deviation by which a place is moved: m, m/s, rad"""
+
+_BEYOND = 0.05
+"""Of numbers from 0 to 1: so many are at either bound"""
+
+_FACTORS = 0.1
+"""Deviation by which the logarithms of the factors are moved"""
+
+
+class RangeSamples(eqx.Module):
+    """Predictions; every array has them in front."""
+
+    states: EntryState
+    factors: Factors
+    numbers: Float[np.ndarray, " n"]
+    """Of the constant bank"""
+    ranges: Float[np.ndarray, " n"]
+    """m"""
+    flights: np.ndarray
+    """Number of the flight that each has its place from"""
+    left_out: dict[str, int] = eqx.field(static=True)
+    """Predictions that are not among these, by the reason"""
+
+    def __len__(self) -> int:
+        return len(self.flights)
+
+    def of(self, chosen: np.ndarray) -> "RangeSamples":
+        """Some of them, by index or by a mask."""
+        return jax.tree.map(lambda x: np.asarray(x)[chosen], self)
+
+
+class _Place(NamedTuple):
+    """From where, and how, a flight is predicted."""
+
+    state: EntryState
+    factors: Factors
+    number: Any
+
+
+@needs_float64
+def predict_samples(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion],
+    flights: int,
+    again: int,
+    key: Key[Array, ""],
+    *,
+    solver: AbstractSolver = FixedStep(),
+) -> RangeSamples:
+    """Fly the law dispersed, and predict from places about those flights.
+
+    **Arguments:**
+
+    - `scenario`: flown by a `PredictorCorrector` in the vertical plane.
+    - `flights`: from the entry.
+    - `again`: predictions, each from a place of one of these flights, moved a little, with
+      factors that are moved too, and with any bank.
+    """
+    law = _law(scenario)
+    keys = jax.random.split(key, 5)
+    campaign = monte_carlo(
+        scenario, dispersions, keys[0], flights, solver=solver, history=INTERVAL
+    )
+    history = campaign.flights.history
+    assert history is not None
+    there = np.isfinite(history.time) & (history.decisions.decisions > 0.0)
+    flight, place = np.nonzero(there)
+    chosen = np.asarray(jax.random.choice(keys[1], len(flight), (again,)))
+    flight, place = flight[chosen], place[chosen]
+    state = jax.tree.map(lambda x: np.asarray(x)[flight, place], history.states)
+    for number, (name, deviation) in enumerate(_MOVED.items()):
+        normal = jax.random.normal(jax.random.fold_in(keys[2], number), (again,))
+        moved = getattr(state, name) + deviation * np.asarray(normal)
+        state = eqx.tree_at(lambda s, name=name: getattr(s, name), state, moved)
+    estimate = history.decisions.estimate.factors
+    lift, drag = (
+        np.asarray(x)[flight, place]
+        * np.exp(_FACTORS * np.asarray(jax.random.normal(k, (again,))))
+        for x, k in zip(
+            (estimate.lift, estimate.drag), jax.random.split(keys[3]), strict=True
+        )
+    )
+    # At the bounds as well, where a number stays that saturates.
+    drawn = jax.random.uniform(keys[4], (again,), float, -_BEYOND, 1.0 + _BEYOND)
+    numbers = np.clip(np.asarray(drawn), 0.0, 1.0)
+    places = _Place(state, Factors(jnp.asarray(lift), jnp.asarray(drag)), numbers)
+    ranges, ends = over_runs(_predicted, law, places)
+    far = ranges >= LEAST
+    samples = RangeSamples(
+        jax.tree.map(np.asarray, state),
+        jax.tree.map(np.asarray, places.factors),
+        numbers,
+        ranges,
+        flight,
+        {
+            "have no end, or skip": int(np.sum(~ends)),
+            f"have less than {LEAST / 1e3:g} km to go": int(np.sum(ends & ~far)),
+        },
+    )
+    return samples.of(ends & far)
+
+
+def _law(scenario: Scenario) -> PredictorCorrector:
+    law = scenario.guidance
+    if not isinstance(law, PredictorCorrector) or law.in_space:
+        raise ValueError(
+            f"the law is {type(law).__name__}: expected a PredictorCorrector with "
+            "in_space=False, whose predictions are learnt"
+        )
+    return law
+
+
+def _predicted(law: PredictorCorrector, place: _Place) -> tuple[Scalar, Flag]:
+    """Range of one prediction, and whether it has an end at all."""
+    state = place.state
+    angle = law.model.vehicle.trim_angle_of_attack
+    sensed = measure(law.model.planet, law.model.vehicle, state, angle)
+    measurement = Measurement(state, sensed.lift, sensed.drag, angle, angle, {})
+    end = law.predicted(
+        jnp.zeros_like(state.altitude),
+        measurement,
+        place.factors,
+        jnp.stack([place.number]),
+        1.0,
+        in_space=False,
+    )
+    ends = end.has_end & jnp.logical_not(law.end.is_skip(end.ended_by))
+    return law.model.planet.radius * end.state.longitude, ends
+
+
+class TrainedRange(eqx.Module):
+    """A network, and how well it predicts flights that it was not trained on."""
+
+    network: RangeNetwork
+    card: dict[str, Any] = eqx.field(static=True)
+
+
+def train_range_network(
+    scenario: Scenario,
+    samples: RangeSamples,
+    key: Key[Array, ""],
+    *,
+    hidden: tuple[int, ...] = (32, 32),
+    warm_up: int = 3000,
+    iterations: int = 5000,
+    part: int = 40000,
+    held_out: float = 0.1,
+    report: Callable[[str], None] = lambda line: None,
+) -> TrainedRange:
+    """Fit a network to predictions: Adam to begin with, then L-BFGS on a part of them.
+
+    The loss is that of `robust`, of the error of the range in units that grow with the
+    range. One share of the flights, with all places about them, is held out and tells the
+    error.
+
+    **Arguments:**
+
+    - `hidden`: neurons of the hidden layers.
+    - `warm_up`: steps of Adam.
+    - `iterations`: of L-BFGS, on `part` samples.
+    - `held_out`: share of the flights.
+    - `report`: is told how it goes.
+    """
+    began = time.perf_counter()
+    law = _law(scenario)
+    end_velocity = law.end.velocity
+    assert end_velocity is not None
+    network_key, split_key, batch_key, part_key = jax.random.split(key, 4)
+    flights = int(np.max(samples.flights)) + 1
+    out = np.asarray(jax.random.uniform(split_key, (flights,))) < held_out
+    out = out[samples.flights]
+    inside = np.flatnonzero(~out)
+    angle = law.model.vehicle.trim_angle_of_attack
+
+    @eqx.filter_jit
+    def prepared(state: EntryState, factors: Factors, number: Array):
+        def one(state, factors, number):
+            return features(law.model, state, angle, factors, number)
+
+        square = jnp.asarray(0.5 * (state.velocity**2 - end_velocity**2))
+        return jax.vmap(one)(state, factors, number), square
+
+    given = samples.states, samples.factors, samples.numbers
+    read, square = prepared(*jax.tree.map(jnp.asarray, given))
+    ranges = jnp.asarray(samples.ranges)
+    outputs = np.asarray(jnp.log(square / ranges))
+    untrained = Network.untrained(
+        INPUTS, np.asarray(read)[inside], outputs[inside], hidden, network_key
+    )
+
+    def errors(network: Network, chosen: Array) -> Array:
+        x = jax.vmap(network)(read[chosen])
+        return square[chosen] * jnp.exp(-x) - ranges[chosen]
+
+    right = _RIGHT[0] + _RIGHT[1] * ranges
+    network = descended(
+        untrained,
+        lambda network, chosen: robust(errors(network, chosen) / right[chosen]),
+        jnp.asarray(inside),
+        batch_key,
+        part_key,
+        warm_up=warm_up,
+        iterations=iterations,
+        part=part,
+        report=report,
+    )
+    known = np.asarray(jax.vmap(network.knows)(read))
+    held = np.flatnonzero(out & known)
+    error = np.abs(np.asarray(errors(network, jnp.asarray(held))))
+    near = np.asarray(samples.ranges)[held] < _NEAR
+    card = {
+        "purpose": PURPOSE,
+        "output": OUTPUT,
+        "samples": len(inside),
+        "flights": flights,
+        "left out": samples.left_out,
+        "held out samples": int(out.sum()),
+        "held out samples outside of the ranges": int(np.sum(out & ~known)),
+        "held out mean error, m": float(error.mean()),
+        "held out 95 % error, m": float(np.percentile(error, 95)),
+        "held out mean error below 100 km, m": float(error[near].mean()),
+        "held out 95 % error below 100 km, m": float(np.percentile(error[near], 95)),
+        "steps of Adam, iterations of L-BFGS": [warm_up, iterations],
+        "training, s": round(time.perf_counter() - began, 1),
+    }
+    return TrainedRange(RangeNetwork(network), card)
