@@ -8,6 +8,8 @@ sixteenth as many through air with waves and another scale height, with errors o
 accelerometers.
 
     python benchmarks/mars_reach.py --runs 16000
+
+With `--tune` it tunes the memory of the factors in that air instead, in the vertical plane.
 """
 
 import argparse
@@ -16,13 +18,23 @@ import math
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+import optimistix
 
 import jentry
 from jentry.campaign.dispersions import Constant, Dispersion, Normal, Uniform, multiply
 from jentry.missions.mars.drag_tracking import entry, independent, lift_to_drag_held
-from jentry.missions.mars.predictor_corrector import three_dimensional
+from jentry.missions.mars.predictor_corrector import in_plane, three_dimensional
 from jentry.onboard import Accelerometers
+from jentry.tuning import (
+    AutomaticDifferentiation,
+    Bounds,
+    Budget,
+    Draws,
+    MeanSquare,
+    tune,
+)
 from jentry.units import km, micro_g
 from jentry.world import DensityWave, PerturbedAtmosphere
 
@@ -59,11 +71,52 @@ def harder():
     return scenario, table
 
 
+MEMORY = "guidance.estimator.time_constant"
+
+
+def tuned(runs: int = 256, held_out: int = 1000, steps: int = 12):
+    """The memory of the factors (s) in harder air, tuned from 20 s on."""
+    scenario, table = harder()
+    plane = in_plane()
+    memory = lambda s: s.guidance.estimator.time_constant
+    law = eqx.tree_at(memory, plane, jnp.asarray(20.0)).guidance
+    scenario = eqx.tree_at(lambda s: s.guidance, scenario, law)
+    return tune(
+        dataclasses.replace(scenario, dynamics=plane.dynamics),
+        memory,
+        MeanSquare(lambda misses: misses.downrange / km),
+        optimistix.LBFGS(rtol=1e-4, atol=1e-6),
+        Draws(table, jax.random.key(0), runs=runs, held_out=held_out),
+        gradient=AutomaticDifferentiation(forward=True),
+        ranges={MEMORY: Bounds(0.1, 100.0)},
+        budget=Budget(steps=steps),
+    )
+
+
+def downrange_std(judged):
+    """Before and after, with the interval of the change."""
+    (found,) = (
+        c
+        for c in judged.comparisons
+        if (c.quantity, c.statistic) == ("downrange", "std")
+    )
+    return found
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=16_000)
+    parser.add_argument("--tune", action="store_true", help="the memory in harder air")
     options = parser.parse_args()
     jentry.setup()
+    if options.tune:
+        found = tuned()
+        std = downrange_std(found.judgement)
+        print(
+            f"memory {float(found.values[MEMORY]):.2f} s; downrange, standard deviation "
+            f"of other draws: {std.before.value:.0f} m before, {std.after.value:.0f} after"
+        )
+        return
     key, runs = jax.random.key(0), options.runs
     reached, guided = (
         np.asarray(jentry.monte_carlo(s, independent(), key, runs).misses.downrange)

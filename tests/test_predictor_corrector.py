@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 import math
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -412,3 +413,18 @@ def test_derivative_through_all_predictions_is_that_of_differences():
     assert float(jax.grad(duration)(number(at))) == pytest.approx(
         float(slope), rel=1e-9
     )
+
+
+@pytest.mark.optimized
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*decisions without prediction")
+def test_the_memory_of_the_factors_is_tuned(monkeypatch):
+    """`tune` compares the gradient with a difference first, and would warn."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    import mars_reach
+
+    found = mars_reach.tuned(runs=64, held_out=128, steps=6)
+    assert float(found.values[mars_reach.MEMORY]) < 5.0
+    std = mars_reach.downrange_std(found.judgement)
+    assert std.after.value < 0.8 * std.before.value
+    assert std.change.high < 0.0

@@ -14,6 +14,8 @@ from jentry.campaign import monte_carlo
 from jentry.flight import Outcome, misses
 from jentry.missions import find_mission
 from jentry.missions.mars.drag_tracking import entry
+from jentry.missions.mars.predictor_corrector import FOLDER
+from jentry.onboard.network import load_network
 from jentry.units import nautical_mile
 
 
@@ -77,6 +79,30 @@ def test_ends_of_the_gliders():
                 continue
             median, high, most = sets.values()
             assert_prints(cell, np.mean(median), np.mean(high), np.max(most))
+
+
+def test_a_network_beside_the_prediction():
+    table, saved = rows("| prediction | downrange"), populations.saved()
+    variants = "predictor-corrector-in-plane", "predictor-corrector-network"
+    for (_, *cells), variant in zip(table, variants, strict=True):
+        found = [
+            saved["mars-range-tracking", variant, "independent", heading]
+            for heading in (
+                "downrange error, median, km",
+                "95th percentile",
+                "maximum",
+            )
+        ]
+        for cell, sets, more in zip(cells, found, ((), (), (np.max,)), strict=True):
+            others = [statistic(sets) for statistic in more]
+            assert_prints(cell, np.mean(sets), np.std(sets, ddof=1), *others)
+    _, card = load_network(FOLDER / "range.npz")
+    assert_says("two layers of 32 neurons", *card["hidden"][:1])
+    assert card["hidden"] == [32, 32]
+    whole, near = (card[f"held out mean error{of}, m"] for of in ("", " below 100 km"))
+    assert_says("Of 10438 predictions", card["held out samples"])
+    said = "it misses the range by 660 m in the mean, and by 191 m"
+    assert_says(said, round(whole, -1), near)
 
 
 def test_what_is_said_of_limits_and_of_the_rlv():
