@@ -1,0 +1,108 @@
+"""The flights of the figures, beside the campaign."""
+
+import atexit
+import os
+import threading
+
+import numpy as np
+import pytest
+from helpers import mars_scenario
+
+from jentry.campaign import monte_carlo
+from jentry.campaign.dispersions import Dispersion, Uniform, key_of
+from jentry.cli.figures import Histories, histories_of
+from jentry.flight import FixedStep
+
+
+def test_they_begin_when_they_are_told_and_once():
+    begun = []
+    histories = Histories(lambda: begun.append(threading.current_thread()) or "flown")
+    assert not begun
+    histories.begin()
+    histories.begin()
+    assert histories.flown() == "flown" == histories.flown()
+    (thread,) = begun
+    assert thread is not threading.main_thread()
+
+
+def test_they_begin_at_the_latest_when_they_are_asked_for():
+    assert Histories(lambda: 3).flown() == 3
+
+
+def test_what_flying_raises_is_raised_where_they_are_asked_for():
+    def fails():
+        raise ValueError("no such flight")
+
+    histories = Histories(fails)
+    with histories:
+        histories.begin()
+    with pytest.raises(ValueError, match="no such flight"):
+        histories.flown()
+
+
+class Held:
+    """Histories that fly until they are let go."""
+
+    def __init__(self):
+        self.go, self.done = threading.Event(), False
+        self.histories = Histories(self.fly)
+
+    def fly(self):
+        assert self.go.wait(20.0)
+        self.done = True
+
+
+def test_an_error_of_the_campaign_waits_for_them():
+    held = Held()
+    with pytest.raises(OSError, match="disk"), held.histories:
+        held.histories.begin()
+        threading.Timer(0.2, held.go.set).start()
+        raise OSError("disk")
+    assert held.done
+
+
+def test_ctrl_c_does_not_wait_and_tears_nothing_down(monkeypatch):
+    left = []
+    monkeypatch.setattr(atexit, "register", lambda *given: left.append(given))
+    held = Held()
+    with pytest.raises(KeyboardInterrupt), held.histories:
+        held.histories.begin()
+        raise KeyboardInterrupt
+    assert left == [(os._exit, 130)] and not held.done
+    held.go.set()
+    held.histories.flown()
+    # What has not begun, or is over, needs neither.
+    for histories in (Histories(lambda: 1), held.histories):
+        with pytest.raises(KeyboardInterrupt), histories:
+            raise KeyboardInterrupt
+    assert len(left) == 1
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_they_are_the_first_runs_and_the_nominal_one(given):
+    scenario = mars_scenario()
+    table = {"mass": Dispersion(lambda s: s.vehicle.mass, Uniform(900.0, 1100.0))}
+    campaign = monte_carlo(scenario, table, key_of(5), 3)
+    inputs = campaign.inputs if given else None
+    flown = histories_of(
+        scenario, None if given else table, 5, inputs, 3, None, FixedStep()
+    ).flown()
+    masses = flown["vehicle.mass"].values
+    np.testing.assert_array_equal(masses[:-1], campaign.inputs["vehicle.mass"])
+    assert masses[-1] == float(scenario.vehicle.mass)
+    np.testing.assert_allclose(
+        flown["end_altitude"].values[:-1], campaign.flights.state.altitude, rtol=1e-9
+    )
+    kept = histories_of(
+        scenario, None if given else table, 5, inputs, 3, 1.0, FixedStep()
+    ).flown()
+    assert kept["vehicle.mass"].values == [float(scenario.vehicle.mass)]
+
+
+def test_a_campaign_that_is_refused_flies_none(command, monkeypatch):
+    monkeypatch.setattr(Histories, "begin", lambda self: pytest.fail("has begun"))
+    first = "monte-carlo", "cheap", "--runs", 2, "--out", "one"
+    code, _, said = command(*first, "--no-figures")
+    assert code == 0, said
+    code, _, said = command(*first, "--seed", 1)
+    assert code == 3 and "seed is 0 there and 1 now" in said
