@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 import jentry
+from jentry.addresses import leaves_by_address, replace_leaves
 from jentry.guidance.bank_shapes import LinearBankShape
-from jentry.guidance.range_network import INPUTS, RangeNetwork, features
+from jentry.guidance.range_network import INPUTS, RangeNetwork, basis, features
 from jentry.learning.range_network import (
     LEAST,
     predict_samples,
@@ -21,7 +22,7 @@ from jentry.missions.mars import predictor_corrector as mars
 from jentry.missions.mars.drag_tracking import independent
 from jentry.onboard import Factors
 from jentry.onboard.navigation import Measurement, measure
-from jentry.onboard.network import Network, load_network
+from jentry.onboard.network import Network, load_network, save_network
 
 
 ALL = [(-1e3, 1e3)] * 6 + [(0.0, 1.0)]
@@ -43,8 +44,14 @@ def linear(constant=0.0, ranges=ALL, **weights):
             jnp.asarray(ranges),
             jnp.asarray(constant),
             jnp.asarray(1.0),
-        )
+        ),
+        of(in_plane().guidance),
     )
+
+
+def of(law):
+    angle = law.model.vehicle.trim_angle_of_attack
+    return basis(law.model, in_plane().initial_state, angle, law.end.first())
 
 
 @functools.cache
@@ -67,7 +74,7 @@ def asked(network, number=0.5, velocity=3000.0, factors=Factors()):
     law, seen = in_plane().guidance, underway(velocity)
     factors = jax.tree.map(jnp.asarray, factors)
     given = law.model, seen.state, seen.angle_of_attack, factors, jnp.asarray(number)
-    return network(*given, jnp.asarray(law.end.velocity))
+    return network(*given, law.end.first())
 
 
 def test_range_is_that_of_the_mean_deceleration():
@@ -121,7 +128,40 @@ def test_another_network_is_refused():
         jnp.asarray(1.0),
     )
     with pytest.raises(ValueError, match="the network reads a, b: the range is read"):
-        RangeNetwork(wrong)
+        RangeNetwork(wrong, jnp.zeros(8))
+    with pytest.raises(
+        ValueError, match="of has shape .3,.: a network of the range is"
+    ):
+        RangeNetwork(linear().network, jnp.zeros(3))
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        "end.velocity",
+        "end.altitude",
+        "model.planet.radius",
+        "model.planet.gravity.gravitational_parameter",
+        "model.planet.atmosphere.surface_density",
+        "model.planet.atmosphere.scale_height",
+        "model.vehicle.mass",
+        "model.vehicle.aerodynamics.lift_coefficient",
+        "model.vehicle.aerodynamics.drag_coefficient",
+    ],
+)
+def test_of_another_model_or_end_it_knows_nothing(address):
+    law, seen = in_plane().guidance, underway()
+    other = replace_leaves(law, {address: 1.0001 * leaves_by_address(law)[address]})
+    for asked_about, knows in ((law, True), (other, False)):
+        answer = linear(2.0)(
+            asked_about.model,
+            seen.state,
+            seen.angle_of_attack,
+            Factors(jnp.asarray(1.0), jnp.asarray(1.0)),
+            jnp.asarray(0.5),
+            asked_about.end.first(),
+        )
+        assert bool(answer.knows) == knows
 
 
 def with_network(network, **changes):
@@ -172,6 +212,15 @@ def test_shipped_network_says_how_it_was_trained():
     assert card["command"].startswith("jentry train mars-range-tracking --seed 0 ")
     low, high = card["inputs"]["number of the bank"]
     assert (low, high) == (0.0, 1.0)  # where a number saturates it is known
+    np.testing.assert_allclose(network.of, of(in_plane().guidance), rtol=1e-9)
+
+
+def test_a_file_that_does_not_say_what_it_is_of_is_refused(tmp_path):
+    network, card = load_network(mars.FOLDER / "range.npz")
+    del card["of"]
+    save_network(tmp_path / "range.npz", network, card)
+    with pytest.raises(ValueError, match="does not say what it is of .velocity at the"):
+        mars.range_network(tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -204,7 +253,7 @@ def test_samples_are_predictions(samples):
 def errors(network, samples):
     """Magnitudes, m; NaN where the network knows nothing."""
     law = in_plane().guidance
-    angle, end = law.model.vehicle.trim_angle_of_attack, law.end.velocity
+    angle, end = law.model.vehicle.trim_angle_of_attack, law.end.first()
 
     @eqx.filter_jit
     @jax.vmap

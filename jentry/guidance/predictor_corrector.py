@@ -86,6 +86,11 @@ class GuidedEnd(eqx.Module):
             found.append(lambda state: ceiling - state.altitude)
         return tuple(found)
 
+    def first(self) -> tuple[Scalar, Scalar]:
+        """Velocity and altitude at which it ends; without an altitude, at the ground."""
+        assert self.velocity is not None
+        return self.velocity, 0.0 if self.altitude is None else self.altitude
+
     def is_skip(self, ended_by: Count) -> Flag:
         """Whether a prediction ended at the ceiling."""
         if self.ceiling is None:
@@ -197,11 +202,12 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 "positive"
             )
         plain = isinstance(self.shape, ConstantBankShape) and not self.in_space
-        if self.network is not None and (not plain or self.end.velocity is None):
+        by_velocity = self.end.velocity is not None and self.end.energy is None
+        if self.network is not None and not (plain and by_velocity):
             raise ValueError(
                 "a network takes the place of the prediction of a constant bank to a "
                 f"velocity, in the vertical plane: shape is {type(self.shape).__name__}, "
-                f"in_space is {self.in_space}, end.velocity is {self.end.velocity}"
+                f"in_space is {self.in_space}, end is {self.end}"
             )
         turns = self.model.planet.rotation_rate
         at_rest = isinstance(turns, Tracer) or not eqx.is_array(turns) or turns == 0.0
@@ -435,11 +441,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         numbers: Numbers,
     ) -> Answer:
         """The range to the end, of the network."""
-        state, velocity = measurement.state, self.end.velocity
-        assert velocity is not None
-        angle = measurement.trim_angle_of_attack
-        known = factors.at(state.altitude)
-        return network(self.model, state, angle, known, numbers[0], velocity)
+        state, angle = measurement.state, measurement.trim_angle_of_attack
+        known, end = factors.at(state.altitude), self.end.first()
+        return network(self.model, state, angle, known, numbers[0], end)
 
     def _banked(
         self,

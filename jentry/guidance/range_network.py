@@ -1,12 +1,13 @@
 """A network in place of the prediction: how far a flight at a constant bank goes."""
 
+import dataclasses
 from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..fields import Flag, Scalar
+from ..fields import Flag, Scalar, Vector, table
 from ..motion.state import EntryState
 from ..onboard.estimation import Factors
 from ..onboard.model import OnboardModel
@@ -29,6 +30,25 @@ INPUTS = (
 OUTPUT = "ln((v^2 - v_f^2) / (2 x 1 m/s2)): velocity v, at the end v_f, range x"
 
 
+_ALTITUDES, _VELOCITY = (20e3, 50e3), 3000.0
+"""m and m/s, where `basis` looks at the model"""
+
+BASIS = (
+    "velocity at the end, m/s",
+    "altitude at the end, m",
+    "radius of the planet, m",
+    "gravity at 20 km, m/s2",
+    *(
+        f"{force} at 3 km/s and {altitude} km, m/s2"
+        for altitude in (20, 50)
+        for force in ("lift", "drag")
+    ),
+)
+
+_SAME = 1e-6
+"""Share by which what a network is of may differ, by rounding"""
+
+
 class Answer(NamedTuple):
     """What a network says of a flight."""
 
@@ -42,13 +62,21 @@ class RangeNetwork(eqx.Module):
     """The range of the rest of a flight, by a network that has learnt predictions.
 
     It gives the mean deceleration to the end, (v^2 - v_f^2) / (2 range), of which the
-    logarithm goes over to that of the drag as the end comes near. It is of one vehicle,
-    one end and one shape of the bank, and answers within the ranges of its training only.
+    logarithm goes over to that of the drag as the end comes near. It is of one model, one
+    end and one shape of the bank: asked about another model or another end it knows
+    nothing, and so it does beyond the ranges of its training.
     """
 
     network: Network
+    of: Vector = table()
+    """What it has been trained for, as `basis` tells it"""
 
     def __check_init__(self):
+        if self.of.shape != (len(BASIS),):
+            raise ValueError(
+                f"of has shape {self.of.shape}: a network of the range is of "
+                f"{', '.join(BASIS)}"
+            )
         if self.network.names != INPUTS:
             raise ValueError(
                 f"the network reads {', '.join(self.network.names)}: the range is read "
@@ -62,16 +90,44 @@ class RangeNetwork(eqx.Module):
         angle_of_attack: Scalar,
         factors: Factors,
         number: Scalar,
-        end_velocity: Scalar,
+        end: tuple[Scalar, Scalar],
     ) -> Answer:
-        """Range from a state at a constant bank, and whether that is known."""
+        """Range from a state at a constant bank, and whether that is known.
+
+        `end` is the velocity (m/s) and the altitude (m) at the first of which it ends.
+        """
         read = features(model, state, angle_of_attack, factors, number)
-        square = state.velocity**2 - end_velocity**2
-        knows = self.network.knows(read) & (square > 0.0)
+        square = state.velocity**2 - end[0] ** 2
+        asked = basis(model, state, angle_of_attack, end)
+        same = jnp.all(jnp.abs(asked - self.of) <= _SAME * jnp.abs(self.of))
+        knows = self.network.knows(read) & same & (square > 0.0)
         # On both sides of what is chosen, so that no derivative comes from out there.
         inside = jnp.where(knows, read, self.network.input_mean)
         square = jnp.where(knows, square, 0.0)
         return Answer(0.5 * square * jnp.exp(-self.network(inside)), knows)
+
+
+def basis(
+    model: OnboardModel,
+    state: EntryState,
+    angle_of_attack: Scalar,
+    end: tuple[Scalar, Scalar],
+) -> Vector:
+    """What a prediction stands on besides where it begins, in the order of `BASIS`.
+
+    Lift and drag are looked at in two places, so that they tell the air as well. Of the
+    state only what these have nothing to do with counts.
+    """
+    seen = []
+    for altitude in _ALTITUDES:
+        there = dataclasses.replace(
+            state, altitude=jnp.full_like(state.altitude, altitude), velocity=_VELOCITY
+        )
+        forces = measure(model.planet, model.vehicle, there, angle_of_attack)
+        seen += [forces.lift, forces.drag]
+    planet = model.planet
+    gravity = planet.gravity.acceleration(planet.radius + _ALTITUDES[0])
+    return jnp.stack([jnp.asarray(x) for x in (*end, planet.radius, gravity, *seen)])
 
 
 def features(

@@ -22,7 +22,15 @@ from ..fields import Flag, Scalar
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
 from ..guidance.predictor_corrector import PredictorCorrector
-from ..guidance.range_network import INPUTS, OUTPUT, PURPOSE, RangeNetwork, features
+from ..guidance.range_network import (
+    BASIS,
+    INPUTS,
+    OUTPUT,
+    PURPOSE,
+    RangeNetwork,
+    basis,
+    features,
+)
 from ..motion.state import EntryState
 from ..onboard.estimation import Factors
 from ..onboard.navigation import Measurement, measure
@@ -209,8 +217,7 @@ def train_range_network(
     """
     began = time.perf_counter()
     law = _law(scenario)
-    end_velocity = law.end.velocity
-    assert end_velocity is not None
+    end = law.end.first()
     network_key, split_key, batch_key, part_key = jax.random.split(key, 4)
     flights = int(np.max(samples.flights)) + 1
     out = np.asarray(jax.random.uniform(split_key, (flights,))) < held_out
@@ -223,7 +230,7 @@ def train_range_network(
         def one(state, factors, number):
             return features(law.model, state, angle, factors, number)
 
-        square = jnp.asarray(0.5 * (state.velocity**2 - end_velocity**2))
+        square = jnp.asarray(0.5 * (state.velocity**2 - end[0] ** 2))
         return jax.vmap(one)(state, factors, number), square
 
     given = samples.states, samples.factors, samples.numbers
@@ -253,10 +260,12 @@ def train_range_network(
     known = np.asarray(jax.vmap(network.knows)(read))
     held = np.flatnonzero(out & known)
     error = np.abs(np.asarray(errors(network, jnp.asarray(held))))
+    of = basis(law.model, scenario.initial_state, angle, end)
     near = np.asarray(samples.ranges)[held] < _NEAR
     card = {
         "purpose": PURPOSE,
         "output": OUTPUT,
+        "of": dict(zip(BASIS, np.asarray(of).tolist(), strict=True)),
         "samples": len(inside),
         "flights": flights,
         "left out": samples.left_out,
@@ -269,4 +278,4 @@ def train_range_network(
         "steps of Adam, iterations of L-BFGS": [warm_up, iterations],
         "training, s": round(time.perf_counter() - began, 1),
     }
-    return TrainedRange(RangeNetwork(network), card)
+    return TrainedRange(RangeNetwork(network, of), card)

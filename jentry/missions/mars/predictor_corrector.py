@@ -11,12 +11,13 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 
 from ...flight.scenario import Scenario
 from ...guidance.bank_shapes import ConstantBankShape
 from ...guidance.lateral import AbstractLateralLogic, FixedSide, PredictedCrossrange
 from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector
-from ...guidance.range_network import PURPOSE, RangeNetwork
+from ...guidance.range_network import BASIS, PURPOSE, RangeNetwork
 from ...learning.range_network import predict_samples, train_range_network
 from ...motion.dynamics import AbstractDynamics, EntryDynamics, EquatorialDynamics
 from ...onboard.model import OnboardModel
@@ -57,8 +58,14 @@ def in_plane() -> Scenario:
 @functools.cache
 def range_network(folder: Path = FOLDER) -> RangeNetwork:
     """The stored network of `networked`. Raises `ValueError` for another one."""
-    network, _ = load_network(folder / _FILE, PURPOSE)
-    return RangeNetwork(network)
+    network, card = load_network(folder / _FILE, PURPOSE)
+    told = card.get("of")
+    if not isinstance(told, dict) or set(told) != set(BASIS):
+        raise ValueError(
+            f"{folder / _FILE} does not say what it is of ({', '.join(BASIS)}): train it "
+            "again with `jentry train mars-range-tracking`"
+        )
+    return RangeNetwork(network, jnp.array([float(told[name]) for name in BASIS]))
 
 
 def networked() -> Scenario:
