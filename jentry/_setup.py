@@ -21,7 +21,8 @@ R = TypeVar("R")
 
 _LOOPS = "xla_cpu_small_while_loop_byte_threshold=100000000"
 """Compiles a loop as one function, where it is otherwise a list of operations that are
-called one by one: flights are twice as fast, and their gradients three times"""
+called one by one: flights are twice as fast (`benchmarks/monte_carlo.py`), and reverse
+gradients too (`benchmarks/gradient.py`)"""
 
 _FUSION = "xla_cpu_use_multi_output_fusion"
 """A quarter more flights in the plane over a table, in none of the other missions; reverse
