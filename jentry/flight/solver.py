@@ -22,12 +22,8 @@ class RungeKutta4(diffrax.AbstractSolver):
     """The classical fourth-order method, without dense output or error estimate.
 
     A general Runge-Kutta solver keeps all its stages, which costs two to four times as
-    much: here each stage adds to the sum and is forgotten. The stages are a loop;
-    `unroll` writes them out, which makes reverse-mode derivatives a tenth faster and
-    their compilation more than twice as slow (`benchmarks/gradient.py`).
+    much: here each stage adds to the sum and is forgotten.
     """
-
-    unroll: bool = eqx.field(default=False, static=True)
 
     term_structure = diffrax.AbstractTerm
     interpolation_cls = diffrax.LocalLinearInterpolation
@@ -48,7 +44,7 @@ class RungeKutta4(diffrax.AbstractSolver):
             return terms.vf(t, y, args)
 
         start, duration = jnp.asarray(t0), jnp.asarray(t1 - t0)
-        y1 = runge_kutta_step(slope, start, y0, duration, self.unroll)
+        y1 = runge_kutta_step(slope, start, y0, duration)
         return y1, None, {"y0": y0, "y1": y1}, None, diffrax.RESULTS.successful
 
 
