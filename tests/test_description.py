@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers import mars_scenario
 
-from jentry import FixedStep
+from jentry import FixedStep, _setup
 from jentry.campaign.description import describe, first_difference, scalars_of
 from jentry.campaign.parts import claim
 from jentry.onboard.profiles import quintic_profile
@@ -69,3 +69,12 @@ def test_a_table_that_differs_is_named(nodes, tmp_path):
     claim(tmp_path, known)
     agreed, _ = claim(tmp_path, wanted)  # no runs yet: it is taken over
     assert first_difference(agreed, wanted) is None
+
+
+def test_options_of_the_compiler_are_part_of_it(monkeypatch):
+    """With others the same runs come out otherwise, by rounding."""
+    usual = described(5)
+    assert usual["xla_options"] == _setup.xla_options() != []
+    monkeypatch.setenv("XLA_FLAGS", "")
+    assert described(5)["xla_options"] == []
+    assert first_difference(usual, described(5)).startswith("xla_options differs")
