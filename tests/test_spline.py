@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.interpolate
 
-from jentry.onboard.spline import BSpline
+from jentry.onboard.spline import BSpline, cubic_spline
 
 
 RNG = np.random.default_rng(11)
@@ -80,3 +80,38 @@ def test_nodes_are_the_coefficients_of_the_index_itself():
 def test_shapes_are_checked(coefficients, breakpoints, said):
     with pytest.raises(ValueError, match=said):
         BSpline(jnp.asarray(coefficients), jnp.asarray(breakpoints))
+
+
+def test_an_interpolating_spline_is_that_of_scipy():
+    """Through uneven knots, inside of them and beyond; of a cubic it is the cubic."""
+    rng = np.random.default_rng(3)
+    knots = np.cumsum(rng.uniform(0.3, 2.0, 8))
+    places = np.linspace(knots[0] - 0.2, knots[-1] + 0.2, 57)
+    cubic = 0.3 * knots**3 - knots**2 + 2.0
+    for values in (rng.normal(size=8), cubic):
+        ours = cubic_spline(jnp.asarray(knots), jnp.asarray(values))
+        theirs = scipy.interpolate.CubicSpline(knots, values, bc_type="not-a-knot")
+        found = np.array(
+            jax.vmap(lambda x: jnp.stack(ours.with_derivatives(x)))(jnp.asarray(places))
+        )
+        for order in range(3):
+            expected = theirs(places, order)
+            np.testing.assert_allclose(
+                found[:, order], expected, rtol=1e-9, atol=1e-9 * abs(expected).max()
+            )
+    slope = jax.grad(
+        lambda v: cubic_spline(jnp.asarray(knots), v)(0.5 * sum(knots[:2]))
+    )
+    unit = [
+        scipy.interpolate.CubicSpline(knots, row, bc_type="not-a-knot")(
+            0.5 * sum(knots[:2])
+        )
+        for row in np.eye(8)
+    ]
+    np.testing.assert_allclose(slope(jnp.asarray(values)), unit, atol=1e-12)
+
+
+@pytest.mark.parametrize(("knots", "values"), [(3, 3), (5, 4)])
+def test_a_spline_needs_four_knots_and_a_value_at_each(knots, values):
+    with pytest.raises(ValueError, match=rf"knots of shape \({knots},\) and values"):
+        cubic_spline(jnp.arange(float(knots)), jnp.ones(values))
