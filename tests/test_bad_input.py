@@ -302,7 +302,7 @@ OTHERS = {
     "show cheap --config .": "directory",
     "fly cheap --step one": "--step",
     "show cheap --set vehicle.mass=1 --set vehicle.mass=2": "vehicle.mass is given twice",
-    "train mars-drag-tracking": "has no networks to train: cav-h has",
+    "train mars-drag-tracking": "no networks to train: see mars-range-tracking, cav-h",
     "train cav-h --flights 3": "--flights is 3",
     "train cav-h --again 99": "--again is 99",
     "train cav-h --iterations 0": "--iterations is 0",

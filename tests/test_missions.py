@@ -186,7 +186,7 @@ def test_mars_by_a_predictor_corrector():
         assert_has(scenario, expected)
         assert type(scenario.dynamics) is dynamics
         assert scenario.guidance.in_space == (dynamics is EntryDynamics)
-    assert len(RANGE.variants) == 4
+    assert len(RANGE.variants) == 5
 
 
 def test_downrange_of_the_paper_is_its_longitude():

@@ -33,7 +33,7 @@ def command(
     chosen = find_mission(mission)
     if chosen.train is None:
         able = ", ".join(m.name for m in ALL.values() if m.train is not None)
-        raise ValueError(f"mission {chosen.name} has no networks to train: {able} has")
+        raise ValueError(f"mission {chosen.name} has no networks to train: see {able}")
     for name, value in (("flights", flights), ("again", again)):
         if value < 100:
             raise ValueError(f"--{name} is {value}: a network takes 100 or more")
