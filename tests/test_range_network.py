@@ -11,7 +11,7 @@ import pytest
 
 import jentry
 from jentry.addresses import leaves_by_address, replace_leaves
-from jentry.guidance.bank_shapes import LinearBankShape
+from jentry.guidance.bank_shapes import ConstantBankShape, LinearBankShape
 from jentry.guidance.range_network import INPUTS, RangeNetwork, basis, features
 from jentry.learning.range_network import (
     LEAST,
@@ -23,6 +23,7 @@ from jentry.missions.mars.drag_tracking import independent
 from jentry.onboard import Factors
 from jentry.onboard.navigation import Measurement, measure
 from jentry.onboard.network import Network, load_network, save_network
+from jentry.onboard.profiles import PolynomialProfile
 
 
 ALL = [(-1e3, 1e3)] * 6 + [(0.0, 1.0)]
@@ -182,6 +183,18 @@ def test_a_decision_is_where_the_network_says_that_the_target_is():
     assert float(law.caveats(after)["decisions_without_prediction"]) == 0.0
 
 
+def test_a_shape_with_another_largest_bank_asks_about_its_bank():
+    """The same bank is flown, whatever the number is that tells it."""
+    seen, cosines = underway(), []
+    for lowest in (-1.0, -0.8):
+        shape = ConstantBankShape(lowest=lowest)
+        law = with_network(linear(2.9, number=-1.0), corrections=8, shape=shape)
+        _, before = law.init(seen)
+        _, held = eqx.filter_jit(law.update)(jnp.asarray(0.0), seen, (), before)
+        cosines.append(float(shape.cos_bank(held.numbers, held.since, held.since)))
+    assert cosines[1] == pytest.approx(cosines[0], abs=1e-9)
+
+
 def test_where_the_network_knows_nothing_the_number_stays_and_it_is_said():
     slow = [*ALL[:1], (0.5, 2.0), *ALL[2:]]
     law = with_network(linear(2.5, slow, number=-1.0))
@@ -197,6 +210,7 @@ def test_a_network_of_another_prediction_is_refused():
     for changes in (
         {"in_space": True},
         {"shape": LinearBankShape(end=0.0)},
+        {"angle_of_attack": PolynomialProfile(jnp.ones(1))},
         {"end": mars.GuidedEnd(altitude=10e3)},
     ):
         with pytest.raises(

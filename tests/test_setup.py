@@ -267,11 +267,11 @@ def test_a_self_test_that_fails_or_is_not_to_be_kept_runs_again(
 ):
     tried = []
 
-    def tests(environment):
+    def self_test(environment):
         tried.append(1)
         return "numbers differ" if remember else None
 
-    monkeypatch.setattr(_setup, "_failure_of_self_test", tests)
+    monkeypatch.setattr(_setup, "_failure_of_self_test", self_test)
     for _ in range(2):
         flags("", remember=remember)
     assert len(tried) == 2

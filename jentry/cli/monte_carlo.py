@@ -97,8 +97,7 @@ def command(
         runs = 1000
     folder = Path("results") / chosen.name if out is None else out
     solver = FixedStep(step)
-    given_runs = scenario, table, seed, given, runs
-    histories = histories_of(*given_runs, history, solver)
+    histories = histories_of(scenario, table, seed, given, runs, history, solver)
     resumed = rounding_off("the same command resumes")
     with resumed as look, progress(runs) as told, histories:
 

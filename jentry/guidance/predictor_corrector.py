@@ -203,11 +203,13 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             )
         plain = isinstance(self.shape, ConstantBankShape) and not self.in_space
         by_velocity = self.end.velocity is not None and self.end.energy is None
+        plain = plain and self.angle_of_attack is None
         if self.network is not None and not (plain and by_velocity):
             raise ValueError(
                 "a network takes the place of the prediction of a constant bank to a "
-                f"velocity, in the vertical plane: shape is {type(self.shape).__name__}, "
-                f"in_space is {self.in_space}, end is {self.end}"
+                "velocity, in the vertical plane, at the trim angle of attack: shape is "
+                f"{type(self.shape).__name__}, in_space is {self.in_space}, "
+                f"angle_of_attack is {self.angle_of_attack}, end is {self.end}"
             )
         turns = self.model.planet.rotation_rate
         at_rest = isinstance(turns, Tracer) or not eqx.is_array(turns) or turns == 0.0
@@ -443,7 +445,10 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         """The range to the end, of the network."""
         state, angle = measurement.state, measurement.trim_angle_of_attack
         known, end = factors.at(state.altitude), self.end.first()
-        return network(self.model, state, angle, known, numbers[0], end)
+        # The number of a shape whose largest bank is half a turn, as it has been trained.
+        nothing = jnp.zeros_like(numbers[0])
+        number = 0.5 * (1.0 + self.shape.cos_bank(numbers, nothing, nothing))
+        return network(self.model, state, angle, known, number, end)
 
     def _banked(
         self,

@@ -39,8 +39,8 @@ BASIS = (
     "radius of the planet, m",
     "gravity at 20 km, m/s2",
     *(
-        f"{force} at 3 km/s and {altitude} km, m/s2"
-        for altitude in (20, 50)
+        f"{force} at 3 km/s and {1e-3 * altitude:g} km, m/s2"
+        for altitude in _ALTITUDES
         for force in ("lift", "drag")
     ),
 )

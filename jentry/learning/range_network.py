@@ -21,6 +21,7 @@ from ..campaign.dispersions import Dispersion
 from ..fields import Flag, Scalar
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
+from ..guidance.bank_shapes import ConstantBankShape
 from ..guidance.predictor_corrector import PredictorCorrector
 from ..guidance.range_network import (
     BASIS,
@@ -160,6 +161,11 @@ def _law(scenario: Scenario) -> PredictorCorrector:
         raise ValueError(
             f"the law is {type(law).__name__}: expected a PredictorCorrector with "
             "in_space=False, whose predictions are learnt"
+        )
+    if not isinstance(law.shape, ConstantBankShape) or law.shape.lowest != -1.0:
+        raise ValueError(
+            f"the shape of the bank is {law.shape}: the range is learnt of a "
+            "ConstantBankShape with lowest=-1.0"
         )
     return law
 
