@@ -10,7 +10,8 @@ from helpers import Doubting, fly_compiled, free_scenario, with_leaf
 from jentry.campaign import monte_carlo
 from jentry.campaign.campaign import fly_in_blocks
 from jentry.campaign.results import dataset
-from jentry.cli.report import print_campaign, print_flight
+from jentry.cli.campaign_report import print_campaign
+from jentry.cli.mission_report import print_flight
 from jentry.flight import fly
 from jentry.units import km
 

@@ -23,7 +23,8 @@ from scipy.interpolate import CubicSpline
 from jentry.addresses import leaves_by_address, unit_of
 from jentry.campaign import monte_carlo
 from jentry.campaign.results import dataset
-from jentry.cli.report import print_campaign, print_flight
+from jentry.cli.campaign_report import print_campaign
+from jentry.cli.mission_report import print_flight
 from jentry.fields import Scalar, optional_scalar, scalar
 from jentry.flight import (
     Adaptive,

@@ -11,7 +11,7 @@ from jentry.addresses import leaves_by_address, unit_of
 from jentry.analysis.covariance import Effect, LinearCovariance, LinearModel, Spread
 from jentry.analysis.sensitivities import Sensitivity
 from jentry.cli.analysis_report import print_covariance, print_sensitivity
-from jentry.cli.report import print_flight, print_leaves
+from jentry.cli.mission_report import print_flight, print_leaves
 from jentry.flight import Flight, Outcome, Target, misses
 from jentry.missions.cav_h.scenario import stored
 from jentry.motion import ConstraintValues, EntryState

@@ -80,6 +80,15 @@ def _plain(leaf: Any) -> Any:
     }
 
 
+def leaf_of(plain: Any) -> np.ndarray:
+    """The numbers of a leaf as a description has them, to the last bit."""
+    if not isinstance(plain, dict):
+        return np.asarray(plain)
+    little_endian = np.dtype(plain["type"]).newbyteorder("<")
+    stored = np.frombuffer(base64.b64decode(plain["base64"]), little_endian)
+    return stored.reshape(plain["shape"]).astype(plain["type"])
+
+
 def scalars_of(description: Mapping[str, Any]) -> dict[str, Any]:
     """The numbers of a described scenario, by address, without its tables."""
     return {

@@ -1,19 +1,23 @@
 """The figures of a campaign: what is flown for them, and where they go."""
 
 import atexit
+import io
 import math
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .._files import write_whole
 from ..addresses import leaves_by_address
 from ..campaign.batch import LANES
 from ..campaign.campaign import drawn_inputs, monte_carlo
 from ..campaign.dispersions import Dispersion, key_of
+from ..campaign.errors import CampaignError
 from ..campaign.results import dataset
 from ..flight.cycle import varies
 from ..flight.scenario import Scenario
@@ -25,6 +29,14 @@ from ..missions.mission import Mission
 if TYPE_CHECKING:
     import xarray
 
+
+FIGURES = "figures"
+"""Folder of the figures, below that of their campaign"""
+
+HISTORIES = "histories.nc"
+"""File beside the figures, of the flights that they show"""
+
+_DIGEST = "campaign_digest"
 
 _INTERVAL = 0.5
 """s; the longest guidance cycle of a law whose cycle varies"""
@@ -110,19 +122,69 @@ def histories_of(
 
 
 def draw_figures(
-    folder, mission: Mission, scenario: Scenario, results, histories: Histories
-):
-    """Draw the figures of stored results into `figures` below their folder."""
+    folder: Path,
+    mission: Mission,
+    scenario: Scenario,
+    results: "xarray.Dataset",
+    flown: "xarray.Dataset | None",
+    formats: Sequence[str] = ("png",),
+) -> list[Path]:
+    """Draw the figures of stored results into `figures` below their folder.
+
+    `flown` are the histories of the campaign's figures, the nominal flight last; without
+    them, those of the results alone.
+    """
     from ..plots import FigureData, campaign_figures, save_figures
 
-    flown = histories.flown()
-    nominal = flown.isel(run=[-1])
-    trajectories = results if "time" in results.dims else flown.isel(run=slice(0, -1))
+    nominal = trajectories = None
+    if flown is not None:
+        nominal, trajectories = flown.isel(run=[-1]), flown.isel(run=slice(0, -1))
+    if "time" in results.dims:
+        trajectories = results
     data = FigureData.of(results, trajectories, nominal, scenario, mission.title)
     figures = campaign_figures(data, mission.figures)
-    target = folder / "figures"
-    save_figures(figures, target)
-    return target
+    return save_figures(figures, folder / FIGURES, formats)
+
+
+def store_histories(folder: Path, flown: "xarray.Dataset", campaign: str) -> None:
+    """Keep the histories of figures beside them, so that they can be drawn again.
+
+    In single precision, which no figure shows; sealed with the digest of the campaign.
+    """
+    over_time = [name for name, x in flown.data_vars.items() if "time" in x.dims]
+    stored = flown.assign({name: flown[name].astype(np.float32) for name in over_time})
+    stored.attrs[_DIGEST] = campaign
+    small = {"zlib": True, "complevel": 1, "shuffle": True, "fletcher32": True}
+    contents = stored.to_netcdf(
+        engine="h5netcdf", encoding=dict.fromkeys(over_time, small)
+    )
+    (folder / FIGURES).mkdir(parents=True, exist_ok=True)
+    write_whole(folder / FIGURES / HISTORIES, bytes(contents))
+
+
+def stored_histories(folder: Path, campaign: str) -> "xarray.Dataset | None":
+    """The histories that are kept beside the figures of a campaign; None without any.
+
+    Raises `CampaignError` for a file that cannot be read, or of another campaign.
+    """
+    import xarray
+
+    path = folder / FIGURES / HISTORIES
+    if not path.exists():
+        return None
+    try:
+        contents = io.BytesIO(path.read_bytes())
+        with xarray.open_dataset(contents, engine="h5netcdf") as stored:
+            flown = stored.load()
+    except Exception as error:  # of whatever HDF5 makes of a file
+        raise CampaignError(
+            f"{path} cannot be read ({error}): delete it, and run the same campaign again"
+        ) from None
+    if flown.attrs.get(_DIGEST) != campaign:
+        raise CampaignError(
+            f"{path} is of another campaign: delete it, and run the same campaign again"
+        )
+    return flown
 
 
 def _interval(law: AbstractLaw) -> float:

@@ -39,7 +39,7 @@ def command(
     from ..campaign.store import write_flight
     from ..flight.flight import fly
     from ..flight.solver import FixedStep
-    from .report import print_flight
+    from .mission_report import print_flight
 
     if out is not None and history is None:
         history = 1.0

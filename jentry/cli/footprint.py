@@ -59,7 +59,7 @@ def command(
     from ..planning.landing_footprint import footprint
     from .optimization_options import problem_asked
     from .optimization_report import print_footprint, write_footprint
-    from .report import progress
+    from .progress import progress
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
     name = first_given(variant, overrides.variant, *chosen.variants)

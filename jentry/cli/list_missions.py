@@ -20,7 +20,7 @@ def command(
 ) -> None:
     """The missions, their variants and their dispersions."""
     from ..missions import every_mission, find_mission
-    from .report import print_missions
+    from .mission_report import print_missions
 
     if missions:
         print_missions(map(find_mission, missions))

@@ -10,7 +10,13 @@ from .options import (
     Config,
     Dispersions,
     Fast,
+    Formats,
+    Json,
     MissionName,
+    Percentiles,
+    Quiet,
+    Require,
+    RequirementsFile,
     Set,
     Step,
     Variant,
@@ -61,32 +67,71 @@ def command(
     figures: Annotated[
         bool, typer.Option(help="Draw figures into OUT/figures.")
     ] = True,
+    format_: Formats = "png",
+    percentiles: Percentiles = None,
+    require: Require = None,
+    requirements: RequirementsFile = None,
+    until_decided: Annotated[
+        bool,
+        typer.Option(
+            "--until-decided",
+            help="Fly --runs, and then more until the requirements are decided, by a "
+            "sequential test.",
+        ),
+    ] = False,
+    most_runs: Annotated[
+        int, typer.Option(help="With --until-decided: fly so many at most.")
+    ] = 100_000,
+    json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Fly dispersed runs, store them, print their statistics and draw figures."""
+    """Fly dispersed runs, store them, say what they say and draw figures."""
     set_up(workers, fast)
     drawing = (
         ("matplotlib.figure", "matplotlib.backends.backend_agg") if figures else ()
     )
-    import_meanwhile("xarray", "h5netcdf", "rich.table", "rich.progress", *drawing)
+    import_meanwhile(
+        "xarray", "h5netcdf", "rich.table", "rich.progress", "scipy.special", *drawing
+    )
+    from ..analysis.summary import summarize
+    from ..campaign.parts import digest_of, read_manifest
     from ..campaign.store import open_campaign, run_campaign
     from ..flight.solver import FixedStep
+    from ..missions.stored import is_as_published
+    from .campaign_files import (
+        decided_by,
+        note_until_decided,
+        write_figures,
+        write_page,
+        write_summary,
+    )
+    from .campaign_report import print_campaign
     from .dispersions_report import print_what_is_flown
-    from .figures import draw_figures, histories_of
+    from .figures import histories_of, store_histories
     from .overrides import read_inputs
-    from .report import print_campaign, progress
+    from .progress import progress
+    from .report_choices import (
+        chosen_formats,
+        chosen_percentiles,
+        chosen_requirements,
+        leave,
+        refuse_both,
+    )
+    from .until_decided import further_runs
 
+    refuse_both(json, quiet)
+    formats = chosen_formats(format_)
+    percentages = chosen_percentiles(percentiles)
+    asked = chosen_requirements(require, requirements)
+    if until_decided and not asked:
+        raise ValueError("--until-decided needs a requirement: give --require")
+    if until_decided and inputs is not None:
+        raise ValueError("--until-decided draws more runs, and --inputs has no more")
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
     variant = first_given(variant, overrides.variant, *chosen.variants)
     reading, table = dispersion_table(chosen, overrides, dispersions)
     if inputs is not None and (dispersions is not None or overrides.disperses):
         raise ValueError("--inputs takes the place of dispersions: give one of them")
-    as_published = (
-        inputs is None
-        and not overrides.values
-        and overrides.dispersions is None
-        and variant == chosen.published_variant
-        and reading == chosen.published_dispersions
-    )
     given = None if inputs is None else read_inputs(inputs)
     if given is not None:
         rows = len(next(iter(given.values())))
@@ -99,7 +144,11 @@ def command(
     solver = FixedStep(step)
     histories = histories_of(scenario, table, seed, given, runs, history, solver)
     resumed = rounding_off("the same command resumes")
-    with resumed as look, progress(runs) as told, histories:
+    with (
+        resumed as look,
+        progress(most_runs if until_decided else runs, quiet) as told,
+        histories,
+    ):
 
         def report(stored: int) -> None:
             if figures:  # now that the campaign is one that can be flown
@@ -107,24 +156,47 @@ def command(
             told(stored)
             look()
 
-        run_campaign(
-            folder,
-            scenario,
-            table if given is None else None,
-            seed,
-            runs,
-            inputs=given,
-            solver=solver,
-            history=history,
-            report=report,
-            **chosen.labels,
-            variant=variant,
-        )
-    results = open_campaign(folder, runs)
-    if given is None:
-        print_what_is_flown(chosen, scenario, overrides, reading, table)
-    print_campaign(chosen, results, as_published)
-    typer.echo(f"stored: {folder}")
+        while True:
+            run_campaign(
+                folder,
+                scenario,
+                table if given is None else None,
+                seed,
+                runs,
+                inputs=given,
+                solver=solver,
+                history=history,
+                report=report,
+                **chosen.labels,
+                variant=variant,
+            )
+            results = open_campaign(folder, runs)
+            if not until_decided:
+                break
+            note_until_decided(folder, asked)
+            more = further_runs(asked, results, most_runs)
+            if not more:
+                break
+            runs += more
+    description = read_manifest(folder)
+    decided = decided_by(folder)
+    summary = summarize(
+        results, percentages, asked or decided or (), sequential=decided is not None
+    )
+    if not quiet and not json:
+        if given is None:
+            print_what_is_flown(chosen, scenario, overrides, reading, table)
+        as_published = is_as_published(description, chosen)
+        print_campaign(chosen, results, as_published, summary)
+        typer.echo(f"stored: {folder}")
     if figures:
-        drawn = draw_figures(folder, chosen, scenario, results, histories)
-        typer.echo(f"figures: {drawn}")
+        flown = histories.flown()
+        drawn = write_figures(folder, chosen, scenario, results, flown, formats)
+        store_histories(folder, flown, digest_of(description))
+        if not quiet and not json:
+            typer.echo(f"figures: {drawn}")
+    write_summary(folder, summary)
+    write_page(folder, chosen.title, summary)
+    if json:
+        typer.echo(summary.as_json(), nl=False)
+    leave(summary.verdicts)

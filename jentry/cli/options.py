@@ -73,6 +73,52 @@ Fast = Annotated[
 ]
 
 
+StoredFolder = Annotated[Path, typer.Argument(help="Folder of a stored campaign.")]
+OwnMission = Annotated[
+    str | None,
+    typer.Option(
+        "--mission", help="File of the mission, FILE.py, if it is one of your own."
+    ),
+]
+Require = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="REQUIREMENT",
+        help="What the runs have to demonstrate, such as '|downrange_error| < 10 km, 99 % "
+        "at 90 %': at least 99 % of the flights, with a confidence of 90 %. May be "
+        "repeated. The exit code is 5 if one fails, 6 if the runs are not enough.",
+    ),
+]
+RequirementsFile = Annotated[
+    Path | None,
+    typer.Option(
+        exists=True,
+        dir_okay=False,
+        help="TOML file with a list of requirements, `require = \\[...]`.",
+    ),
+]
+Percentiles = Annotated[
+    str | None,
+    typer.Option(
+        help="Percentiles of every output, with commas, such as 50,99,99.87; 1, 5, 50, 95 "
+        "and 99 if not given."
+    ),
+]
+Formats = Annotated[
+    str,
+    typer.Option(
+        "--format", help="Of the figures: png, pdf, svg, or several, with commas."
+    ),
+]
+Json = Annotated[
+    bool, typer.Option("--json", help="Print the summary as JSON, and nothing else.")
+]
+Quiet = Annotated[
+    bool,
+    typer.Option("--quiet", help="Print nothing but errors: no table, no progress."),
+]
+
+
 class Over(enum.StrEnum):
     """What something is a function of, along a flight."""
 

@@ -134,7 +134,7 @@ def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overri
 
 
 def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
-    contents = _read_toml(path) if path is not None else {}
+    contents = read_toml(path) if path is not None else {}
     # What is said there of how the numbers came about is for the reader.
     contents.pop("tuned", None)
     contents.pop("optimized", None)
@@ -247,7 +247,7 @@ def read_inputs(path: Path) -> dict[str, np.ndarray]:
     return columns
 
 
-def _read_toml(path: Path) -> dict[str, Any]:
+def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:  # also of an integer of thousands of digits

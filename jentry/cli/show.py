@@ -28,7 +28,7 @@ def command(
     """
     set_up(workers=1)
     from .dispersions_report import print_dispersions, print_what_is_flown
-    from .report import print_leaves
+    from .mission_report import print_leaves
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
     print_leaves(scenario)

@@ -1,15 +1,21 @@
 """Tables on the terminal: columns and titles."""
 
 import sys
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from rich.console import Console
+from rich.measure import Measurement
 from rich.table import Table
+
+
+_LEAST_WIDTH = 130
+"""Of what is no terminal; a table that is wider has its own width there"""
 
 
 def new_console() -> Console:
     # A name with brackets or colons is not markup.
-    width = None if sys.stdout.isatty() else 130
+    width = None if sys.stdout.isatty() else _LEAST_WIDTH
     return Console(width=width, highlight=False, markup=False, emoji=False)
 
 
@@ -17,14 +23,51 @@ def new_table(*columns: str) -> Table:
     table = Table()
     table.add_column(columns[0], no_wrap=True)
     for column in columns[1:]:
-        table.add_column(column, justify="right")
+        # A number that is too long for its column goes on in the next line.
+        table.add_column(column, justify="right", overflow="fold")
     return table
 
 
 def print_under(console: Console, title: str, table: Table) -> None:
-    """A table under its title, which may be wider."""
+    """A table under its title, which may be wider. In a file nothing is folded."""
     console.print(title, style="bold", markup=False)
+    if not console.is_terminal:
+        endless = console.options.update(max_width=10**6)
+        needed = Measurement.get(console, endless, table).maximum
+        console.width = max(console.width, needed)
     console.print(table)
+
+
+def print_in_pieces(
+    console: Console,
+    title: str,
+    heads: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    repeated: int = 1,
+) -> None:
+    """A table under its title; on a terminal that is too narrow, as several.
+
+    Each of them has the first columns, as many as are `repeated`, and some of the others.
+    """
+    rows = list(rows)
+    widths = [
+        3 + max(map(len, (head, *(row[i] for row in rows))))
+        for i, head in enumerate(heads)
+    ]
+    first = list(range(repeated))
+    space = console.width - 1 - sum(widths[:repeated])
+    pieces: list[list[int]] = [[]]
+    for column in range(repeated, len(heads)):
+        used = sum(widths[i] for i in pieces[-1])
+        if console.is_terminal and pieces[-1] and used + widths[column] > space:
+            pieces.append([])
+        pieces[-1].append(column)
+    for piece in pieces:
+        table = new_table(*(heads[i] for i in first + piece))
+        for row in rows:
+            table.add_row(*(row[i] for i in first + piece))
+        print_under(console, title, table)
+        title = "the same, further columns"
 
 
 def in_digits(number: float, sign: str = "") -> str:

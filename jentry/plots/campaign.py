@@ -2,7 +2,7 @@
 
 import functools
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Optional
 
@@ -138,21 +138,45 @@ def campaign_figures(
     return {name: figure for name, figure in drawn.items() if figure is not None}
 
 
-def save_figures(
-    figures: Mapping[str, "matplotlib.figure.Figure"], folder: str | Path
-) -> list[Path]:
-    """Write each figure as `folder/<name>.png`, 150 dots per inch, and say where."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+FORMATS = "png", "pdf", "svg"
+"""Of files of figures"""
 
+
+def save_figures(
+    figures: Mapping[str, "matplotlib.figure.Figure"],
+    folder: str | Path,
+    formats: Sequence[str] = FORMATS[:1],
+) -> list[Path]:
+    """Write each figure as `folder/<name>.png`, 150 dots per inch, and say where.
+
+    With `formats` as pdf or svg as well, or in place of png. Raises `ValueError` for
+    another format.
+    """
+    for unknown in set(formats) - set(FORMATS):
+        raise ValueError(
+            f"the format of figures is {unknown!r}: choose from {', '.join(FORMATS)}"
+        )
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for name, figure in figures.items():
-        drawn = io.BytesIO()
-        with in_style():
+        for kind in formats:
+            paths.append(folder / f"{name}.{kind}")
+            write_whole(paths[-1], _drawn(figure, kind))
+    return paths
+
+
+def _drawn(figure: "matplotlib.figure.Figure", kind: str) -> bytes:
+    """The contents of a file of a figure: the same figure, the same bytes."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    drawn = io.BytesIO()
+    with in_style():
+        if kind == "png":
             # Where `savefig` draws twice, the first time for the layout alone.
             figure.set_dpi(150)
             FigureCanvasAgg(figure).print_png(drawn)
-        paths.append(folder / f"{name}.png")
-        write_whole(paths[-1], drawn.getvalue())
-    return paths
+        else:
+            date = {"CreationDate" if kind == "pdf" else "Date": None}
+            figure.savefig(drawn, format=kind, metadata=date)
+    return drawn.getvalue()

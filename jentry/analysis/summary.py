@@ -1,0 +1,273 @@
+"""What a campaign says: statistics with intervals, outcomes, limits, misses, acceptance."""
+
+import csv
+import dataclasses
+import io
+import json
+import math
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .._printed import in_words
+from ..campaign.outputs import at_end, is_error, is_output, shown, unit_size
+from ..campaign.populations import finite_flights
+from ..fields import units_of
+from ..flight.termination import Outcome
+from ..motion.state import EntryState
+from .acceptance import Requirement, Verdict, judged
+from .intervals import (
+    CONFIDENCE,
+    METHODS,
+    Interval,
+    moment_intervals,
+    percentile_interval,
+)
+from .miss_ellipse import MissEllipse, miss_ellipse
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+PERCENTILES = (1.0, 5.0, 50.0, 95.0, 99.0)
+
+RADII = (50.0, 90.0, 99.0)
+"""Percentages of the circular errors and of the ellipses"""
+
+_END_STATE = {at_end(name) for name in units_of(EntryState)}
+"""Its errors are told instead"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Statistics:
+    """Of one output of the finite flights; SI."""
+
+    name: str
+    magnitude: bool
+    """Whether they are of the magnitude of an error"""
+    unit: str
+    shown_unit: str
+    shown_size: float
+    """SI value of the unit in which people read it"""
+    minimum: float
+    maximum: float
+    mean: Interval
+    standard_deviation: Interval
+    percentiles: dict[float, Interval]
+
+    @property
+    def words(self) -> str:
+        """What people call it; the magnitude between bars."""
+        words = in_words(self.name)
+        return f"|{words}|" if self.magnitude else words
+
+    def plain(self) -> dict[str, Any]:
+        """As plain values, SI."""
+        return {
+            "quantity": f"|{self.name}|" if self.magnitude else self.name,
+            "unit": self.unit,
+            "minimum": self.minimum,
+            "maximum": self.maximum,
+            "mean": self.mean._asdict(),
+            "standard_deviation": self.standard_deviation._asdict(),
+            "percentiles": {
+                f"{p:g}": interval._asdict() for p, interval in self.percentiles.items()
+            },
+        }
+
+
+@dataclasses.dataclass(frozen=True)
+class Limit:
+    """How many flights exceed the limit of a path constraint."""
+
+    name: str
+    limit: float
+    unit: str
+    shown_unit: str | None
+    """In which the same number is shown, such as g"""
+    beyond: int
+
+
+@dataclasses.dataclass(frozen=True)
+class Summary:
+    """What a campaign says, of numbers alone: printed, written and drawn elsewhere."""
+
+    campaign: dict[str, Any]
+    """What was flown: mission, variant, seed and versions, as far as the results tell"""
+    runs: int
+    finite: int
+    """Flights that the statistics are of: with an end, and all outputs finite"""
+    outcomes: dict[Outcome, tuple[int, int]]
+    """How many ended so, and how many of these are left out of the statistics"""
+    limits: list[Limit]
+    caveats: dict[str, tuple[int, float]]
+    """Of the law: in how many of the runs, and the largest share in one"""
+    statistics: list[Statistics]
+    ellipse: MissEllipse | None
+    verdicts: list[Verdict]
+
+    def as_json(self) -> str:
+        """All of it, SI; what is not known is null."""
+        contents = {
+            "campaign": self.campaign,
+            "runs": self.runs,
+            "finite_flights": self.finite,
+            "outcomes": {
+                outcome.name.lower(): {"runs": runs, "left_out": left_out}
+                for outcome, (runs, left_out) in self.outcomes.items()
+            },
+            "limits": [dataclasses.asdict(limit) for limit in self.limits],
+            "caveats": {
+                name: {"flights": flights, "largest_share": share}
+                for name, (flights, share) in self.caveats.items()
+            },
+            "intervals": {"confidence": CONFIDENCE, **METHODS},
+            "statistics": [each.plain() for each in self.statistics],
+            "miss_ellipse": None if self.ellipse is None else self.ellipse.plain(),
+            "requirements": [verdict.plain() for verdict in self.verdicts],
+        }
+        return json.dumps(_without_nan(contents), indent=2, allow_nan=False) + "\n"
+
+    def as_csv(self) -> str:
+        """The statistics: a line for each of an output, with its interval, SI."""
+        written = io.StringIO()
+        table = csv.writer(written, lineterminator="\n")
+        table.writerow(("quantity", "unit", "statistic", "value", "lower", "upper"))
+        for each in self.statistics:
+            told = each.plain()
+            start = told["quantity"], told["unit"]
+            rows: list[tuple[str, Interval]] = [
+                ("minimum", Interval(each.minimum, np.nan, np.nan)),
+                ("maximum", Interval(each.maximum, np.nan, np.nan)),
+                ("mean", each.mean),
+                ("standard_deviation", each.standard_deviation),
+            ]
+            rows += [(f"percentile_{p:g}", x) for p, x in each.percentiles.items()]
+            for name, numbers in rows:
+                cells = ("" if math.isnan(x) else repr(float(x)) for x in numbers)
+                table.writerow((*start, name, *cells))
+        return written.getvalue()
+
+
+def summarize(
+    results: "xarray.Dataset",
+    percentiles: Sequence[float] = PERCENTILES,
+    requirements: Iterable[Requirement] = (),
+    *,
+    sequential: bool = False,
+) -> Summary:
+    """What the runs of a campaign say.
+
+    **Arguments:**
+
+    - `results`: as `open_campaign` gives them.
+    - `percentiles`: of each output, above 0 and below 100.
+    - `requirements`, `sequential`: as for `judged`.
+
+    **Raises:** `ValueError` for a percentile that is none, and for a requirement that
+    cannot be judged.
+
+        summary = summarize(open_campaign("results/mars-drag-tracking"))
+        print(summary.as_csv())
+    """
+    flown = finite_flights(results.drop_dims("time", errors="ignore"))
+    outcomes = results["outcome"].values
+    kept = np.isin(results["run"].values, flown["run"].values)
+    counts = {
+        Outcome(int(code)): (
+            int(np.sum(outcomes == code)),
+            int(np.sum((outcomes == code) & ~kept)),
+        )
+        for code in np.unique(outcomes)
+    }
+    return Summary(
+        campaign=_described(results),
+        runs=results.sizes["run"],
+        finite=flown.sizes["run"],
+        outcomes=counts,
+        limits=_limits(flown),
+        caveats={
+            str(name): (int(np.sum(shares > 0.0)), float(np.nanmax(shares)))
+            for name, shares in results.data_vars.items()
+            if shares.attrs.get("caveat") and np.any(shares > 0.0)
+        },
+        statistics=_statistics(flown, percentiles),
+        ellipse=miss_ellipse(flown, RADII),
+        verdicts=[judged(r, results, sequential=sequential) for r in requirements],
+    )
+
+
+def _described(results: "xarray.Dataset") -> dict[str, Any]:
+    """What stands in the results of how they were flown, without the scenario."""
+    described = json.loads(results.attrs.get("campaign", "{}"))
+    told = "mission", "variant", "seed", "solver", "xla_options", "dispersions"
+    return {name: described[name] for name in (*told, "versions") if name in described}
+
+
+def _limits(flown: "xarray.Dataset") -> list[Limit]:
+    return [
+        Limit(
+            str(name),
+            float(peaks.attrs["limit"]),
+            peaks.attrs["units"],
+            peaks.attrs.get("shown_units"),
+            int(np.sum(peaks.values > peaks.attrs["limit"])),
+        )
+        for name, peaks in flown.data_vars.items()
+        if "limit" in peaks.attrs and peaks.dims == ("run",)
+    ]
+
+
+def _statistics(
+    flown: "xarray.Dataset", percentiles: Sequence[float]
+) -> list[Statistics]:
+    if flown.sizes["run"] == 0:
+        return []
+    names = [name for name in map(str, flown.data_vars) if is_output(name)]
+    asked: list[tuple[str, bool]] = []
+    for name in names:
+        if name not in _END_STATE:
+            asked.append((name, False))
+            if is_error(name):
+                asked.append((name, True))
+    values = {
+        (name, magnitude): np.abs(flown[name].values)
+        if magnitude
+        else flown[name].values
+        for name, magnitude in asked
+    }
+    if not values:
+        return []
+    moments = moment_intervals(np.stack(list(values.values())).astype(float))
+    found = []
+    for (name, magnitude), (mean, deviation) in zip(asked, moments, strict=True):
+        ordered = np.sort(values[name, magnitude])
+        _, shown_unit = shown(flown[name])
+        found.append(
+            Statistics(
+                name=name,
+                magnitude=magnitude,
+                unit=flown[name].attrs.get("units", "1"),
+                shown_unit=shown_unit,
+                shown_size=unit_size(flown[name]),
+                minimum=float(ordered[0]),
+                maximum=float(ordered[-1]),
+                mean=mean,
+                standard_deviation=deviation,
+                percentiles={p: percentile_interval(ordered, p) for p in percentiles},
+            )
+        )
+    return found
+
+
+def _without_nan(value: Any) -> Any:
+    """Plain values in which a number that is not finite is None."""
+    if isinstance(value, dict):
+        return {key: _without_nan(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_nan(inner) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,82 @@
+"""What is written beside the runs of a campaign: summary, page, figures, acceptance."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .._files import write_whole
+from ..analysis.acceptance import Requirement
+from ..analysis.summary import Summary
+from ..campaign.errors import CampaignError
+from ..flight.scenario import Scenario
+from ..missions.mission import Mission
+from .figures import FIGURES, draw_figures
+from .html_page import html_page
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+JSON, CSV, PAGE = "summary.json", "summary.csv", "report.html"
+
+ACCEPTANCE = "until-decided.json"
+"""File that says that runs were added until requirements were decided"""
+
+
+def write_summary(folder: Path, summary: Summary) -> None:
+    """Write `summary.json` and `summary.csv`."""
+    write_whole(folder / JSON, summary.as_json().encode())
+    write_whole(folder / CSV, summary.as_csv().encode())
+
+
+def write_page(folder: Path, title: str, summary: Summary) -> Path:
+    """Write `report.html`, with the png files of the folder's figures in it."""
+    drawn = sorted((folder / FIGURES).glob("*.png"))
+    figures = {path.stem: path.read_bytes() for path in drawn}
+    write_whole(folder / PAGE, html_page(title, summary, figures).encode())
+    return folder / PAGE
+
+
+def write_figures(
+    folder: Path,
+    mission: Mission,
+    scenario: Scenario,
+    results: "xarray.Dataset",
+    flown: "xarray.Dataset | None",
+    formats: Sequence[str],
+) -> Path:
+    """Draw the figures, and remove those of another time that are not among them."""
+    # Always as png too, of which the page is made.
+    kinds = dict.fromkeys((*formats, "png"))
+    paths = draw_figures(folder, mission, scenario, results, flown, list(kinds))
+    for kind in kinds:
+        for old in (folder / FIGURES).glob(f"*.{kind}"):
+            if old not in paths:
+                old.unlink()
+    return folder / FIGURES
+
+
+def note_until_decided(folder: Path, requirements: Sequence[Requirement]) -> None:
+    """Keep in a campaign's folder what decided how many runs it has."""
+    contents = {"requirements": [requirement.text for requirement in requirements]}
+    write_whole(folder / ACCEPTANCE, (json.dumps(contents, indent=2) + "\n").encode())
+
+
+def decided_by(folder: Path) -> list[Requirement] | None:
+    """What decided how many runs a campaign has; None where nothing did.
+
+    Raises `CampaignError` for a file that cannot be read.
+    """
+    path = folder / ACCEPTANCE
+    if not path.exists():
+        return None
+    try:
+        contents: Any = json.loads(path.read_text(encoding="utf-8"))
+        return [Requirement.of(text) for text in contents["requirements"]]
+    except (ValueError, TypeError, KeyError) as error:
+        raise CampaignError(
+            f"{path} is not as it was written ({error}): run the campaign again with "
+            "--until-decided, which writes it again"
+        ) from None

@@ -1,0 +1,218 @@
+"""What the commands print of a campaign."""
+
+import numpy as np
+from rich.console import Console
+
+from .._printed import in_words
+from ..analysis.acceptance import Decision, Verdict
+from ..analysis.intervals import CONFIDENCE, Interval
+from ..analysis.miss_ellipse import MissEllipse
+from ..analysis.summary import Statistics, Summary, summarize
+from ..campaign.populations import population, sets_of
+from ..missions.mission import Mission
+from ..units import at_edge, degree, edge_unit
+from .tables import in_digits, new_console, new_table, print_in_pieces, print_under
+
+
+SETS = 16
+"""Of the size of the paper's, at least, beside a published value"""
+
+
+def print_campaign(
+    mission: Mission, results, as_published: bool, summary: Summary | None = None
+) -> None:
+    """A summary of the runs, and the published values beside ours.
+
+    These are shown where the campaign is as published and has enough sets of their size;
+    else it is said what they are of.
+    """
+    summary = summarize(results) if summary is None else summary
+    print_summary(mission.name, summary)
+    if not mission.published or summary.finite == 0:
+        return
+    console = new_console()
+    size = mission.published_runs
+    if not as_published:
+        console.print(
+            f"published values are of the variant {mission.published_variant} with the "
+            f"dispersions {mission.published_dispersions}, unchanged"
+        )
+    elif results.sizes["run"] < SETS * size:
+        console.print(
+            f"published values are of {size} runs, and other {size} have other "
+            f"statistics: --runs {SETS * size} compares them with {SETS} sets"
+        )
+    else:
+        _print_published(console, mission, results)
+
+
+def print_summary(name: str, summary: Summary) -> None:
+    """Outcomes, limits, statistics with their intervals, circular errors, acceptance."""
+    console = new_console()
+    _print_outcomes(console, summary)
+    _print_limits(console, summary)
+    for caveat, (flights, share) in summary.caveats.items():
+        console.print(
+            f"caveat: {flights} of {summary.runs} flights have {in_words(caveat)}, up to "
+            f"{share:.0%} in one flight"
+        )
+    if summary.statistics:
+        count = summary.finite
+        title = f"{name}: {count} finite flights, errors are actual minus desired"
+        _print_statistics(console, title, summary.statistics)
+        _print_intervals(console, summary.statistics)
+    if summary.ellipse is not None:
+        _print_ellipse(console, summary.ellipse)
+    if summary.verdicts:
+        _print_verdicts(console, summary.verdicts)
+
+
+def _print_outcomes(console: Console, summary: Summary) -> None:
+    """How many runs ended how, and how many of these are left out of the statistics."""
+    for outcome, (runs, left_out) in summary.outcomes.items():
+        line = f"{runs} of {summary.runs} runs {outcome.message}"
+        if left_out:
+            line += f"; {left_out} of them left out of the statistics"
+        console.print(line)
+
+
+def _print_limits(console: Console, summary: Summary) -> None:
+    """How many of the flights keep each path constraint below its limit."""
+    for limit in summary.limits:
+        number, unit = at_edge(limit.limit, limit.unit)
+        # The same number where it is shown by another name, such as g.
+        unit = limit.shown_unit or unit
+        words = f"the limit of the {in_words(limit.name)}, {float(number):g} {unit}"
+        console.print(f"{limit.beyond} of {summary.finite} flights exceed {words}")
+
+
+def _print_statistics(
+    console: Console, title: str, statistics: list[Statistics]
+) -> None:
+    percentiles = [f"{p:g} %" for p in statistics[0].percentiles]
+    heads = ("", "unit", "minimum", "maximum", "mean", "std", *percentiles)
+    rows = []
+    for each in statistics:
+        numbers = [each.minimum, each.maximum, each.mean.value]
+        numbers += [each.standard_deviation.value]
+        numbers += [interval.value for interval in each.percentiles.values()]
+        cells = (in_digits(number / each.shown_size) for number in numbers)
+        rows.append((each.words, each.shown_unit, *cells))
+    print_in_pieces(console, title, heads, rows, repeated=2)
+
+
+def _print_intervals(console: Console, statistics: list[Statistics]) -> None:
+    percentiles = [f"{p:g} %" for p in statistics[0].percentiles]
+    rows = []
+    for each in statistics:
+        intervals = each.mean, each.standard_deviation, *each.percentiles.values()
+        cells = (_between(interval, each.shown_size) for interval in intervals)
+        rows.append((each.words, each.shown_unit, *cells))
+    title = (
+        f"intervals of {CONFIDENCE:.0%}: mean and std by bootstrap, percentiles by order "
+        "statistics; - where the runs are too few"
+    )
+    heads = ("", "unit", "mean", "std", *percentiles)
+    print_in_pieces(console, title, heads, rows, repeated=2)
+
+
+def _between(interval: Interval, size: float) -> str:
+    if np.isnan(interval.lower) and np.isnan(interval.upper):
+        return "-"
+    return f"{in_digits(interval.lower / size)} … {in_digits(interval.upper / size)}"
+
+
+def _print_ellipse(console: Console, ellipse: MissEllipse) -> None:
+    table = new_table("", "unit", *(f"{p:g} %" for p in ellipse.radii))
+    lengths = [radius.value for radius in ellipse.radii.values()]
+    unit, size = edge_unit("m", lengths)
+    table.add_row(
+        "radius about the target", unit, *(in_digits(x / size) for x in lengths)
+    )
+    between = (_between(radius, size) for radius in ellipse.radii.values())
+    table.add_row(f"its interval of {CONFIDENCE:.0%}", unit, *between)
+    for words, axis in zip(("larger", "smaller"), ellipse.semi_axes, strict=True):
+        axes = (in_digits(ellipse.scale(p) * axis / size) for p in ellipse.radii)
+        table.add_row(f"{words} semi-axis of the ellipse", unit, *axes)
+    shares = (in_digits(100.0 * share) for share in ellipse.inside.values())
+    table.add_row("flights in the ellipse", "%", *shares)
+    title = (
+        "downrange and crossrange errors: circles about the target, and ellipses of the "
+        "normal distribution with the covariance of the flights"
+    )
+    print_under(console, title, table)
+    along, across = (in_digits(x / size) for x in ellipse.mean)
+    console.print(
+        f"centre of the ellipses: {along} {unit} downrange, {across} {unit} crossrange; "
+        f"larger axis {in_digits(ellipse.angle / degree)} deg from downrange to the right"
+    )
+
+
+def _print_verdicts(console: Console, verdicts: list[Verdict]) -> None:
+    heads = ("requirement", "decision", "runs", "failures", "probability of failure")
+    table = new_table(*heads)
+    for verdict in verdicts:
+        table.add_row(
+            verdict.requirement.text,
+            verdict.decision.value,
+            str(verdict.runs),
+            str(verdict.failures),
+            f"< {verdict.bound:.3g}",
+        )
+    how = (
+        "sequential, at whatever number of runs one looks"
+        if verdicts[0].sequential
+        else "by order statistics, for a number of runs that was chosen beforehand"
+    )
+    print_under(console, f"acceptance, {how}", table)
+    for verdict in verdicts:
+        requirement = verdict.requirement
+        if verdict.without_end:
+            console.print(
+                f"{requirement.text}: {verdict.without_end} of the failures are runs "
+                "without an end or without a finite value"
+            )
+        if requirement.caution:
+            console.print(f"{requirement.text}: {requirement.caution}")
+        if verdict.decision is Decision.NOT_ENOUGH_RUNS:
+            console.print(f"{requirement.text}: {_more(verdict)}")
+
+
+def _more(verdict: Verdict) -> str:
+    """How many more runs it takes."""
+    if verdict.more_runs is None:
+        return "no number of runs that can be told would pass"
+    line = f"passes with {verdict.more_runs} more runs if none of them fails"
+    if verdict.failures:
+        at_rate = verdict.more_runs_at_this_rate
+        line += (
+            "; at this rate of failures never"
+            if at_rate is None
+            else f", with {at_rate} more at this rate of failures"
+        )
+    return line
+
+
+def _print_published(console: Console, mission: Mission, results) -> None:
+    size = mission.published_runs
+    sets = sets_of(results, size)
+    columns = "published", "mean of sets", "std of a set", "deviations", "sets below"
+    table = new_table("", "unit", *columns)
+    for published in mission.published:
+        ours = population(published.statistic, sets)
+        deviations = ours.deviations(published.value)
+        table.add_row(
+            published.name,
+            published.unit,
+            in_digits(published.value),
+            in_digits(ours.mean),
+            in_digits(ours.spread),
+            "-" if np.isnan(deviations) else f"{deviations:+.1f}",
+            f"{ours.below(published.value)} of {len(sets)}",
+        )
+    title = f"{len(sets)} sets of {size} runs against {mission.published_note}"
+    print_under(console, title, table)
+    console.print(
+        "deviations: how many of the standard deviations of a set the published value "
+        "lies above the mean of the sets"
+    )

@@ -1,0 +1,101 @@
+"""What the commands print of missions, of their scenarios and of one flight."""
+
+from collections.abc import Iterable
+
+from rich.table import Table
+
+from .._printed import in_words
+from ..addresses import field_metadata, leaves_by_address, unit_of
+from ..campaign.outputs import error_of, peak_of
+from ..fields import units_of
+from ..flight.closed_loop import Instant
+from ..flight.effect import unfelt
+from ..flight.flight import Flight, caveat_sentence
+from ..flight.miss import Misses, misses
+from ..flight.scenario import Scenario, allowed
+from ..flight.termination import Outcome, has_end
+from ..missions.mission import Mission
+from ..motion.constraints import AbstractPathConstraint
+from ..motion.state import EntryState
+from ..units import at_edge
+from .tables import new_console, new_table, print_under
+
+
+def print_missions(missions: Iterable[Mission]) -> None:
+    """Name, title, source, variants and dispersions of each."""
+    console = new_console()
+    for mission in missions:
+        console.print(mission.name, style="bold", end="")
+        console.print(f": {mission.title}")
+        if mission.source:
+            console.print(f"  source       {mission.source}")
+        console.print(f"  variants     {', '.join(mission.variants)}")
+        console.print(f"  dispersions  {', '.join(mission.dispersions)}")
+
+
+def print_leaves(scenario: Scenario) -> None:
+    """Address, value and unit of every leaf, and which of them have no effect."""
+    table = new_table("address", "value", "unit", "allowed")
+    for address, leaf in leaves_by_address(scenario).items():
+        shape = " x ".join(str(n) for n in leaf.shape)
+        value = f"{float(leaf):.10g}" if leaf.shape == () else f"table of {shape}"
+        described = field_metadata(scenario, address)
+        table.add_row(address, value, unit_of(scenario, address), allowed(described))
+    console = new_console()
+    console.width = max(console.width, 100)
+    print_under(console, "scenario", table)
+    idle = unfelt(scenario)
+    if idle:
+        console.print(f"without effect in this scenario: {', '.join(idle)}")
+
+
+def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
+    """Outcome, final state, misses and peaks of one flight."""
+    outcome = Outcome(int(flight.outcome))
+    # Of a flight that stopped elsewhere no condition was met.
+    met = has_end(outcome) or outcome == Outcome.BEGAN_BEYOND_END
+    ended_by = scenario.termination.names[int(flight.ended_by)]
+    table = new_table("", "value", "unit")
+    table.add_row("time", f"{float(flight.time):.4f}", units_of(Flight)["time"])
+    table.add_section()
+    for name, unit in units_of(EntryState).items():
+        _add_number(table, in_words(name), getattr(flight.state, name), unit)
+    table.add_section()
+    missed = misses(scenario, flight)
+    for name, unit in units_of(Misses).items():
+        value = getattr(missed, name)
+        if value is not None:
+            _add_number(table, in_words(error_of(name)), value, unit)
+    table.add_section()
+    for name, peak in flight.peaks.items():
+        _add_peak(table, name, scenario.constraints[name], peak)
+    for name, there in flight.at_peaks.items():
+        table.add_section()
+        words = f"at {in_words(peak_of(name))}"
+        unit = units_of(Instant)["time"]
+        table.add_row(f"time {words}", f"{float(there.time):.4f}", unit)
+        for component, unit in units_of(EntryState).items():
+            value = getattr(there.state, component)
+            _add_number(table, f"{in_words(component)} {words}", value, unit)
+    title = f"{mission.name}: {outcome.message}" + (f" ({ended_by})" if met else "")
+    console = new_console()
+    print_under(console, title, table)
+    for name, share in flight.caveats.items():
+        if share > 0.0:
+            console.print(f"caveat: {caveat_sentence(name, share)}")
+
+
+def _add_number(table: Table, words: str, value, unit: str) -> None:
+    number, shown_unit = at_edge(value, unit)
+    table.add_row(words, f"{float(number):z.6f}", shown_unit)
+
+
+def _add_peak(
+    table: Table, name: str, constraint: AbstractPathConstraint, peak
+) -> None:
+    """A row with the peak, and one with the limit where there is one."""
+    words = in_words(peak_of(name))
+    unit = constraint.shown_unit or constraint.unit
+    _add_number(table, words, peak, unit)
+    if constraint.limit is not None:
+        _add_number(table, f"limit of the {words}", constraint.limit, unit)

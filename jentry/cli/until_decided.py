@@ -1,0 +1,39 @@
+"""How many runs are flown before one looks again whether requirements are decided."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from ..analysis.acceptance import Decision, Requirement, judged
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+_GROWTH = 2.0
+"""Times as many runs, at most, at the next look"""
+
+
+def further_runs(
+    requirements: Sequence[Requirement], results: "xarray.Dataset", most: int
+) -> int:
+    """Runs to fly before the next look; 0 where all is decided or there are enough.
+
+    As many as the nearest decision takes at the rate of failures so far, at most as many
+    as there are. The sequential test allows looks at any time.
+
+    **Arguments:**
+
+    - `most`: runs in all.
+    """
+    runs = results.sizes["run"]
+    verdicts = [judged(r, results, sequential=True) for r in requirements]
+    if any(verdict.decision is Decision.FAILS for verdict in verdicts):
+        return 0
+    open_ = [v for v in verdicts if v.decision is Decision.NOT_ENOUGH_RUNS]
+    if not open_ or runs >= most:
+        return 0
+    growth = math.ceil((_GROWTH - 1.0) * runs)
+    told = (v.more_runs_at_this_rate or v.more_runs or growth for v in open_)
+    return min(max(1, min(growth, *told)), most - runs)

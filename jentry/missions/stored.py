@@ -1,0 +1,134 @@
+"""What a stored campaign flew, as objects again: mission, scenario, solver."""
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ..addresses import leaves_by_address, replace_leaves
+from ..campaign.description import describe, first_difference, leaf_of
+from ..campaign.errors import CampaignError
+from ..flight.scenario import Scenario
+from ..flight.solver import FixedStep
+from . import find_mission
+from .mission import Mission
+
+
+_FIXED_STEP = re.compile(r"FixedStep\((?:step=(?P<step>[^,()]+))?\)")
+_ANOTHER = "it was flown by another jentry, or changed by more than numbers"
+
+
+def stored_mission(
+    description: Mapping[str, Any], file: str | Path | None = None
+) -> Mission:
+    """The mission of a stored campaign.
+
+    **Arguments:**
+
+    - `description`: that of the campaign, as `read_manifest` gives it.
+    - `file`: of a mission of one's own, which a description names without its place.
+
+    **Raises:** `CampaignError` for a campaign of no mission, of another mission than that
+    of the file, and of a file that has changed since; `ValueError` as `find_mission`.
+    """
+    name = description.get("mission")
+    if name is None:
+        raise CampaignError("the campaign was flown in Python, and names no mission")
+    if file is None and description.get("code"):
+        try:
+            mission = find_mission(name)
+        except ValueError:
+            raise CampaignError(
+                f"the campaign is of {name}, a mission of your own: give its file, "
+                "--mission FILE.py"
+            ) from None
+    else:
+        mission = find_mission(name if file is None else file)
+    if mission.name != name:
+        raise CampaignError(f"the campaign is of {name}, and {file} is {mission.name}")
+    if dict(mission.code) != description.get("code", {}):
+        changed = first_difference(description.get("code", {}), dict(mission.code))
+        raise CampaignError(
+            f"the files of {name} are not those that the campaign was flown with: "
+            f"{changed}"
+        )
+    return mission
+
+
+def stored_scenario(description: Mapping[str, Any], mission: Mission) -> Scenario:
+    """The nominal scenario that a campaign has flown, to the last bit of every number.
+
+    **Raises:** `CampaignError` where the mission's variant has another structure than
+    what was flown.
+    """
+    told = description.get("variant")
+    variant = told if told in mission.variants else None
+    if told is not None and variant is None:
+        raise CampaignError(
+            f"the campaign is of the variant {told}, which {mission.name} does not have: "
+            f"{_ANOTHER}"
+        )
+    scenario = mission.scenario(variant)
+    stored = {a: leaf["value"] for a, leaf in description["scenario"].items()}
+    ours = {address: None for address in leaves_by_address(scenario)}
+    missing = first_difference(dict.fromkeys(stored), ours)
+    if missing is not None:
+        raise CampaignError(f"the scenario cannot be made again, {missing}: {_ANOTHER}")
+    try:
+        scenario = replace_leaves(scenario, {a: leaf_of(x) for a, x in stored.items()})
+    except ValueError as error:
+        raise CampaignError(f"the scenario cannot be made again: {error}") from None
+    again = _described(scenario)
+    for part in ("structure", "scenario"):
+        difference = first_difference(description[part], again[part], part)
+        if difference is not None:
+            raise CampaignError(
+                f"the scenario cannot be made again, {difference}: {_ANOTHER}"
+            )
+    return scenario
+
+
+def stored_solver(description: Mapping[str, Any]) -> FixedStep:
+    """The solver of a campaign that the command line has flown.
+
+    Raises `CampaignError` for another one than `FixedStep` with its own method.
+    """
+    found = _FIXED_STEP.fullmatch(description["solver"])
+    if found is None:
+        raise CampaignError(
+            f"the campaign was flown with {description['solver']}, which cannot be made "
+            "again from its name: fly it in Python"
+        )
+    return FixedStep(None if found["step"] is None else float(found["step"]))
+
+
+def is_as_published(description: Mapping[str, Any], mission: Mission) -> bool:
+    """Whether a campaign flew what the mission's published values are of.
+
+    That is the published variant with all of its numbers, and the published dispersions.
+    """
+    if (
+        not mission.published
+        or description["inputs"]
+        or description.get("variant") != mission.published_variant
+    ):
+        return False
+    table = mission.dispersion_table(mission.published_dispersions)
+    ours = describe(
+        mission.scenario(mission.published_variant), table, 0, FixedStep(), None
+    )
+    parts = "structure", "scenario", "dispersions"
+    return all(
+        first_difference(description[part], _as_read(ours[part])) is None
+        for part in parts
+    )
+
+
+def _described(scenario: Scenario) -> dict[str, Any]:
+    return _as_read(describe(scenario, None, 0, FixedStep(), None))
+
+
+def _as_read(described: Any) -> Any:
+    """Plain values as they come back from a file: tuples are lists."""
+    return json.loads(json.dumps(described))
