@@ -303,7 +303,9 @@ class _FixedTest:
     By the incomplete beta function, which goes on between whole numbers of failures.
     """
 
-    def passes(self, failures: float, runs: int, allowed: float, risk: float) -> bool:
+    def passes(
+        self, failures: int | float, runs: int, allowed: float, risk: float
+    ) -> bool:
         from scipy.special import betaincc
 
         if failures >= runs:
@@ -311,7 +313,9 @@ class _FixedTest:
         at_most = betaincc(failures + 1.0, runs - failures, allowed)
         return bool(at_most <= risk)
 
-    def fails(self, failures: float, runs: int, allowed: float, risk: float) -> bool:
+    def fails(
+        self, failures: int | float, runs: int, allowed: float, risk: float
+    ) -> bool:
         from scipy.special import betainc
 
         if failures == 0:
@@ -337,10 +341,14 @@ class _SequentialTest:
     looks (J. Ville, 1939; H. Robbins, Annals of Mathematical Statistics 41(5), 1970).
     """
 
-    def passes(self, failures: float, runs: int, allowed: float, risk: float) -> bool:
+    def passes(
+        self, failures: int | float, runs: int, allowed: float, risk: float
+    ) -> bool:
         return self._evidence(failures, runs, allowed, below=True) >= -math.log(risk)
 
-    def fails(self, failures: float, runs: int, allowed: float, risk: float) -> bool:
+    def fails(
+        self, failures: int | float, runs: int, allowed: float, risk: float
+    ) -> bool:
         return self._evidence(failures, runs, allowed, below=False) >= -math.log(risk)
 
     def bound(self, failures: int, runs: int, risk: float) -> float:
@@ -354,7 +362,7 @@ class _SequentialTest:
         return high
 
     def _evidence(
-        self, failures: float, runs: int, allowed: float, below: bool
+        self, failures: int | float, runs: int, allowed: float, below: bool
     ) -> float:
         """Logarithm of the averaged likelihood over that of the allowed probability."""
         from scipy.special import betainc, betaincc, betaln
