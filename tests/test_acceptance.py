@@ -77,11 +77,11 @@ def test_the_number_of_runs_decides():
     assert (verdict.more_runs, verdict.more_runs_at_this_rate) == (1, 1)
     verdict = judged(require(), failing(1, 229))
     assert verdict.more_runs == 388 - 229
-    # At a failure in 229, between 667 runs, of which 3 may fail, and 798, of which 4 may.
+    # At a failure in 229, between 531 runs, of which 2 may fail, and 667, of which 3 may.
     more = np.arange(1, 1000)
     k, n = (229 + more) / 229, 229 + more
     first = more[np.argmax(stats.beta.sf(0.01, k + 1, n - k) <= 0.1)]
-    assert verdict.more_runs_at_this_rate == first and 667 < 229 + first < 798
+    assert verdict.more_runs_at_this_rate == first and 531 < 229 + first < 667
     passed = judged(require(), failing(0, 300))
     assert passed.more_runs is passed.more_runs_at_this_rate is None
 

@@ -64,11 +64,10 @@ class MissEllipse:
             "angle": self.angle,
             "radii": {f"{p:g}": r._asdict() for p, r in self.radii.items()},
             "share_inside": {f"{p:g}": share for p, share in self.inside.items()},
-            "units": {"lengths": "m", "angle": "rad", "share_inside": "1"},
         }
 
 
-def miss_ellipse(
+def ellipse_of(
     flown: "xarray.Dataset", percentages: tuple[float, ...]
 ) -> MissEllipse | None:
     """The ellipse and the circular errors of finite flights.

@@ -1,7 +1,7 @@
 """Exact derivatives of what a flight gives, with respect to any of its numbers."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import jax
@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from .._programs import kept
 from .._setup import needs_float64
-from ..addresses import addresses_of, leaves_by_address
+from ..addresses import addresses_of, leaves_by_address, require_address
 from ..campaign.campaign import fly_run
 from ..flight.miss import misses
 from ..flight.scenario import Scenario, checked, require_effect, without_effect
@@ -43,6 +43,7 @@ def sensitivity(
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
     mode: str | None = None,
+    inputs: Mapping[str, Any] | None = None,
 ) -> Sensitivity:
     """Jacobian of flight outputs with respect to leaves of the scenario.
 
@@ -61,6 +62,8 @@ def sensitivity(
     - `wrt`: lens to the leaves, of any shape; the initial state if not given.
     - `history`: interval (s) of the flight's history, if the outputs look at it.
     - `mode`: "forward" or "reverse"; by the number of leaves if not given.
+    - `inputs`: in place of `wrt`, values of leaves by address, such as those of one run of
+      a campaign: the derivatives are with respect to these, at these.
 
     **Raises:** `ValueError` for a lens that reaches no leaf, a leaf without effect, and a
     flight or a derivative that is not finite.
@@ -72,7 +75,16 @@ def sensitivity(
     if mode not in (None, "forward", "reverse"):
         raise ValueError(f'mode is {mode!r}: it must be "forward" or "reverse"')
     known = leaves_by_address(scenario)
-    if wrt is None:
+    if inputs is not None:
+        if wrt is not None:
+            raise ValueError("give wrt or inputs, not both")
+        if not inputs:
+            raise ValueError("the inputs are empty: give values by address")
+        addresses = list(inputs)
+        for address in addresses:
+            require_address(known, address)
+        known = {a: jnp.asarray(x, dtype=known[a].dtype) for a, x in inputs.items()}
+    elif wrt is None:
         entry = addresses_of(scenario, lambda s: s.initial_state)
         addresses = [a for a in entry if a not in without_effect(scenario)]
     else:

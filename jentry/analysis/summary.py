@@ -24,7 +24,7 @@ from .intervals import (
     moment_intervals,
     percentile_interval,
 )
-from .miss_ellipse import MissEllipse, miss_ellipse
+from .miss_ellipse import MissEllipse, ellipse_of
 
 
 if TYPE_CHECKING:
@@ -194,7 +194,7 @@ def summarize(
             if shares.attrs.get("caveat") and np.any(shares > 0.0)
         },
         statistics=_statistics(flown, percentiles),
-        ellipse=miss_ellipse(flown, RADII),
+        ellipse=ellipse_of(flown, RADII),
         verdicts=[judged(r, results, sequential=sequential) for r in requirements],
     )
 

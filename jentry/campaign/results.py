@@ -1,5 +1,6 @@
 """Flown runs as an `xarray.Dataset`, with units and long names."""
 
+import dataclasses
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -10,7 +11,7 @@ from ..addresses import unit_of
 from ..fields import Scalar, units_of
 from ..flight.closed_loop import Instant
 from ..flight.flight import Flight, History
-from ..flight.miss import Misses
+from ..flight.miss import Misses, misses
 from ..flight.scenario import Scenario
 from ..flight.termination import Outcome
 from ..motion.constraints import AbstractPathConstraint
@@ -35,6 +36,31 @@ def _of(constraint: AbstractPathConstraint) -> dict[str, Any]:
     limit, shown = constraint.limit, constraint.shown_unit
     found = {} if limit is None else {"limit": float(limit)}
     return found if shown is None else found | {"shown_units": shown}
+
+
+@dataclasses.dataclass(frozen=True)
+class OutputNamed:
+    """One output of a flight by the name that it has in results: `downrange_error`.
+
+    A function of the scenario that the misses are counted from, and of the flight.
+    """
+
+    name: str
+
+    def __call__(self, scenario: Scenario, flight: Flight) -> Scalar:
+        outputs = {at_end("time"): flight.time}
+        for component in units_of(EntryState):
+            outputs[at_end(component)] = getattr(flight.state, component)
+        for constraint, peak in flight.peaks.items():
+            outputs[peak_of(constraint)] = peak
+        if self.name in outputs:
+            return outputs[self.name]
+        # A miss distance may have no derivative: it is not computed for the others.
+        missed = misses(scenario, flight)
+        for miss in units_of(Misses):
+            if error_of(miss) == self.name:
+                return getattr(missed, miss)
+        raise ValueError(f"no output {self.name} of one flight has a derivative")
 
 
 def dataset(

@@ -12,7 +12,7 @@ from ..campaign.errors import CampaignError
 from ..flight.scenario import Scenario
 from ..missions.mission import Mission
 from .figures import FIGURES, draw_figures
-from .html_page import html_page
+from .html_page import page_of
 
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def write_page(folder: Path, title: str, summary: Summary) -> Path:
     """Write `report.html`, with the png files of the folder's figures in it."""
     drawn = sorted((folder / FIGURES).glob("*.png"))
     figures = {path.stem: path.read_bytes() for path in drawn}
-    write_whole(folder / PAGE, html_page(title, summary, figures).encode())
+    write_whole(folder / PAGE, page_of(title, summary, figures).encode())
     return folder / PAGE
 
 

@@ -9,6 +9,7 @@ from .._warnings import ResultWarning
 from . import (
     fly as fly,
     footprint as footprint,
+    inspect_runs as inspect_runs,
     linearize as linearize,
     list_missions as list_missions,
     monte_carlo as monte_carlo,

@@ -187,7 +187,7 @@ def stored_histories(folder: Path, campaign: str) -> "xarray.Dataset | None":
     return flown
 
 
-def _interval(law: AbstractLaw) -> float:
+def interval_of(law: AbstractLaw) -> float:
     """At which a history can be kept, s: about `_INTERVAL`, in step with the cycle."""
     if not isinstance(law, AbstractSampledLaw):
         return _INTERVAL
@@ -200,7 +200,7 @@ def _interval(law: AbstractLaw) -> float:
 
 
 def _fly(scenario: Scenario, inputs, solver: AbstractSolver):
-    interval = _interval(scenario.guidance)
+    interval = interval_of(scenario.guidance)
     campaign = monte_carlo(
         scenario,
         runs=len(next(iter(inputs.values()))),

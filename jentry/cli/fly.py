@@ -31,6 +31,13 @@ def command(
         Path | None,
         typer.Option(help="Result file (netCDF) to write, with the history."),
     ] = None,
+    figure: Annotated[
+        Path | None,
+        typer.Option(
+            help="File to draw the flight into: its path, controls, limits and track. "
+            "FILE.png, .pdf or .svg."
+        ),
+    ] = None,
 ) -> None:
     """Fly a mission once, without dispersions."""
     set_up(workers=1)
@@ -39,9 +46,14 @@ def command(
     from ..campaign.store import write_flight
     from ..flight.flight import fly
     from ..flight.solver import FixedStep
+    from ..plots.campaign import FORMATS, save_figures
     from .mission_report import print_flight
 
-    if out is not None and history is None:
+    if figure is not None and figure.suffix[1:] not in FORMATS:
+        raise ValueError(
+            f"--figure is {figure}: give a file that ends in .{', .'.join(FORMATS)}"
+        )
+    if (out is not None or figure is not None) and history is None:
         history = 1.0
     chosen, scenario, _ = chosen_scenario(mission, variant, config, set_)
     solver = FixedStep(step)
@@ -50,3 +62,9 @@ def command(
     if out is not None:
         write_flight(out, scenario, flight, solver, history, **chosen.labels)
         typer.echo(f"written: {out}")
+    if figure is not None:
+        from ..plots.one_flight import draw_flight
+
+        drawn = draw_flight(scenario, flight, chosen.title)
+        save_figures({figure.stem: drawn}, figure.parent, [figure.suffix[1:]])
+        typer.echo(f"figure: {figure}")

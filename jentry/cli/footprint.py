@@ -59,7 +59,7 @@ def command(
     from ..planning.landing_footprint import footprint
     from .optimization_options import problem_asked
     from .optimization_report import print_footprint, write_footprint
-    from .progress import progress
+    from .progress import reported
 
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
     name = first_given(variant, overrides.variant, *chosen.variants)
@@ -80,7 +80,7 @@ def command(
         index=None if over is None else index_named(over, origin),
         history=every,
     )
-    with progress(directions + 4) as told:
+    with reported(directions + 4) as told:
         found = footprint(scenario, asked, directions, FixedStep(step), told)
     print_footprint(chosen, name, found)
     folder = Path("results") / f"{chosen.name}-footprint" if out is None else out

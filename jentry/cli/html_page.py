@@ -31,7 +31,7 @@ figcaption, .note { color: #6e6e6e; font-size: 0.86rem; }
 """
 
 
-def html_page(title: str, summary: Summary, figures: Mapping[str, bytes]) -> str:
+def page_of(title: str, summary: Summary, figures: Mapping[str, bytes]) -> str:
     """The page.
 
     **Arguments:**

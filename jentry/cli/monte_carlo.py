@@ -109,7 +109,7 @@ def command(
     from .dispersions_report import print_what_is_flown
     from .figures import histories_of, store_histories
     from .overrides import read_inputs
-    from .progress import progress
+    from .progress import reported
     from .report_choices import (
         chosen_formats,
         chosen_percentiles,
@@ -146,7 +146,7 @@ def command(
     resumed = rounding_off("the same command resumes")
     with (
         resumed as look,
-        progress(most_runs if until_decided else runs, quiet) as told,
+        reported(most_runs if until_decided else runs, quiet) as told,
         histories,
     ):
 

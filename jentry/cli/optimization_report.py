@@ -18,8 +18,8 @@ from ..planning.flight_problem import AtEnd, FlightProblem, Peak
 from ..planning.landing_footprint import Footprint
 from ..planning.optimization import Optimized
 from ..plots import save_figures
-from ..plots.best_flight import draw_best_flight
 from ..plots.footprint import draw_footprint
+from ..plots.one_flight import draw_flight
 from ..tuning.saving import with_unit
 from ..units import at_edge, km
 from .free_controls_table import table_of
@@ -151,7 +151,7 @@ def write_optimized(
     )
     words, _ = _described(problem, best)
     aim = "largest" if problem.largest else "smallest"
-    figure = draw_best_flight(best, f"{mission.title}: {aim} {words}")
+    figure = draw_flight(best.scenario, best.flight, f"{mission.title}: {aim} {words}")
     save_figures({"best-flight": figure}, folder / "figures")
     return [configuration, history, folder / "figures" / "best-flight.png"]
 

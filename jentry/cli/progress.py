@@ -30,7 +30,7 @@ class _Rate(ProgressColumn):
 
 
 @contextlib.contextmanager
-def progress(runs: int, quiet: bool = False) -> Iterator[Callable[[int], None]]:
+def reported(runs: int, quiet: bool = False) -> Iterator[Callable[[int], None]]:
     """A bar with rate and time left on a terminal; in a file a line every ten seconds.
 
     Gives the function to report the number of stored runs to.

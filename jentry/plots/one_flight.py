@@ -1,4 +1,4 @@
-"""The best flight that was found: its path, its controls and the limits that it keeps."""
+"""One flight: its path, its controls, how near it comes to its limits, its track."""
 
 import itertools
 from typing import TYPE_CHECKING
@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._printed import in_words
-from ..flight.flight import History
-from ..planning.optimization import Optimized
+from ..flight.flight import Flight, History
+from ..flight.scenario import Scenario
 from ..units import degree, km
 from .style import ENDS, MUTED, NOMINAL, RUNS, in_style, legend, panelled
 
@@ -17,32 +17,37 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
 
-def draw_best_flight(best: Optimized, title: str = "") -> "matplotlib.figure.Figure":
+def draw_flight(
+    scenario: Scenario, flight: Flight, title: str = ""
+) -> "matplotlib.figure.Figure":
     """Altitude over velocity, the controls and what has a limit over time, the track.
+
+    What the attitude lags behind is drawn as well: the commanded bank and angle of attack.
 
     **Raises:** `ValueError` for a flight without a history.
     """
-    history = best.flight.history
+    history = flight.history
     if history is None:
         raise ValueError(
-            "the flight has no history to draw: optimize(..., history=5.0) keeps one"
+            "the flight has no history to draw: keep one, fly(..., history=1.0)"
         )
-    limited = {
-        name: constraint
-        for name, constraint in best.scenario.constraints.items()
-        if constraint.limit is not None and float(constraint.limit) > 0.0
-    }
     draw = [_path, _controls]
-    if limited:
+    if _limited(scenario):
         draw.append(_limits)
-    if best.scenario.dynamics.has_crossrange:
+    if scenario.dynamics.has_crossrange:
         draw.append(_track)
     with in_style():
         figure, panels = panelled(4.3 * len(draw), 3.9, len(draw), title)
         for axes, panel in zip(panels, draw, strict=True):
-            panel(axes, best, history)
+            panel(axes, scenario, flight, history)
             legend(axes)
     return figure
+
+
+def _limited(scenario: Scenario) -> dict[str, float]:
+    """Limits of the path constraints that have one to count in."""
+    limits = {name: each.limit for name, each in scenario.constraints.items()}
+    return {n: float(x) for n, x in limits.items() if x is not None and float(x) > 0.0}
 
 
 def _flown(history: History, values, end=None) -> np.ndarray:
@@ -51,8 +56,10 @@ def _flown(history: History, values, end=None) -> np.ndarray:
     return flown if end is None else np.append(flown, np.asarray(end))
 
 
-def _path(axes: "matplotlib.axes.Axes", best: Optimized, history: History) -> None:
-    states, end = history.states, best.flight.state
+def _path(
+    axes: "matplotlib.axes.Axes", scenario: Scenario, flight: Flight, history: History
+) -> None:
+    states, end = history.states, flight.state
     velocity = _flown(history, states.velocity, end.velocity)
     altitude = _flown(history, states.altitude, end.altitude)
     axes.plot(velocity, altitude / km, color=RUNS)
@@ -63,26 +70,32 @@ def _path(axes: "matplotlib.axes.Axes", best: Optimized, history: History) -> No
     axes.set_title("time →", loc="right", color=MUTED)
 
 
-def _controls(axes: "matplotlib.axes.Axes", best: Optimized, history: History) -> None:
+def _controls(
+    axes: "matplotlib.axes.Axes", scenario: Scenario, flight: Flight, history: History
+) -> None:
     time = _flown(history, history.time)
-    flown = history.controls
-    bank = np.arctan2(np.asarray(flown.sin_bank), np.asarray(flown.cos_bank))
-    for name, values, colour in (
-        ("bank", bank, ENDS[0]),
-        ("angle of attack", flown.angle_of_attack, ENDS[1]),
-    ):
-        axes.plot(time, _flown(history, values) / degree, color=colour, label=name)
+    lines = [("", history.controls, "-")]
+    if history.commands is not None:
+        lines.insert(0, ("commanded ", history.commands, ":"))
+    for kind, controls, style in lines:
+        bank = np.arctan2(np.asarray(controls.sin_bank), np.asarray(controls.cos_bank))
+        for name, values, colour in (
+            ("bank", bank, ENDS[0]),
+            ("angle of attack", controls.angle_of_attack, ENDS[1]),
+        ):
+            angle = _flown(history, values) / degree
+            axes.plot(time, angle, color=colour, ls=style, lw=1.3, label=kind + name)
     axes.set_xlabel("Time (s)")
     axes.set_ylabel("Controls (deg)")
 
 
-def _limits(axes: "matplotlib.axes.Axes", best: Optimized, history: History) -> None:
+def _limits(
+    axes: "matplotlib.axes.Axes", scenario: Scenario, flight: Flight, history: History
+) -> None:
     time = _flown(history, history.time)
     colours = itertools.cycle(ENDS)
-    for name, constraint in best.scenario.constraints.items():
-        if constraint.limit is None or float(constraint.limit) <= 0.0:
-            continue
-        share = _flown(history, history.constraints[name]) / float(constraint.limit)
+    for name, limit in _limited(scenario).items():
+        share = _flown(history, history.constraints[name]) / limit
         axes.plot(time, share, color=next(colours), label=in_words(name))
     axes.axhline(1.0, color=NOMINAL, lw=1.0, ls=(0, (5, 3)))
     axes.set_xlabel("Time (s)")
@@ -90,8 +103,10 @@ def _limits(axes: "matplotlib.axes.Axes", best: Optimized, history: History) -> 
     axes.set_ylim(bottom=0.0)
 
 
-def _track(axes: "matplotlib.axes.Axes", best: Optimized, history: History) -> None:
-    states, end = history.states, best.flight.state
+def _track(
+    axes: "matplotlib.axes.Axes", scenario: Scenario, flight: Flight, history: History
+) -> None:
+    states, end = history.states, flight.state
     longitude = _flown(history, states.longitude, end.longitude) / degree
     latitude = _flown(history, states.latitude, end.latitude) / degree
     axes.plot(longitude, latitude, color=RUNS)

@@ -1,0 +1,136 @@
+"""The worst runs of a campaign by one output, and which inputs drive it."""
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..addresses import nearest
+from ..campaign.outputs import MISS_DISTANCE, is_error, is_output
+from ..campaign.populations import finite_flights
+from ..flight.termination import has_end
+from .intervals import CONFIDENCE, Interval
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+@dataclasses.dataclass(frozen=True)
+class WorstRun:
+    """One run, and where its inputs lie in the population."""
+
+    run: int
+    value: float
+    """Of the output, SI; NaN of a flight without an end"""
+    inputs: dict[str, float]
+    """By address, SI"""
+    ranks: dict[str, float]
+    """Share of all runs whose input is below that of this run; half of equal ones"""
+
+
+def ordered_by(results: "xarray.Dataset") -> str:
+    """The output by which runs are the worst unless told otherwise.
+
+    The miss distance if the results have one, or else their first error.
+    """
+    if MISS_DISTANCE in results:
+        return MISS_DISTANCE
+    errors = [name for name in map(str, results.data_vars) if is_error(name)]
+    if not errors:
+        raise ValueError("the results have no error: say by what runs are the worst")
+    return errors[0]
+
+
+def require_output(results: "xarray.Dataset", name: str) -> None:
+    """Refuse what is no output of a campaign, with the nearest."""
+    known = [str(n) for n in results.data_vars if is_output(str(n))]
+    if name not in known:
+        raise ValueError(f"the results have no output {name}; {nearest(name, known)}")
+
+
+def inputs_of(results: "xarray.Dataset") -> dict[str, np.ndarray]:
+    """Inputs of a stored campaign by address."""
+    return {
+        str(name): values.values
+        for name, values in results.data_vars.items()
+        if "." in str(name) and values.dims == ("run",)
+    }
+
+
+def worst_runs(
+    results: "xarray.Dataset", name: str, count: int, *, smallest: bool = False
+) -> list[WorstRun]:
+    """The runs with the largest value of an output, the worst first.
+
+    The magnitude counts of what is an error. Flights without an end, and those whose
+    output is not finite, are worse than any other.
+
+    **Arguments:**
+
+    - `smallest`: those with the smallest value in place of the largest.
+    """
+    require_output(results, name)
+    values = np.array(results[name].values, dtype=float)
+    values[~np.asarray(has_end(results["outcome"].values))] = np.nan
+    bad = np.abs(values) if is_error(name) else values
+    bad = np.where(np.isfinite(values), -bad if smallest else bad, np.inf)
+    # Equal ones in the order of the runs.
+    worst = np.argsort(-bad, kind="stable")[:count]
+    inputs = inputs_of(results)
+    ranks = {address: _ranks(x) for address, x in inputs.items()}
+    return [
+        WorstRun(
+            run=int(results["run"].values[place]),
+            value=float(values[place]) if np.isfinite(values[place]) else math.nan,
+            inputs={address: float(x[place]) for address, x in inputs.items()},
+            ranks={address: float(x[place]) for address, x in ranks.items()},
+        )
+        for place in worst
+    ]
+
+
+def rank_correlations(
+    results: "xarray.Dataset", name: str
+) -> tuple[dict[str, Interval], int]:
+    """Spearman's rank correlation of an output with each input, the strongest first.
+
+    And the number of flights that they are of: the finite ones. Of what is an error the
+    magnitude is asked for by its bars, `|downrange_error|`. Inputs that are the same in
+    all runs, of which there is none, are left out. The intervals are by Fisher's
+    transformation with the variance 1.06 / (n - 3) (E. C. Fieller, H. O. Hartley and E. S.
+    Pearson, Biometrika 44, 1957).
+    """
+    bare = name.strip("|")
+    require_output(results, bare)
+    flown = finite_flights(results.drop_dims("time", errors="ignore"))
+    values = flown[bare].values
+    outputs = _ranks(np.abs(values) if name != bare else values)
+    runs = outputs.size
+    found = {}
+    for address, x in inputs_of(flown).items():
+        ranks = _ranks(x)
+        if runs > 1 and np.ptp(ranks) > 0.0 and np.ptp(outputs) > 0.0:
+            correlation = float(np.corrcoef(ranks, outputs)[0, 1])
+            found[address] = _interval(correlation, runs)
+    strongest = sorted(found.items(), key=lambda pair: -abs(pair[1].value))
+    return dict(strongest), runs
+
+
+def _interval(correlation: float, runs: int) -> Interval:
+    from scipy.special import ndtri
+
+    if runs <= 3:
+        return Interval(correlation, math.nan, math.nan)
+    inside = min(max(correlation, -1.0 + 1e-12), 1.0 - 1e-12)
+    middle = math.atanh(inside)
+    reach = float(ndtri(0.5 + 0.5 * CONFIDENCE)) * math.sqrt(1.06 / (runs - 3))
+    return Interval(correlation, math.tanh(middle - reach), math.tanh(middle + reach))
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """Share of the values below each, and half of those that are equal to it."""
+    _, places, counts = np.unique(values, return_inverse=True, return_counts=True)
+    below = np.cumsum(counts) - counts
+    return ((below + 0.5 * counts) / values.size)[places]
