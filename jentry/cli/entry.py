@@ -7,6 +7,7 @@ import warnings
 
 from .._warnings import ResultWarning
 from . import (
+    compare as compare,
     fly as fly,
     footprint as footprint,
     inspect_runs as inspect_runs,

@@ -9,7 +9,7 @@ from .._printed import in_words
 from ..flight.flight import Flight, History
 from ..flight.scenario import Scenario
 from ..units import degree, km
-from .style import ENDS, MUTED, NOMINAL, RUNS, in_style, legend, panelled
+from .style import ENDS, MUTED, NOMINAL, RUNS, in_style, legend_above, panelled
 
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ def draw_flight(
         figure, panels = panelled(4.3 * len(draw), 3.9, len(draw), title)
         for axes, panel in zip(panels, draw, strict=True):
             panel(axes, scenario, flight, history)
-            legend(axes)
+            legend_above(axes)
     return figure
 
 

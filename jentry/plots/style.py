@@ -123,6 +123,13 @@ def count(runs: "xarray.Dataset") -> str:
     return "1 run" if number == 1 else f"{number} runs"
 
 
+def legend_above(axes: "matplotlib.axes.Axes") -> None:
+    """A legend over the axes, where lines fill all of them."""
+    handles, _ = axes.get_legend_handles_labels()
+    if handles:
+        axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+
+
 def legend(axes: "matplotlib.axes.Axes") -> None:
     """A legend, if there is something to tell; its dots all of one size."""
     from matplotlib.collections import PathCollection

@@ -1,0 +1,206 @@
+"""Two campaigns beside each other: differences of statistics, paired where draws agree."""
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..campaign.outputs import at_end, is_error, is_output, shown, unit_size
+from ..campaign.populations import finite_flights
+from ..fields import units_of
+from ..motion.state import EntryState
+from .intervals import CONFIDENCE, Interval
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+RESAMPLES = 2000
+"""Of a bootstrap"""
+
+PERCENTILE = 95.0
+"""That is compared, beside mean and standard deviation"""
+
+_END_STATE = {at_end(name) for name in units_of(EntryState)}
+"""Its errors are compared instead"""
+
+_MOST_DRAWN = 2**22
+"""Numbers that a block of resamples takes"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Difference:
+    """One output of the second campaign less that of the first; SI."""
+
+    name: str
+    """Of the output; of what is an error the magnitude is compared"""
+    shown_unit: str
+    shown_size: float
+    first: float
+    """Mean of the first campaign"""
+    second: float
+    mean: Interval
+    """Difference of the means, with its interval; the others likewise"""
+    standard_deviation: Interval
+    percentile: Interval
+    smaller: Interval | None
+    """Share of the runs in which the second has the smaller value, equal ones by half;
+    None where the runs are no pairs"""
+
+    @property
+    def words(self) -> str:
+        """What people call it; the magnitude between bars."""
+        words = self.name.replace("_", " ")
+        return f"|{words}|" if is_error(self.name) else words
+
+
+@dataclasses.dataclass(frozen=True)
+class Comparison:
+    """The second of two campaigns beside the first."""
+
+    paired: bool
+    """Whether run i of one has the draws of run i of the other"""
+    why: str
+    """Why the runs are pairs, or why not"""
+    runs: int
+    """Pairs of finite flights; or the smaller number of finite flights"""
+    left_out: int
+    """Pairs of which a flight is not finite; or flights"""
+    differences: list[Difference]
+    only_one: list[str]
+    """Outputs that one of them has and the other has not"""
+
+
+def compared(first: "xarray.Dataset", second: "xarray.Dataset") -> Comparison:
+    """The outputs of one campaign beside those of another.
+
+    Where run i of one has the same inputs as run i of the other, to the last bit, the
+    flights are pairs: what the draws have in common falls out of the differences. Inputs
+    that only one of them has, as a law's own, do not count; there must be a common one.
+    Intervals are percentiles of a bootstrap that draws pairs, or, without pairs, the runs
+    of each campaign by themselves.
+
+    **Raises:** `ValueError` for campaigns of which one has no two finite flights.
+    """
+    first, second = (x.drop_dims("time", errors="ignore") for x in (first, second))
+    paired, why = _are_pairs(first, second)
+    flown = finite_flights(first), finite_flights(second)
+    if paired:
+        count = min(first.sizes["run"], second.sizes["run"])
+        common = np.intersect1d(flown[0]["run"].values, flown[1]["run"].values)
+        common = common[common < count]
+        flown = tuple(x.sel(run=common) for x in flown)
+        left_out = count - len(common)
+    else:
+        left_out = sum(x.sizes["run"] for x in (first, second))
+        left_out -= sum(x.sizes["run"] for x in flown)
+    if min(x.sizes["run"] for x in flown) < 2:
+        raise ValueError(
+            "a comparison takes two finite flights of each campaign, or two pairs: there "
+            f"are {flown[0].sizes['run']} and {flown[1].sizes['run']}"
+        )
+    names = [
+        [n for n in map(str, x.data_vars) if is_output(n) and n not in _END_STATE]
+        for x in flown
+    ]
+    both = [name for name in names[0] if name in names[1]]
+    return Comparison(
+        paired=paired,
+        why=why,
+        runs=min(x.sizes["run"] for x in flown),
+        left_out=left_out,
+        differences=[_difference(*flown, name, paired) for name in both],
+        only_one=sorted({*names[0], *names[1]} - set(both)),
+    )
+
+
+def _are_pairs(first: "xarray.Dataset", second: "xarray.Dataset") -> tuple[bool, str]:
+    inputs = [
+        {str(n) for n, x in runs.data_vars.items() if "." in str(n)}
+        for runs in (first, second)
+    ]
+    common = sorted(inputs[0] & inputs[1])
+    if not common:
+        return False, "they have no input in common"
+    count = min(first.sizes["run"], second.sizes["run"])
+    for address in common:
+        one, other = (x[address].values[:count] for x in (first, second))
+        if not np.array_equal(one, other):
+            return False, f"{address} was drawn otherwise"
+    words = f"{len(common)} inputs are the same in each run"
+    alone = len(inputs[0] ^ inputs[1])
+    return True, words + (f", {alone} are of one of them alone" if alone else "")
+
+
+def _difference(
+    first: "xarray.Dataset", second: "xarray.Dataset", name: str, paired: bool
+) -> Difference:
+    values = [np.asarray(x[name].values, dtype=float) for x in (first, second)]
+    if is_error(name):
+        values = [np.abs(x) for x in values]
+    one, other = values
+    _, unit = shown(first[name])
+    drawn = _resampled(one, other, paired)
+    here = _statistics(other[None]) - _statistics(one[None])
+    tails = 50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)
+    bounds = np.percentile(drawn, tails, axis=1)
+    found = [
+        Interval(float(value), float(low), float(high))
+        for value, low, high in zip(here[:, 0], *bounds, strict=True)
+    ]
+    return Difference(
+        name=name,
+        shown_unit=unit,
+        shown_size=unit_size(first[name]),
+        first=float(one.mean()),
+        second=float(other.mean()),
+        mean=found[0],
+        standard_deviation=found[1],
+        percentile=found[2],
+        smaller=_smaller(one, other) if paired else None,
+    )
+
+
+def _statistics(values: np.ndarray) -> np.ndarray:
+    """Mean, standard deviation and percentile of samples (samples, runs): (3, samples)."""
+    return np.stack(
+        [
+            values.mean(axis=1),
+            values.std(axis=1, ddof=1),
+            np.percentile(values, PERCENTILE, axis=1),
+        ]
+    )
+
+
+def _resampled(one: np.ndarray, other: np.ndarray, paired: bool) -> np.ndarray:
+    """Differences of the statistics of resamples, (3, resamples)."""
+    generator = np.random.default_rng(0)
+    most = max(1, _MOST_DRAWN // max(one.size, other.size))
+    found = []
+    for begin in range(0, RESAMPLES, most):
+        many = min(most, RESAMPLES - begin)
+        places = generator.integers(one.size, size=(many, one.size))
+        others = (
+            places
+            if paired
+            else generator.integers(other.size, size=(many, other.size))
+        )
+        found.append(_statistics(other[others]) - _statistics(one[places]))
+    return np.concatenate(found, axis=1)
+
+
+def _smaller(one: np.ndarray, other: np.ndarray) -> Interval:
+    """Share of the pairs in which the second is smaller: Clopper and Pearson's interval."""
+    from scipy.special import betaincinv
+
+    runs = one.size
+    smaller = float(np.sum(other < one) + 0.5 * np.sum(other == one))
+    missed = 0.5 * (1.0 - CONFIDENCE)
+    lower = betaincinv(smaller, runs - smaller + 1.0, missed) if smaller > 0.0 else 0.0
+    upper = (
+        betaincinv(smaller + 1.0, runs - smaller, 1.0 - missed)
+        if smaller < runs
+        else 1.0
+    )
+    return Interval(smaller / runs, float(lower), float(upper))

@@ -1,0 +1,92 @@
+"""`jentry compare`: campaigns beside one another, on the same draws."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .ending import rounding_off
+from .options import Dispersions, Fast, Quiet, Set, Step, Workers, app, set_up
+
+
+@app.command("compare")
+def command(
+    what: Annotated[
+        list[str],
+        typer.Argument(
+            help="Folders of two or more stored campaigns; or a mission, of which variants "
+            "or configurations are flown on the same draws."
+        ),
+    ],
+    variant: Annotated[
+        list[str] | None,
+        typer.Option(help="Variant of the mission that is flown. Repeated."),
+    ] = None,
+    config: Annotated[
+        list[Path] | None,
+        typer.Option(
+            exists=True,
+            dir_okay=False,
+            help="Configuration of the mission that is flown, such as tuned gains. "
+            "Repeated.",
+        ),
+    ] = None,
+    runs: Annotated[int, typer.Option(help="Of each that is flown.")] = 1000,
+    seed: Annotated[int, typer.Option(help="Of the draws, the same for all.")] = 0,
+    dispersions: Dispersions = None,
+    set_: Set = None,
+    step: Step = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of what is flown and of the figure; results/MISSION-compared if "
+            "not given, and no figure of stored campaigns."
+        ),
+    ] = None,
+    quiet: Quiet = False,
+    workers: Workers = None,
+    fast: Fast = False,
+) -> None:
+    """Compare campaigns run by run: what one law, gain set or variant changes."""
+    set_up(workers, fast)
+    from ..analysis.comparison import compared
+    from ..campaign.store import open_campaign
+    from .compare_report import (
+        draw,
+        fly_entries,
+        print_comparison,
+        stored_entries,
+    )
+
+    asked = [*(variant or ()), *(config or ())]
+    if len(what) == 1 and not Path(what[0]).is_dir():
+        folder = out
+        with rounding_off("the same command resumes") as look:
+            entries, folder = fly_entries(
+                what[0],
+                variant or [],
+                config or [],
+                runs,
+                seed,
+                dispersions,
+                set_,
+                step,
+                out,
+                quiet,
+                look,
+            )
+    else:
+        if asked or dispersions or set_ or step is not None:
+            raise ValueError(
+                "stored campaigns are compared as they are: leave out --variant, "
+                "--config, --dispersions, --set and --step"
+            )
+        entries, folder = stored_entries(what), out
+    campaigns = {
+        name: open_campaign(path, limit) for name, (path, limit) in entries.items()
+    }
+    (first, reference), *others = campaigns.items()
+    for name, results in others:
+        print_comparison(first, name, compared(reference, results))
+    if folder is not None:
+        typer.echo(f"figure: {draw(folder, campaigns)}")

@@ -1,0 +1,166 @@
+"""What `jentry compare` flies, prints and draws."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..analysis.comparison import PERCENTILE, Comparison
+from ..analysis.intervals import CONFIDENCE, Interval
+from ..campaign.outputs import MISS_DISTANCE, is_error
+from ..campaign.store import run_campaign
+from ..flight.solver import FixedStep
+from ..plots import save_figures
+from ..plots.comparison import draw_comparison
+from .options import chosen_scenario, dispersion_table, first_given
+from .progress import reported
+from .tables import in_digits, new_console, print_in_pieces
+
+
+if TYPE_CHECKING:
+    import xarray
+
+
+Entries = dict[str, tuple[Path, int | None]]
+"""Folder of each campaign and how many of its runs count, by what it is called"""
+
+
+def stored_entries(folders: Sequence[str]) -> Entries:
+    """Stored campaigns by the names of their folders."""
+    if len(folders) < 2:
+        raise ValueError("a comparison takes two campaigns or more: give their folders")
+    paths = [Path(folder) for folder in folders]
+    names = [path.resolve().name for path in paths]
+    if len(set(names)) < len(names):
+        names = [str(path) for path in paths]
+    if len(set(names)) < len(names):
+        raise ValueError("a campaign is given twice: give another")
+    return {name: (path, None) for name, path in zip(names, paths, strict=True)}
+
+
+def fly_entries(
+    mission: str,
+    variants: Sequence[str],
+    configs: Sequence[Path],
+    runs: int,
+    seed: int,
+    dispersions: str | None,
+    assignments: list[str] | None,
+    step: float | None,
+    out: Path | None,
+    quiet: bool,
+    look: Callable[[], None],
+) -> tuple[Entries, Path]:
+    """Fly variants and configurations of a mission on the same draws, each in a folder."""
+    choices = [(name, name, None) for name in dict.fromkeys(variants)]
+    choices += [(path.stem, None, path) for path in dict.fromkeys(configs)]
+    if len(choices) == 1 and configs:
+        choices.insert(0, ("mission", None, None))
+    names = [name for name, _, _ in choices]
+    if len(choices) < 2:
+        raise ValueError(
+            "a comparison takes two: give --variant twice, or --config; or the folders of "
+            "stored campaigns"
+        )
+    if len(set(names)) < len(names):
+        raise ValueError(f"{', '.join(names)}: two have the same name; rename a file")
+    prepared = []
+    for name, variant, config in choices:
+        # All of them before the first is flown.
+        try:
+            chosen, scenario, overrides = chosen_scenario(
+                mission, variant, config, assignments
+            )
+            _, table = dispersion_table(chosen, overrides, dispersions)
+        except ValueError as error:
+            raise ValueError(f"{name}: {error}") from None
+        flown = first_given(variant, overrides.variant, *chosen.variants)
+        prepared.append((name, chosen, scenario, table, flown))
+    folder = out or Path("results") / f"{prepared[0][1].name}-compared"
+    solver = FixedStep(step)
+    for name, chosen, scenario, table, flown in prepared:
+        with reported(runs, quiet) as told:
+
+            def report(stored: int, told: Callable[[int], None] = told) -> None:
+                told(stored)
+                look()
+
+            try:
+                run_campaign(
+                    folder / name,
+                    scenario,
+                    table,
+                    seed,
+                    runs,
+                    solver=solver,
+                    report=report,
+                    **chosen.labels,
+                    variant=flown,
+                )
+            except ValueError as error:
+                raise ValueError(f"{name} does not fit: {error}") from None
+    return {name: (folder / name, runs) for name in names}, folder
+
+
+def print_comparison(first: str, second: str, found: Comparison) -> None:
+    """The differences of the second from the first, with their intervals."""
+    console = new_console()
+    heads = [
+        *("", "unit", f"mean, {first}", f"mean, {second}", "difference"),
+        *("of std", f"of {PERCENTILE:g} %", f"{second} smaller"),
+    ]
+    rows = []
+    for each in found.differences:
+        size = each.shown_size
+        rows.append(
+            (
+                each.words,
+                each.shown_unit,
+                in_digits(each.first / size),
+                in_digits(each.second / size),
+                _told(each.mean, size),
+                _told(each.standard_deviation, size),
+                _told(each.percentile, size),
+                "-" if each.smaller is None else _share(each.smaller),
+            )
+        )
+    kind = "pairs" if found.paired else "flights, not paired"
+    title = f"{second} less {first}: {found.runs} {kind}, since {found.why}"
+    print_in_pieces(console, title, heads, rows, repeated=2)
+    console.print(
+        f"in brackets: intervals of {CONFIDENCE:.0%}, by bootstrap; those without zero "
+        "tell a difference"
+    )
+    if found.left_out:
+        console.print(f"{found.left_out} left out: not finite, or without an end")
+    if found.only_one:
+        console.print(f"of one of them alone: {', '.join(found.only_one)}")
+
+
+def _told(interval: Interval, size: float) -> str:
+    value, low, high = (in_digits(x / size, "+") for x in interval)
+    return f"{value} [{low}, {high}]"
+
+
+def _share(share: Interval) -> str:
+    value, low, high = (f"{100.0 * x:.1f}" for x in share)
+    return f"{value} % [{low}, {high}]"
+
+
+def draw(folder: Path, campaigns: "Mapping[str, xarray.Dataset]") -> Path:
+    """Draw the miss distance and the errors that all campaigns have."""
+    every = [set(map(str, results.data_vars)) for results in campaigns.values()]
+    common = set.intersection(*every)
+    order = list(map(str, next(iter(campaigns.values())).data_vars))
+    errors = [name for name in order if name in common and is_error(name)]
+    names = [MISS_DISTANCE] if MISS_DISTANCE in common else []
+    names += [name for name in errors if _spreads(campaigns, name)]
+    if not names:
+        raise ValueError("the campaigns have no error in common to draw")
+    figure = draw_comparison(campaigns, names)
+    folder.mkdir(parents=True, exist_ok=True)
+    return save_figures({"comparison": figure}, folder)[0]
+
+
+def _spreads(campaigns: "Mapping[str, xarray.Dataset]", name: str) -> bool:
+    """Whether an error is more than rounding in one of the campaigns."""
+    return any(float(abs(x[name]).max()) > 1e-6 for x in campaigns.values())
