@@ -5,10 +5,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..campaign.outputs import at_end, is_error, is_output, shown, unit_size
+from ..campaign.outputs import at_end, is_error, is_output
 from ..campaign.populations import finite_flights
 from ..fields import units_of
 from ..motion.state import EntryState
+from ..units import edge_unit
 from .intervals import CONFIDENCE, Interval
 
 
@@ -85,12 +86,12 @@ def compared(first: "xarray.Dataset", second: "xarray.Dataset") -> Comparison:
     """
     first, second = (x.drop_dims("time", errors="ignore") for x in (first, second))
     paired, why = _are_pairs(first, second)
-    flown = finite_flights(first), finite_flights(second)
+    flown = [finite_flights(first), finite_flights(second)]
     if paired:
         count = min(first.sizes["run"], second.sizes["run"])
         common = np.intersect1d(flown[0]["run"].values, flown[1]["run"].values)
         common = common[common < count]
-        flown = tuple(x.sel(run=common) for x in flown)
+        flown = [x.sel(run=common) for x in flown]
         left_out = count - len(common)
     else:
         left_out = sum(x.sizes["run"] for x in (first, second))
@@ -110,7 +111,7 @@ def compared(first: "xarray.Dataset", second: "xarray.Dataset") -> Comparison:
         why=why,
         runs=min(x.sizes["run"] for x in flown),
         left_out=left_out,
-        differences=[_difference(*flown, name, paired) for name in both],
+        differences=[_difference(flown[0], flown[1], name, paired) for name in both],
         only_one=sorted({*names[0], *names[1]} - set(both)),
     )
 
@@ -140,7 +141,8 @@ def _difference(
     if is_error(name):
         values = [np.abs(x) for x in values]
     one, other = values
-    _, unit = shown(first[name])
+    unit, size = edge_unit(first[name].attrs.get("units", "1"), np.concatenate(values))
+    unit = first[name].attrs.get("shown_units", unit)
     drawn = _resampled(one, other, paired)
     here = _statistics(other[None]) - _statistics(one[None])
     tails = 50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)
@@ -152,7 +154,7 @@ def _difference(
     return Difference(
         name=name,
         shown_unit=unit,
-        shown_size=unit_size(first[name]),
+        shown_size=size,
         first=float(one.mean()),
         second=float(other.mean()),
         mean=found[0],

@@ -85,8 +85,8 @@ def command(
     campaigns = {
         name: open_campaign(path, limit) for name, (path, limit) in entries.items()
     }
-    (first, reference), *others = campaigns.items()
+    (one, reference), *others = campaigns.items()
     for name, results in others:
-        print_comparison(first, name, compared(reference, results))
+        print_comparison(one, name, compared(reference, results))
     if folder is not None:
         typer.echo(f"figure: {draw(folder, campaigns)}")

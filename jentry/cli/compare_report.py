@@ -51,6 +51,7 @@ def fly_entries(
     look: Callable[[], None],
 ) -> tuple[Entries, Path]:
     """Fly variants and configurations of a mission on the same draws, each in a folder."""
+    choices: list[tuple[str, str | None, Path | None]]
     choices = [(name, name, None) for name in dict.fromkeys(variants)]
     choices += [(path.stem, None, path) for path in dict.fromkeys(configs)]
     if len(choices) == 1 and configs:

@@ -7,10 +7,11 @@ import numpy as np
 
 from ..campaign.outputs import is_error
 from ..campaign.populations import finite_flights
-from .style import ENDS, MUTED, count, in_style, legend_above, panelled, scaled
+from .style import ENDS, MUTED, in_style, panelled, scaled
 
 
 if TYPE_CHECKING:
+    import matplotlib.axes
     import matplotlib.figure
     import xarray
 
@@ -34,23 +35,41 @@ def draw_comparison(
     with in_style():
         figure, panels = panelled(4.2 * len(names), 3.6, len(names), title)
         for axes, name in zip(panels, names, strict=True):
-            for colour, (words, runs) in zip(ENDS, flown.items(), strict=False):
-                drawn = scaled(runs[name])
-                values = np.abs(drawn.values) if is_error(name) else drawn.values
-                # A step at each of the runs, from none of them on.
-                values = np.sort(values)
-                shares = np.arange(1, values.size + 1) / values.size
-                label = f"{words}, {count(runs)}"
-                axes.step(
-                    values, 100.0 * shares, where="post", color=colour, label=label
-                )
-                axes.set_xlabel(f"|{drawn.label}" if is_error(name) else drawn.label)
-            if is_error(name):
-                what, bracket, unit = axes.get_xlabel().partition(" (")
-                axes.set_xlabel(f"{what}|{bracket}{unit}")
-                axes.set_xlim(left=0.0)
-            axes.set_ylabel("Flights below (%)")
-            axes.set_ylim(0.0, 100.0)
-            axes.axhline(95.0, color=MUTED, lw=0.8, ls=(0, (2, 2)))
-        legend_above(panels[0])
+            _draw_shares(axes, {words: runs[name] for words, runs in flown.items()})
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
     return figure
+
+
+def _draw_shares(
+    axes: "matplotlib.axes.Axes", outputs: "Mapping[str, xarray.DataArray]"
+) -> None:
+    """Share of the flights below each value of one output, in one unit for all."""
+    import xarray
+
+    magnitude = is_error(str(next(iter(outputs.values())).name))
+    joined = xarray.concat(
+        list(outputs.values()), dim="run", combine_attrs="override", join="outer"
+    )
+    drawn = scaled(joined)
+    for colour, (words, output) in zip(ENDS, outputs.items(), strict=False):
+        values = output.values / drawn.size
+        values = np.sort(np.abs(values) if magnitude else values)
+        # A step at each of the runs, from none of them on.
+        shares = 100.0 * np.arange(1, values.size + 1) / values.size
+        axes.step(
+            np.insert(values, 0, values[:1]),
+            np.insert(shares, 0, 0.0),
+            where="post",
+            color=colour,
+            label=f"{words}, {values.size} runs",
+        )
+    label = drawn.label
+    if magnitude:
+        what, bracket, unit = label.partition(" (")
+        label = f"|{what}|{bracket}{unit}"
+        axes.set_xlim(left=0.0)
+    axes.set_xlabel(label)
+    axes.set_ylabel("Flights below (%)")
+    axes.set_ylim(0.0, 100.0)
+    axes.axhline(95.0, color=MUTED, lw=0.8, ls=(0, (2, 2)))

@@ -1,11 +1,14 @@
 """Errors at the end: histogram of the downrange error, and footprints."""
 
 import itertools
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from .._printed import in_words
+from ..analysis.miss_ellipse import ellipse_of
+from ..analysis.summary import RADII
 from ..campaign.outputs import error_of
 from .style import (
     ENDS,
@@ -31,6 +34,9 @@ _FLAT = 1e-3
 """In the unit of the axis. Errors closer together than this count as equal"""
 
 _ALONG, _ACROSS, _UP = map(error_of, ("downrange", "crossrange", "altitude"))
+_WORST = 3
+"""Runs whose numbers stand beside them"""
+
 _CROSSRANGE_SPREAD = 1.0
 """m, above which the crossrange has a panel of its own"""
 
@@ -98,7 +104,55 @@ def footprint(
     figure, (left, right) = panelled(10.0, 4.2, 2, title)
     draw_footprint(left, runs, nominal)
     _draw_ends(right, runs, nominal, _ACROSS)
+    _draw_circles(right, runs)
+    _mark_worst(right, runs)
     return figure
+
+
+def _draw_circles(axes: "matplotlib.axes.Axes", runs: "xarray.Dataset") -> None:
+    """Circles about the target that hold shares of the runs, and the ellipse of them."""
+    found = ellipse_of(runs, RADII)
+    if found is None:
+        return
+    along, across = scaled(runs[_ALONG]).size, scaled(runs[_ACROSS]).size
+    around = np.linspace(0.0, 2.0 * np.pi, 181)
+    for percentage, radius in found.radii.items():
+        x, y = radius.value * np.cos(around), radius.value * np.sin(around)
+        axes.plot(x / along, y / across, color=MUTED, lw=0.9, ls=(0, (3, 2)))
+        axes.annotate(
+            f"{percentage:g} %",
+            (
+                math.sqrt(0.5) * radius.value / along,
+                math.sqrt(0.5) * radius.value / across,
+            ),
+            ha="left",
+            va="bottom",
+            fontsize=8.0,
+            color=MUTED,
+        )
+    x, y = found.outline(RADII[-1])
+    axes.plot(x / along, y / across, color=MEAN, lw=1.2)
+    axes.set_title(
+        f"circles about the target, {RADII[-1]:g} % ellipse, worst runs",
+        loc="left",
+        fontsize=9.0,
+    )
+    if along == across:
+        axes.set_aspect("equal", adjustable="datalim")
+
+
+def _mark_worst(axes: "matplotlib.axes.Axes", runs: "xarray.Dataset") -> None:
+    """The numbers of the runs that end the farthest from the target."""
+    along, across = scaled(runs[_ALONG]), scaled(runs[_ACROSS])
+    distance = np.hypot(runs[_ALONG].values, runs[_ACROSS].values)
+    for place in np.argsort(-distance, kind="stable")[:_WORST]:
+        axes.annotate(
+            str(runs["run"].values[place]),
+            (along.values[place], across.values[place]),
+            (4.0, 3.0),
+            textcoords="offset points",
+            fontsize=8.0,
+        )
 
 
 def _spreads_across(runs: "xarray.Dataset") -> bool:
