@@ -133,13 +133,23 @@ FREE = {"problem", "end", "limits", "no-limits", "bank", "angle-of-attack", "nod
 """What is free, and what is kept"""
 
 
+REPORT = {"percentiles", "require", "requirements", "format", "json", "quiet"}
+"""What is asked of a campaign's summary"""
+
+
 ARRIVE = {
     "list": set(),
     "show": {"variant", "set", "config", "dispersions"},
-    "fly": RUN | {"history", "out"},
+    "fly": RUN | {"history", "out", "figure"},
     "monte-carlo": RUN
     | {"runs", "seed", "out", "workers", "dispersions", "inputs", "history", "fast"}
-    | {"no-fast", "figures", "no-figures"},
+    | {"no-fast", "figures", "no-figures", "until-decided", "most-runs"}
+    | REPORT,
+    "report": {"runs", "mission", "figures", "no-figures", "figures-only"} | REPORT,
+    "inspect": {"by", "smallest", "worst", "run", "history", "mission", "workers"}
+    | {"gradient", "no-gradient"},
+    "compare": {"variant", "config", "runs", "seed", "dispersions", "set", "step"}
+    | {"out", "quiet", "workers", "fast", "no-fast"},
     "tune": RUN
     | {"gains", "runs", "steps", "loss", "of", "out", "optimizer", "learning-rate"}
     | {"bounds", "smooth", "no-smooth", "fresh-draws", "no-fresh-draws", "patience"}

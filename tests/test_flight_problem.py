@@ -25,8 +25,8 @@ from jentry.planning.flight_problem import (
     best_flight,
 )
 from jentry.planning.landing_footprint import footprint
-from jentry.plots.best_flight import draw_best_flight
 from jentry.plots.footprint import draw_footprint
+from jentry.plots.one_flight import draw_flight
 from jentry.units import degree, km
 
 
@@ -196,10 +196,12 @@ def test_figures():
     found, _ = outline()
     (axes,) = draw_footprint(found, "title").axes
     assert axes.get_title(loc="left") == "10 flights"
-    drawn = draw_best_flight(best(AtEnd("downrange"), True), "title")
+    found = best(AtEnd("downrange"), True)
+    drawn = draw_flight(found.scenario, found.flight, "title")
     labels = [axes.get_ylabel() for axes in drawn.axes]
     assert labels == ["Altitude (km)", "Controls (deg)", "Latitude (deg)"]
-    limited = draw_best_flight(best(AtEnd("downrange"), False, tight()))
+    found = best(AtEnd("downrange"), False, tight())
+    limited = draw_flight(found.scenario, found.flight)
     assert "Share of the limit" in [axes.get_ylabel() for axes in limited.axes]
 
 

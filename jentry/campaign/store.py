@@ -124,7 +124,19 @@ def write_flight(
     block = Campaign(
         np.arange(1), {}, *jax.tree.map(lambda x: np.asarray(x)[None], flown)
     )
-    part = dataset(scenario, block, history)
+    write_campaign(path, scenario, block, solver, history, **labels)
+
+
+def write_campaign(
+    path: Path | str,
+    scenario: Scenario,
+    campaign: Campaign,
+    solver: AbstractSolver,
+    history: float | None,
+    **labels: Any,
+) -> None:
+    """Write flown runs with their inputs as one netCDF file."""
+    part = dataset(scenario, campaign, history)
     description = describe(scenario, None, 0, solver, history, None, **labels)
     part.attrs["campaign"] = json.dumps(description)
     write_whole(path, _netcdf(part))

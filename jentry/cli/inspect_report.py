@@ -10,12 +10,12 @@ import numpy as np
 from .._printed import in_words
 from ..addresses import unit_of
 from ..analysis.intervals import CONFIDENCE, Interval
+from ..analysis.ranking import WorstRun, inputs_of
 from ..analysis.sensitivities import sensitivity
-from ..analysis.worst_runs import WorstRun, inputs_of
 from ..campaign.campaign import monte_carlo
 from ..campaign.outputs import unit_size
 from ..campaign.results import OutputNamed, dataset
-from ..campaign.store import write_flight
+from ..campaign.store import write_campaign
 from ..flight.closed_loop import guidance_period
 from ..flight.cycle import Plan, varies
 from ..flight.scenario import Scenario
@@ -174,7 +174,7 @@ def fly_again(
     target = folder / FOLDER
     target.mkdir(parents=True, exist_ok=True)
     path = target / f"run-{run:09d}.nc"
-    write_flight(path, scenario, flight, solver, interval, **mission.labels, run=run)
+    write_campaign(path, scenario, flown, solver, interval, **mission.labels)
     title = f"{mission.title}, run {run}"
     (drawn,) = save_figures({path.stem: draw_flight(scenario, flight, title)}, target)
     console.print(f"written: {path}")

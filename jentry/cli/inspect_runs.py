@@ -43,7 +43,7 @@ def command(
     description = read_manifest(folder)
     # As it was flown, or the numbers differ by rounding.
     set_up(workers, fast=any("fusion" in o for o in description["xla_options"]))
-    from ..analysis.worst_runs import (
+    from ..analysis.ranking import (
         inputs_of,
         ordered_by,
         rank_correlations,
