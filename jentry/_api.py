@@ -22,6 +22,7 @@ from .campaign import (
     TruncatedNormal as TruncatedNormal,
     Uniform as Uniform,
     add as add,
+    merge_campaigns as merge_campaigns,
     monte_carlo as monte_carlo,
     multiply as multiply,
     open_campaign as open_campaign,

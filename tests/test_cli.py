@@ -143,9 +143,10 @@ ARRIVE = {
     "fly": RUN | {"history", "out", "figure"},
     "monte-carlo": RUN
     | {"runs", "seed", "out", "workers", "dispersions", "inputs", "history", "fast"}
-    | {"no-fast", "figures", "no-figures", "until-decided", "most-runs"}
+    | {"no-fast", "figures", "no-figures", "until-decided", "most-runs", "slice"}
     | REPORT,
     "report": {"runs", "mission", "figures", "no-figures", "figures-only"} | REPORT,
+    "merge": set(),
     "inspect": {"by", "smallest", "worst", "run", "history", "mission", "workers"}
     | {"gradient", "no-gradient"},
     "compare": {"variant", "config", "runs", "seed", "dispersions", "set", "step"}

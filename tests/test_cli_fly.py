@@ -43,3 +43,14 @@ def test_every_option_of_fly_arrives(command, tmp_path):
         described = json.loads(written.attrs["campaign"])
     assert described["solver"] == str(cheap.SOLVER)
     assert described["mission"] == "cheap" and described["history_interval"] == 20.0
+
+
+def test_a_flight_is_drawn(command, tmp_path):
+    """In the format of its name; its end is that of the flight."""
+    for kind, begin in (("png", b"\x89PNG"), ("pdf", b"%PDF"), ("svg", b"<?xml")):
+        path = tmp_path / f"flight.{kind}"
+        code, printed, _ = command("fly", "cheap", "--step", 1, "--figure", path)
+        assert code == 0 and f"figure: {path}" in printed
+        assert path.read_bytes().startswith(begin)
+    result = command("fly", "cheap", "--figure", tmp_path / "flight.gif")
+    assert_refused(result, "ends in .png, .pdf, .svg")

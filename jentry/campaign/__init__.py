@@ -16,5 +16,6 @@ from .dispersions import (
     replace as replace,
 )
 from .errors import CampaignError as CampaignError
+from .merging import merge_campaigns as merge_campaigns
 from .results import dataset as dataset
 from .store import open_campaign as open_campaign, run_campaign as run_campaign

@@ -55,6 +55,7 @@ def run_campaign(
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
     report: Callable[[int], None] = lambda stored: None,
+    part: tuple[int, int] | None = None,
     **labels: Any,
 ) -> None:
     """Fly those runs of a campaign that are not in a folder yet, and store them there.
@@ -68,6 +69,8 @@ def run_campaign(
     - `out`: folder; made if it does not exist.
     - `inputs`: in place of dispersions, values by address.
     - `report`: is told how many runs are stored, whenever that changes.
+    - `part`: (3, 10) for the third of ten parts of the runs, each of which a machine flies
+      into a folder of its own: see `merge_campaigns`.
     - `labels`: attributes of the results, such as the mission.
 
     **Raises:** `CampaignError` for a folder with another campaign or with something else,
@@ -89,26 +92,46 @@ def run_campaign(
             history=history,
         )
 
-    blocks_of(runs)  # flies nothing yet, and refuses what cannot be flown
+    mine = runs_of_part(runs, part)
+    blocks_of(
+        runs if part is None else mine
+    )  # flies nothing, and refuses what cannot be
     description = describe(
         scenario, dispersions, seed, solver, history, inputs, **labels
     )
     if out.exists() and not out.is_dir():
         raise CampaignError(f"{out} is a file: give a folder for the campaign")
     out.mkdir(parents=True, exist_ok=True)
-    with _alone_in(out):
+    with alone_in(out):
         description, parts = claim(out, description)
         for pattern in (MANIFEST, "runs-*"):
             remove_unfinished(out, pattern)
         campaign = digest_of(description)
-        stored = _stored(parts, runs)
+        stored = _stored(parts, runs)[mine]
         done = int(np.sum(stored))
         report(done)
-        for missing in _unbroken(np.flatnonzero(~stored)):
+        for missing in _unbroken(mine[~stored]):
             for block in blocks_of(missing):
                 _write_part(out, scenario, block, description, campaign)
                 done += len(block.runs)
                 report(done)
+
+
+def runs_of_part(runs: int, part: tuple[int, int] | None) -> np.ndarray:
+    """Indices of the runs of a part, (3, 10) for the third of ten; of all for None.
+
+    Raises `ValueError` for a part that there is not, or that has no runs.
+    """
+    if part is None:
+        return np.arange(max(int(runs), 0))
+    place, count = part
+    if not 1 <= place <= count:
+        raise ValueError(
+            f"the part is {place} of {count}: it must be from 1 to {count}"
+        )
+    if count > runs:
+        raise ValueError(f"{runs} runs have no {count} parts: give fewer")
+    return np.arange((place - 1) * runs // count, place * runs // count)
 
 
 def write_flight(
@@ -184,7 +207,7 @@ def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
 
 
 @contextlib.contextmanager
-def _alone_in(out: Path) -> Iterator[None]:
+def alone_in(out: Path) -> Iterator[None]:
     """Keep other processes from flying into a folder at the same time."""
     try:
         import fcntl

@@ -13,6 +13,7 @@ from . import (
     inspect_runs as inspect_runs,
     linearize as linearize,
     list_missions as list_missions,
+    merge as merge,
     monte_carlo as monte_carlo,
     optimize as optimize,
     report as report,

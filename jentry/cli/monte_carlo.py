@@ -82,6 +82,15 @@ def command(
     most_runs: Annotated[
         int, typer.Option(help="With --until-decided: fly so many at most.")
     ] = 100_000,
+    slice_: Annotated[
+        str | None,
+        typer.Option(
+            "--slice",
+            metavar="I/N",
+            help="Fly the I-th of N parts of the runs alone, such as 3/10, for one of N "
+            "machines; `jentry merge` puts their folders together.",
+        ),
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -95,7 +104,7 @@ def command(
     )
     from ..analysis.summary import summarize
     from ..campaign.parts import digest_of, read_manifest
-    from ..campaign.store import open_campaign, run_campaign
+    from ..campaign.store import open_campaign, run_campaign, runs_of_part
     from ..flight.solver import FixedStep
     from ..missions.stored import is_as_published
     from .campaign_files import (
@@ -114,6 +123,7 @@ def command(
         chosen_formats,
         chosen_percentiles,
         chosen_requirements,
+        chosen_slice,
         leave,
         refuse_both,
     )
@@ -132,6 +142,12 @@ def command(
     reading, table = dispersion_table(chosen, overrides, dispersions)
     if inputs is not None and (dispersions is not None or overrides.disperses):
         raise ValueError("--inputs takes the place of dispersions: give one of them")
+    part = None if slice_ is None else chosen_slice(slice_)
+    if part is not None and (asked or until_decided or json):
+        raise ValueError(
+            "--slice flies a part, of which nothing is said: leave out --require, "
+            "--requirements, --until-decided and --json, and report what is merged"
+        )
     given = None if inputs is None else read_inputs(inputs)
     if given is not None:
         rows = len(next(iter(given.values())))
@@ -140,13 +156,18 @@ def command(
             raise ValueError(f"--runs is {runs}, and {inputs} has {rows}: give no more")
     elif runs is None:
         runs = 1000
-    folder = Path("results") / chosen.name if out is None else out
+    named = chosen.name
+    if part is not None:
+        figures = False
+        named += f"-{part[0]}-of-{part[1]}"
+    folder = Path("results") / named if out is None else out
     solver = FixedStep(step)
     histories = histories_of(scenario, table, seed, given, runs, history, solver)
     resumed = rounding_off("the same command resumes")
+    to_fly = most_runs if until_decided else len(runs_of_part(runs, part))
     with (
         resumed as look,
-        reported(most_runs if until_decided else runs, quiet) as told,
+        reported(to_fly, quiet) as told,
         histories,
     ):
 
@@ -167,9 +188,12 @@ def command(
                 solver=solver,
                 history=history,
                 report=report,
+                part=part,
                 **chosen.labels,
                 variant=variant,
             )
+            if part is not None:
+                break
             results = open_campaign(folder, runs)
             if not until_decided:
                 break
@@ -178,6 +202,14 @@ def command(
             if not more:
                 break
             runs += more
+    if part is not None:
+        if not quiet:
+            flown = runs_of_part(runs, part)
+            typer.echo(
+                f"stored: {folder}, runs {flown[0]} to {flown[-1]} of {runs}; put the "
+                f"{part[1]} parts together by jentry merge"
+            )
+        return
     description = read_manifest(folder)
     decided = decided_by(folder)
     summary = summarize(

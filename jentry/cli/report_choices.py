@@ -33,6 +33,20 @@ def chosen_requirements(
     return list(dict.fromkeys(map(Requirement.of, texts)))
 
 
+def chosen_slice(given: str) -> tuple[int, int]:
+    """A part of the runs as it is given, 3/10."""
+    place, bar, count = given.partition("/")
+    try:
+        part = int(place), int(count)
+    except ValueError:
+        part = 0, 0
+    if not bar or not 1 <= part[0] <= part[1]:
+        raise ValueError(
+            f"--slice is {given!r}: write a part of the runs, such as 3/10"
+        )
+    return part
+
+
 def chosen_percentiles(given: str | None) -> Sequence[float]:
     """Percentiles as they are given, in rising order, each once."""
     if given is None:

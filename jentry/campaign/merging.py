@@ -1,0 +1,54 @@
+"""Parts of one campaign that several machines have flown, put together."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from .._files import write_whole
+from .description import first_difference
+from .errors import CampaignError
+from .parts import claim, digest_of, not_as_written, parts_of, read_manifest
+from .store import alone_in
+
+
+def merge_campaigns(out: Path | str, folders: Sequence[Path | str]) -> int:
+    """Copy the runs of several folders of one campaign into one folder.
+
+    What is copied is verified to the last bit before and after, and stays where it is.
+    Called again it copies what is missing. Gives the number of runs.
+
+    **Arguments:**
+
+    - `out`: folder; made if it does not exist. It may hold runs of the campaign already.
+    - `folders`: of `run_campaign(..., part=...)`, on any machines.
+
+    **Raises:** `CampaignError` for folders of different campaigns, with the first
+    difference, and for parts that are damaged; `ValueError` for no folder.
+
+        merge_campaigns("results/all", ["results/part-1", "results/part-2"])
+    """
+    if not folders:
+        raise ValueError("there is nothing to merge: give the folders of the parts")
+    sources = [Path(folder) for folder in folders]
+    descriptions = [read_manifest(source) for source in sources]
+    for source, description in zip(sources, descriptions, strict=True):
+        different = first_difference(descriptions[0], description)
+        if different:
+            raise CampaignError(
+                f"{source} is of another campaign than {sources[0]}: {different}"
+            )
+    campaign = digest_of(descriptions[0])
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    with alone_in(out):
+        claim(out, descriptions[0])
+        for source in sources:
+            for part in parts_of(source):
+                contents = part.contents_of(campaign)
+                if contents is None:
+                    raise not_as_written([part.path])
+                if not (out / part.path.name).exists():
+                    write_whole(out / part.path.name, contents)
+    runs: set[int] = set()
+    for part in parts_of(out):
+        runs.update(range(part.first, part.last + 1))
+    return len(runs)
