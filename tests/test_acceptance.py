@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import xarray
+from readme import assert_says
 from scipy import stats
 
 from jentry.analysis.acceptance import (
@@ -279,6 +280,17 @@ def test_the_sequential_test_errs_as_promised_however_often_one_looks(truth):
     assert wrong <= RISK + 0.02
     if truth in (0.01, 0.2):  # far from what is allowed it decides, and rightly
         assert np.mean(passed | failed) > 0.99
+
+
+def test_what_looking_as_often_as_one_likes_costs():
+    """Runs of which k may fail, over those of a number that was chosen beforehand."""
+    for (share, confidence), needed in NEEDED.items():
+        if confidence == 0.9:
+            for k in (0, 1, 3):
+                passes = lambda n, k=k, q=1 - share: _SEQUENTIAL.passes(k, n, q, 0.1)
+                first = next(n for n in range(needed[k], 2 * needed[k]) if passes(n))
+                assert round(first / needed[k], 1) in (1.4, 1.5, 1.6)
+    assert_says("it takes 1.4 to 1.6 times as many", 1.4, 1.6)
 
 
 def test_the_sequential_test_takes_more_runs():

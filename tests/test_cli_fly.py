@@ -5,6 +5,7 @@ import json
 import cheap
 import pytest
 import xarray
+from commands import assert_refused
 from helpers import fly_compiled, free_scenario
 
 from jentry.addresses import replace_leaves
