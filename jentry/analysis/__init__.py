@@ -1,4 +1,4 @@
-"""Floor 8: what campaigns say, sensitivities, closed loops linearized, what no law beats."""
+"""Floor 8: what campaigns say, sensitivities, loops linearized, what no law can beat."""
 
 from .acceptance import (
     Decision as Decision,
