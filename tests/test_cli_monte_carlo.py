@@ -189,9 +189,9 @@ def test_figures_are_drawn(command, tmp_path, monkeypatch):
     drawn = {}
     save = jentry.plots.save_figures
 
-    def keep(figures, folder):
+    def keep(figures, folder, formats):
         drawn.update(figures)
-        return save(figures, folder)
+        return save(figures, folder, formats)
 
     monkeypatch.setattr("jentry.plots.save_figures", keep)
     code, printed, said = command(
@@ -205,6 +205,7 @@ def test_figures_are_drawn(command, tmp_path, monkeypatch):
         "bank",
         "downrange",
         "drag",
+        "drag_deviation",
         "ends",
         "footprint",
         "overview",
@@ -233,9 +234,12 @@ def test_figures_are_drawn(command, tmp_path, monkeypatch):
     # coefficient: 0.0158 kg/m3 exp(-h/9354.5 m), 115 kg/m2, in Mars' atmosphere.
     density = 0.0158 * np.exp(-nominal["altitude"][1] / 9354.5)
     assert drag == pytest.approx(0.5 * density * velocity**2 / 115.0, rel=1e-12)
-    # Bands of the runs: all have this bank; their largest drag is about their peaks.
-    edges = axes["bank"].collections[0].get_paths()[0].vertices[:, 1]
-    assert in_si(axes["bank"].get_ylabel(), edges) == pytest.approx(math.radians(50.0))
+    # The runs: all have this bank; their largest drag is about their peaks.
+    banks = [x for x in axes["bank"].lines if x.get_label() != "nominal"]
+    assert len(banks) == 4
+    for drawn in banks:
+        bank = in_si(axes["bank"].get_ylabel(), drawn.get_ydata())
+        assert bank[np.isfinite(bank)] == pytest.approx(math.radians(50.0))
     (median,) = [x for x in axes["drag"].lines if x.get_label() == "median"]
     peak = in_si(axes["drag"].get_ylabel(), median.get_ydata()).max()
     peaks = results["peak_drag"].values

@@ -1,5 +1,7 @@
 """Intervals of statistics: against arithmetic, scipy, and how often they cover."""
 
+from statistics import NormalDist
+
 import numpy as np
 import pytest
 from scipy import stats
@@ -7,6 +9,8 @@ from scipy import stats
 from jentry.analysis.intervals import (
     CONFIDENCE,
     Interval,
+    _accelerated,
+    _without_each,
     moment_intervals,
     percentile_interval,
 )
@@ -41,6 +45,31 @@ def test_the_bootstrap_is_that_of_scipy():
         width = theirs.high - theirs.low
         assert found.lower == pytest.approx(theirs.low, abs=0.1 * width)
         assert found.upper == pytest.approx(theirs.high, abs=0.1 * width)
+
+
+def test_statistics_without_each_of_the_runs():
+    values = np.random.default_rng(6).exponential(size=(2, 7))
+    means, deviations = _without_each(values)
+    for i in range(7):
+        left = np.delete(values, i, axis=1)
+        np.testing.assert_allclose(means[:, i], left.mean(axis=1))
+        np.testing.assert_allclose(deviations[:, i], left.std(axis=1, ddof=1))
+
+
+def test_bias_and_acceleration_by_hand():
+    """Efron's formula, of resamples that are the numbers from 0 to 1000: a percentile is
+    ten times itself. 30 % of them are below 300, and the skewness is that of the sample."""
+    left_out = np.array([1.0, 1.2, 0.9, 1.1, -2.0])
+    pull = left_out.mean() - left_out
+    skew = np.sum(pull**3) / (6 * np.sum(pull**2) ** 1.5)
+    normal = NormalDist()
+    bias = normal.inv_cdf((300 + 0.5) / 1001)
+    expected = []
+    for end in (0.025, 0.975):
+        moved = bias + normal.inv_cdf(end)
+        expected.append(1000 * normal.cdf(bias + moved / (1 - skew * moved)))
+    found = _accelerated(300.0, np.arange(1001.0), left_out, 0.95)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 def test_order_statistics_are_those_of_scipy():

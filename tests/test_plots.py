@@ -133,7 +133,8 @@ def test_all_figures_with_their_labels(figures):
     assert labels == {
         "drag": ("Velocity (m/s)", "Drag (m/s²)"),
         "altitude": ("Velocity (m/s)", "Altitude (km)"),
-        "bank": ("Time (s)", "Bank angle magnitude (deg)"),
+        "drag_deviation": ("Velocity (m/s)", "Drag less nominal (m/s²)"),
+        "bank": ("Time (s)", "Bank angle (deg)"),
         "downrange": ("Downrange error (km)", "Runs"),
         "footprint": ("Downrange error (km)", "Altitude error (km)"),
         "overview": ("Velocity (m/s)", "Drag (m/s²)"),
@@ -145,7 +146,7 @@ def test_all_figures_with_their_labels(figures):
         assert len(figure.axes) == 1
 
 
-@pytest.mark.parametrize("name", ["drag", "altitude", "bank"])
+@pytest.mark.parametrize("name", ["drag", "altitude", "drag_deviation"])
 def test_histories_have_two_bands_a_median_and_the_nominal(figures, name):
     (axes,) = figures[name].axes
     assert [text.get_text() for text in axes.get_legend().get_texts()] == LABELS
@@ -171,15 +172,31 @@ def test_bands_are_percentiles_at_equal_velocity(runs, figures, name, factor):
     assert median[there] == pytest.approx(np.median(exact), rel=1e-9)
 
 
-def test_bank_bands_are_at_equal_time_and_end_with_half_of_the_runs(runs, figures):
+def test_the_bank_is_that_of_runs_with_its_sign(runs, figures):
+    """No percentiles: of what reverses they are those of no flight."""
     (axes,) = figures["bank"].axes
-    time, (low, high) = band(axes, "25–75 %")
-    magnitude = np.degrees(np.abs(runs["bank_angle"].values[:, 0]))
-    assert [low[0], high[0]] == pytest.approx(np.percentile(magnitude, [25, 75]))
-    # Runs 0 to 19, half of them, fly 57 samples or more.
-    assert time[-1] == runs["time"].values[56]
-    nominal, _ = line(axes, "nominal")
-    assert nominal[-1] == 120.0
+    assert not axes.collections
+    *flown, nominal = axes.lines
+    assert len(flown) == 24 and axes.get_title(loc="left") == "24 of 40 runs"
+    for i, drawn in enumerate(flown):
+        np.testing.assert_array_equal(drawn.get_xdata(), runs["time"].values)
+        banks = np.degrees(runs["bank_angle"].values[i])
+        assert np.nanmin(banks) < 0.0
+        np.testing.assert_allclose(drawn.get_ydata(), banks)
+    labels = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert labels == ["runs", "nominal"]
+    assert nominal.get_xdata()[-1] == 120.0
+
+
+def test_the_deviation_of_the_drag_is_from_the_nominal_flight(runs, figures):
+    """Drag is linear in velocity: so are differences, to rounding."""
+    (axes,) = figures["drag_deviation"].axes
+    grid, (low, high) = band(axes, "5–95 %")
+    slope = runs["drag"].values[:, 0] / 6000.0
+    at = np.searchsorted(grid, 5000.0)
+    exact = (slope - slope[0]) * grid[at]  # the nominal flight is the first of them
+    expected = pytest.approx(np.percentile(exact, [5, 95]), rel=1e-9)
+    assert [low[at], high[at]] == expected
 
 
 def test_velocity_grid_is_where_half_of_the_runs_fly(runs):
@@ -232,14 +249,15 @@ def test_runs_that_are_not_finite_are_left_out_and_counted(runs):
     outcome = runs["outcome"].values.copy()
     outcome[5:8] = [Outcome.NOT_FINITE, Outcome.SINGULAR, Outcome.BEGAN_BEYOND_END]
     lost = runs.assign(downrange_error=("run", errors), outcome=("run", outcome))
-    figures = figures_of(lost, lost)
-    assert set(figures) == set(USUAL) - {"corridor"}
-    for figure in figures.values():
+    figures = figures_of(lost, lost)  # and no nominal flight
+    assert set(figures) == set(USUAL) - {"corridor", "drag_deviation"}
+    for name, figure in figures.items():
         assert (
             figure.get_supxlabel()
             == "6 of 40 runs not finite or without an end: left out"
         )
-        assert figure.axes[0].get_title(loc="left").startswith("34 runs")
+        heading = figure.axes[0].get_title(loc="left")
+        assert heading.startswith("24 of 34 runs" if name == "bank" else "34 runs")
     assert sum(counts(figures["downrange"].axes[0])) == 34
     assert figures_of(runs)["downrange"].get_supxlabel() == ""
 
@@ -256,7 +274,7 @@ def test_overview_is_wide_and_names_the_bands_once(runs):
     figure = figures_of(runs, runs, runs.isel(run=[0]))["overview"]
     assert tuple(figure.get_size_inches()) == (11.0, 3.6)
     assert [axes.get_legend() is not None for axes in figure.axes] == [1, 0, 0]
-    assert figure.axes[1].get_ylabel() == "Bank angle magnitude (deg)"
+    assert figure.axes[1].get_ylabel() == "Bank angle (deg)"
     assert sum(counts(figure.axes[2])) == RUNS
 
 
@@ -394,7 +412,7 @@ def test_glides_that_are_not_finite_are_left_out_and_counted(glides):
     peaks = {f"peak_{n}": ("run", np.ones(6)) for n in glide.CONSTRAINTS}
     lost = glides.assign(outcome=("run", outcome), ended_by=ended_by, **peaks)
     figures = figures_of(lost, lost, figures=GLIDE)
-    assert set(figures) == set(GLIDE) - {"drag", "corridor"}
+    assert set(figures) == set(GLIDE) - {"drag", "drag_deviation", "corridor"}
     for figure in figures.values():
         said = "1 of 6 runs not finite or without an end: left out"
         assert figure.get_supxlabel() == said
@@ -556,5 +574,5 @@ def test_the_nominal_flight_is_in_the_units_of_its_axes(runs, figures):
     np.testing.assert_allclose(speed, nominal["velocity"].values[flying])
     np.testing.assert_allclose(altitude, nominal["altitude"].values[flying] / 1e3)
     _, bank = line(figures["bank"].axes[0], "nominal")
-    expected = np.abs(np.degrees(nominal["bank_angle"].values[flying]))
+    expected = np.degrees(nominal["bank_angle"].values[flying])
     np.testing.assert_allclose(bank, expected)

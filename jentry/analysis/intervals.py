@@ -58,11 +58,7 @@ def moment_intervals(
     scales = np.where(spreads > 0.0, spreads, 1.0)
     scaled = (values - centers[:, None]) / scales[:, None]
     means, deviations = _resampled(scaled)
-    total, squares = scaled.sum(axis=1), np.square(scaled).sum(axis=1)
-    left_means = (total[:, None] - scaled) / (runs - 1)
-    left_deviations = _deviation(
-        left_means, (squares[:, None] - np.square(scaled)) / (runs - 1), runs - 1
-    )
+    left_means, left_deviations = _without_each(scaled)
     found = []
     for i, (center, spread, scale) in enumerate(
         zip(centers, spreads, scales, strict=True)
@@ -128,6 +124,15 @@ def _resampled(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     moments = np.concatenate(sums).T / runs
     means, squares = moments[:quantities], moments[quantities:]
     return means, _deviation(means, squares, runs)
+
+
+def _without_each(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Means and standard deviations without each of the runs, each (quantities, runs)."""
+    others = values.shape[1] - 1
+    squares = np.square(values)
+    means = (values.sum(axis=1, keepdims=True) - values) / others
+    squares = (squares.sum(axis=1, keepdims=True) - squares) / others
+    return means, _deviation(means, squares, others)
 
 
 def _deviation(means: np.ndarray, squares: np.ndarray, runs: int) -> np.ndarray:

@@ -11,7 +11,7 @@ from . import errors, glide
 from .entry_corridor import corridor
 from .figure_data import FigureData
 from .style import in_style, legend, panelled
-from .trajectories import ALTITUDE, BANK, DRAG, Trajectory
+from .trajectories import ALTITUDE, BANK, DRAG, Trajectory, draw_deviation
 
 
 if TYPE_CHECKING:
@@ -30,6 +30,17 @@ def _of_trajectories(
         return None
     figure, (axes,) = panelled(6.4, 4.2, 1, data.title)
     trajectory.draw(axes, runs, data.nominal)
+    legend(axes)
+    return data.noted(figure, histories=True)
+
+
+def drag_deviation(data: FigureData) -> "matplotlib.figure.Figure | None":
+    """Bands of the drag less that of the nominal flight, at equal velocity."""
+    runs, nominal = data.trajectories, data.nominal
+    if runs is None or nominal is None or DRAG.name not in runs:
+        return None
+    figure, (axes,) = panelled(6.4, 4.2, 1, data.title)
+    draw_deviation(axes, DRAG.name, runs, nominal)
     legend(axes)
     return data.noted(figure, histories=True)
 
@@ -94,11 +105,12 @@ def overview(data: FigureData) -> "matplotlib.figure.Figure":
 
 HISTORIES: Mapping[str, DrawFigure] = {
     "drag": functools.partial(_of_trajectories, DRAG),
+    "drag_deviation": drag_deviation,
     "altitude": functools.partial(_of_trajectories, ALTITUDE),
     "bank": functools.partial(_of_trajectories, BANK),
     "corridor": corridor,
 }
-"""Percentile bands of the runs, at equal velocity or, for the bank, at equal time"""
+"""Percentile bands of the runs at equal velocity, and the bank of some over time"""
 
 USUAL: Mapping[str, DrawFigure] = {
     **HISTORIES,

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..units import degree
 from .bands import at_velocity, draw_bands, velocity_grid
-from .style import MUTED, NOMINAL, count, scaled
+from .style import MUTED, NOMINAL, RUNS, count, scaled
 
 
 if TYPE_CHECKING:
@@ -26,8 +26,9 @@ class Trajectory:
     """Of the variable"""
     over_time: bool = False
     """Else over the velocity, which falls to the left as time goes on"""
-    magnitude: bool = False
-    """Whether only its magnitude is drawn"""
+    each: int | None = None
+    """Draw so many of the runs themselves, with their signs and their reversals, and no
+    percentiles, which say nothing of what jumps or is at a limit; None for percentiles"""
 
     def draw(
         self,
@@ -37,13 +38,11 @@ class Trajectory:
     ) -> None:
         """Bands of the runs, and the nominal flight as a line."""
         drawn = scaled(runs[self.name])
-        label = drawn.label
-        if self.magnitude:
-            what, bracket, unit = label.partition(" (")
-            label = f"{what} magnitude{bracket}{unit}"
-        axes.set_ylabel(label)
-        values = self._of(drawn.values)
-        if self.over_time:
+        axes.set_ylabel(drawn.label)
+        values = drawn.values
+        if self.each is not None:
+            self._draw_each(axes, runs, values, self.each)
+        elif self.over_time:
             self._draw_over_time(axes, runs, values)
         else:
             self._draw_over_velocity(axes, runs, values)
@@ -53,20 +52,27 @@ class Trajectory:
             if not self.over_time:
                 speed = scaled(runs["velocity"]).size
                 at = nominal["velocity"].values[0] / speed
-            line = self._of(nominal[self.name].values[0] / drawn.size)
+            line = nominal[self.name].values[0] / drawn.size
             axes.plot(
                 at[flying], line[flying], color=NOMINAL, label="nominal", **_REFERENCE
             )
         axes.set_xlim(left=0.0)
-        axes.set_ylim(bottom=0.0)
-        axes.set_title(count(runs), loc="left")
+        if self.each is None:
+            axes.set_ylim(bottom=0.0)
+            axes.set_title(count(runs), loc="left")
         if drawn.size == degree:
             from matplotlib.ticker import MultipleLocator
 
             axes.yaxis.set_major_locator(MultipleLocator(30.0))
 
-    def _of(self, values: np.ndarray) -> np.ndarray:
-        return np.abs(values) if self.magnitude else values
+    def _draw_each(self, axes, runs, values, most: int) -> None:
+        """The first runs over time."""
+        first = values[:most]
+        lines = axes.plot(runs["time"].values, first.T, color=RUNS, lw=0.7, alpha=0.45)
+        if lines:
+            lines[0].set_label("runs")
+        axes.set_xlabel(scaled(runs["time"]).label)
+        axes.set_title(f"{len(first)} of {count(runs)}", loc="left")
 
     def _draw_over_velocity(self, axes, runs, values) -> None:
         velocity = runs["velocity"].values
@@ -85,4 +91,30 @@ class Trajectory:
 
 DRAG = Trajectory("drag")
 ALTITUDE = Trajectory("altitude")
-BANK = Trajectory("bank_angle", over_time=True, magnitude=True)
+BANK = Trajectory("bank_angle", over_time=True, each=24)
+
+
+def draw_deviation(
+    axes: "matplotlib.axes.Axes",
+    name: str,
+    runs: "xarray.Dataset",
+    nominal: "xarray.Dataset",
+) -> None:
+    """Bands of a quantity less that of the nominal flight, at equal velocity.
+
+    Of what follows a reference the bands about its own value are too narrow to be seen.
+    """
+    grid = velocity_grid(runs["velocity"].values)
+    drawn, speed = scaled(runs[name]), scaled(runs["velocity"])
+    at = [
+        at_velocity(flown["velocity"].values, flown[name].values / drawn.size, grid)
+        for flown in (runs, nominal)
+    ]
+    draw_bands(axes, grid / speed.size, at[0] - at[1])
+    axes.axhline(0.0, color=NOMINAL, label="nominal", **_REFERENCE)
+    what, bracket, unit = drawn.label.partition(" (")
+    axes.set_ylabel(f"{what} less nominal{bracket}{unit}")
+    axes.set_xlabel(speed.label)
+    axes.set_xlim(left=0.0)
+    axes.set_title(count(runs), loc="left")
+    axes.set_title("← time", loc="right", color=MUTED)
