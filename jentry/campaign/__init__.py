@@ -2,18 +2,20 @@
 
 from .campaign import Campaign as Campaign, monte_carlo as monte_carlo
 from .dispersions import (
-    AbstractDistribution as AbstractDistribution,
-    Constant as Constant,
     Dispersion as Dispersion,
-    Normal as Normal,
-    OneOfSeveral as OneOfSeveral,
-    TruncatedNormal as TruncatedNormal,
-    Uniform as Uniform,
     add as add,
     disperse as disperse,
     draw as draw,
     multiply as multiply,
     replace as replace,
+)
+from .distributions import (
+    AbstractDistribution as AbstractDistribution,
+    Constant as Constant,
+    Normal as Normal,
+    OneOfSeveral as OneOfSeveral,
+    TruncatedNormal as TruncatedNormal,
+    Uniform as Uniform,
 )
 from .errors import CampaignError as CampaignError
 from .results import dataset as dataset

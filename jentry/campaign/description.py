@@ -11,7 +11,8 @@ from .._setup import xla_options
 from ..addresses import addresses_of, leaves_by_address, unit_of, with_leaves
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
-from .dispersions import Dispersion, static_fields
+from .dispersions import Dispersion
+from .distributions import static_fields
 
 
 _LONG = 100

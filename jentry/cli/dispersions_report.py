@@ -5,15 +5,14 @@ from typing import Any
 
 from ..addresses import leaves_by_address
 from ..campaign.dispersions import (
-    AbstractDistribution,
     Dispersion,
     add,
     addresses_of_dispersion,
     multiply,
     replace,
-    static_fields,
     unit_of_draw,
 )
+from ..campaign.distributions import AbstractDistribution, static_fields
 from ..flight.scenario import Scenario
 from ..missions.mission import Mission
 from .options import dispersions_before

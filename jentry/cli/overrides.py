@@ -34,16 +34,8 @@ from ..addresses import (
     require_address,
     unit_of,
 )
-from ..campaign.dispersions import (
-    Dispersion,
-    Normal,
-    TruncatedNormal,
-    Uniform,
-    add,
-    multiply,
-    replace,
-    unit_of_draw,
-)
+from ..campaign.dispersions import Dispersion, add, multiply, replace, unit_of_draw
+from ..campaign.distributions import Normal, TruncatedNormal, Uniform
 from ..flight.scenario import Scenario
 from ..units import Quantity, quantity
 
