@@ -1,6 +1,7 @@
 """Floor 6: dispersions, Monte Carlo, storage."""
 
 from .campaign import Campaign as Campaign, monte_carlo as monte_carlo
+from .correlations import correlated_normals as correlated_normals
 from .dispersions import (
     Dispersion as Dispersion,
     add as add,
@@ -12,6 +13,9 @@ from .dispersions import (
 from .distributions import (
     AbstractDistribution as AbstractDistribution,
     Constant as Constant,
+    CorrelatedNormal as CorrelatedNormal,
+    Discrete as Discrete,
+    LogNormal as LogNormal,
     Normal as Normal,
     OneOfSeveral as OneOfSeveral,
     TruncatedNormal as TruncatedNormal,

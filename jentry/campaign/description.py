@@ -46,7 +46,7 @@ def describe(
                 "distribution": type(dispersion.distribution).__name__,
                 **static_fields(dispersion.distribution),
                 **{
-                    field: float(value)
+                    field: _plain(value)
                     for field, value in leaves_by_address(
                         with_leaves(dispersion.distribution)
                     ).items()

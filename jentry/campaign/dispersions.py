@@ -116,6 +116,24 @@ def _codes(names: Iterable[str]) -> dict[str, int]:
     return codes
 
 
+def numbers_of_streams(dispersions: Mapping[str, Dispersion]) -> dict[str, int]:
+    """How many random numbers a run takes of each stream, in the order of the table.
+
+    Raises `ValueError` for a stream of which two dispersions take several, and not as many.
+    """
+    counts: dict[str, int] = {}
+    for name, dispersion in dispersions.items():
+        stream, count = dispersion.stream or name, dispersion.distribution.numbers()
+        before = counts.get(stream, count)
+        if before != count and min(before, count) > 0:
+            raise ValueError(
+                f"dispersion {name!r} takes {count} random numbers of the stream "
+                f"{stream!r}, and another one takes {before}: give it another stream"
+            )
+        counts[stream] = max(before, count)
+    return counts
+
+
 def draw(
     dispersions: Mapping[str, Dispersion], key: Key[Array, ""], run: Int[Array, ""]
 ) -> dict[str, Scalar]:
@@ -217,7 +235,7 @@ def check_dispersions(
     """
     draws = {name: jnp.zeros(()) for name in dispersions}
     jax.eval_shape(lambda draws: disperse(scenario, dispersions, draws), draws)
-    _codes(dict.fromkeys(each.stream or n for n, each in dispersions.items()))
+    _codes(numbers_of_streams(dispersions))
     leaves = leaves_by_address(scenario)
     moved: set[str] = set()
     for name, dispersion in dispersions.items():

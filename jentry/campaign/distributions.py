@@ -9,10 +9,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 from jax.scipy.special import ndtr, ndtri
-from jaxtyping import Array, Key
+from jaxtyping import Array, Float, Key
 
-from ..fields import Scalar, scalar
+from .._math import safe_sqrt
+from ..fields import Scalar, Vector, as_float_array, scalar, table
+
+
+_OFF = 1e-9
+"""By which the sum of probabilities may be off, for each of them: they are decimals"""
 
 
 class AbstractDistribution(eqx.Module):
@@ -21,6 +27,21 @@ class AbstractDistribution(eqx.Module):
     @abstractmethod
     def sample(self, key: Key[Array, ""]) -> Scalar:
         """Draw one number."""
+
+    def quantile(self, share: Float[Array, "..."]) -> Scalar:
+        """The number below which a share of all draws lies, for samplers that choose it.
+
+        The share is above 0 and below 1. A distribution that takes several `numbers` has
+        as many shares, of shape (numbers,), each uniform and independent of the others.
+        """
+        raise ValueError(
+            f"{type(self).__name__} has no quantile(share), the inverse of its cumulative "
+            "distribution: give it one, or draw plainly, without a sampler"
+        )
+
+    def numbers(self) -> int:
+        """How many independent random numbers one draw takes."""
+        return 1
 
     @abstractmethod
     def moments(self) -> tuple[Scalar, Scalar]:
@@ -40,11 +61,45 @@ class Normal(AbstractDistribution):
     def sample(self, key: Key[Array, ""]) -> Scalar:
         return self.mean + self.standard_deviation * jax.random.normal(key, dtype=float)
 
+    def quantile(self, share: Float[Array, "..."]) -> Scalar:
+        return self.mean + self.standard_deviation * ndtri(share)
+
     def moments(self) -> tuple[Scalar, Scalar]:
         return self.mean, self.standard_deviation
 
     def scaled(self, factor: Scalar | float) -> "Normal":
         return Normal(self.mean, factor * self.standard_deviation)
+
+
+class LogNormal(AbstractDistribution):
+    """Distribution of a positive number whose logarithm is normal.
+
+    For a factor that is as often halved as doubled, write a median of 1 and a deviation
+    of the logarithm of `math.log(2.0)` for one standard deviation.
+    """
+
+    median: Scalar = scalar(positive=True)
+    deviation_of_logarithm: Scalar = scalar(positive=True)
+    """Standard deviation of the natural logarithm"""
+
+    def sample(self, key: Key[Array, ""]) -> Scalar:
+        normal = jax.random.normal(key, dtype=float)
+        return self.median * jnp.exp(self.deviation_of_logarithm * normal)
+
+    def quantile(self, share: Float[Array, "..."]) -> Scalar:
+        return self.median * jnp.exp(self.deviation_of_logarithm * ndtri(share))
+
+    def moments(self) -> tuple[Scalar, Scalar]:
+        variance = self.deviation_of_logarithm * self.deviation_of_logarithm
+        mean = self.median * jnp.exp(0.5 * variance)
+        return mean, mean * jnp.sqrt(jnp.expm1(variance))
+
+    def scaled(self, factor: Scalar | float) -> "LogNormal":
+        mean, _ = self.moments()
+        variance = self.deviation_of_logarithm * self.deviation_of_logarithm
+        # That of a lognormal distribution whose deviation over its mean is a multiple.
+        variance = jnp.log1p(factor * factor * jnp.expm1(variance))
+        return LogNormal(mean * jnp.exp(-0.5 * variance), jnp.sqrt(variance))
 
 
 class Uniform(AbstractDistribution):
@@ -54,7 +109,9 @@ class Uniform(AbstractDistribution):
     upper: Scalar = scalar()
 
     def sample(self, key: Key[Array, ""]) -> Scalar:
-        share = jax.random.uniform(key, dtype=float)
+        return self.quantile(jax.random.uniform(key, dtype=float))
+
+    def quantile(self, share: Float[Array, "..."]) -> Scalar:
         return self.lower + (self.upper - self.lower) * share
 
     def moments(self) -> tuple[Scalar, Scalar]:
@@ -77,11 +134,113 @@ class Constant(AbstractDistribution):
     def sample(self, key: Key[Array, ""]) -> Scalar:
         return self.value
 
+    def quantile(self, share: Float[Array, "..."]) -> Scalar:
+        return self.value
+
+    def numbers(self) -> int:
+        return 0
+
     def moments(self) -> tuple[Scalar, Scalar]:
         return self.value, 0.0 * self.value
 
     def scaled(self, factor: Scalar | float) -> "Constant":
         return self
+
+
+class Discrete(AbstractDistribution):
+    """One of a list of numbers, each with its own probability.
+
+    Discrete([0.0, 1.0], [0.9, 0.1])  # a failure in a tenth of the runs
+    Discrete([900.0, 950.0, 1000.0])  # as likely each
+    """
+
+    values: Vector = table(increasing=True)
+    """(n,), increasing"""
+    probabilities: Vector = table()
+    """(n,), whose sum is 1; all equal if not given"""
+
+    def __init__(self, values: Any, probabilities: Any = None):
+        self.values = as_float_array(values)
+        if self.values.ndim != 1 or self.values.size == 0:
+            raise ValueError(
+                f"values has shape {self.values.shape}: give a list of numbers"
+            )
+        if probabilities is None:
+            probabilities = jnp.full(self.values.shape, 1.0 / self.values.size)
+        self.probabilities = as_float_array(probabilities)
+
+    def __check_init__(self):
+        if self.probabilities.shape != self.values.shape:
+            raise ValueError(
+                f"probabilities has shape {self.probabilities.shape}: give one for each "
+                f"value, {self.values.shape}"
+            )
+        if isinstance(self.values, Tracer) or isinstance(self.probabilities, Tracer):
+            return
+        values, shares = np.asarray(self.values), np.asarray(self.probabilities)
+        if not np.all(np.diff(values) > 0.0):
+            raise ValueError(f"values is {values.tolist()}: list them in rising order")
+        for share in shares[~(shares >= 0.0)][:1]:
+            raise ValueError(f"a probability is {share:g}: each must be zero or more")
+        total = float(np.sum(shares))
+        if not abs(total - 1.0) <= _OFF * shares.size:
+            raise ValueError(
+                f"the probabilities {shares.tolist()} have the sum {total:.10g}: it must "
+                "be 1"
+            )
+
+    def sample(self, key: Key[Array, ""]) -> Scalar:
+        return self.quantile(jax.random.uniform(key, dtype=float))
+
+    def quantile(self, share: Float[Array, "..."]) -> Scalar:
+        # The last bound is 1 whatever the rounding of the sum, and is left out.
+        below = jnp.cumsum(self.probabilities)[:-1]
+        return self.values[jnp.searchsorted(below, share, side="right")]
+
+    def moments(self) -> tuple[Scalar, Scalar]:
+        mean = jnp.sum(self.probabilities * self.values)
+        variance = jnp.sum(self.probabilities * (self.values - mean) ** 2)
+        return mean, safe_sqrt(variance)
+
+    def scaled(self, factor: Scalar | float) -> "Discrete":
+        mean, _ = self.moments()
+        return Discrete(mean + factor * (self.values - mean), self.probabilities)
+
+
+class CorrelatedNormal(AbstractDistribution):
+    """One of several normal distributions that go together: see `correlated_normals`.
+
+    A draw is the mean plus a weighted sum of independent standard normal numbers, which
+    are the same for all distributions of a stream; the weights are a row of the
+    lower triangular root of the correlation matrix.
+    """
+
+    mean: Scalar = scalar()
+    standard_deviation: Scalar = scalar(positive=True)
+    weights: Vector = table()
+    """(n,), the squares of which have the sum 1"""
+
+    def sample(self, key: Key[Array, ""]) -> Scalar:
+        keys = (jax.random.fold_in(key, place) for place in range(self.weights.size))
+        return self._of([jax.random.normal(key, dtype=float) for key in keys])
+
+    def quantile(self, share: Float[Array, "..."]) -> Scalar:
+        return self._of([ndtri(share[place]) for place in range(self.weights.size)])
+
+    def _of(self, normals: list[Array]) -> Scalar:
+        total = sum(self.weights[i] * normal for i, normal in enumerate(normals))
+        return self.mean + self.standard_deviation * total
+
+    def numbers(self) -> int:
+        return self.weights.size
+
+    def moments(self) -> tuple[Scalar, Scalar]:
+        return self.mean, self.standard_deviation
+
+    def scaled(self, factor: Scalar | float) -> "CorrelatedNormal":
+        return dataclasses.replace(
+            self, standard_deviation=factor * self.standard_deviation
+        )
 
 
 class OneOfSeveral(AbstractDistribution):
@@ -104,10 +263,14 @@ class OneOfSeveral(AbstractDistribution):
             )
 
     def sample(self, key: Key[Array, ""]) -> Scalar:
-        number = self.count * jax.random.uniform(key, dtype=float)
+        return self.quantile(jax.random.uniform(key, dtype=float))
+
+    def quantile(self, share: Float[Array, "..."]) -> Scalar:
+        # Not in rising order: the share says first which one is drawn.
+        number = self.count * share
         chosen = jnp.floor(number) == self.place
-        share = 2.0 * (number - self.place) - 1.0
-        return jnp.where(chosen, self.most * share, 0.0)
+        size = 2.0 * (number - self.place) - 1.0
+        return jnp.where(chosen, self.most * size, 0.0)
 
     def moments(self) -> tuple[Scalar, Scalar]:
         return 0.0 * self.most, self.most / math.sqrt(3.0 * self.count)
@@ -131,8 +294,10 @@ class TruncatedNormal(AbstractDistribution):
         return lower, upper
 
     def sample(self, key: Key[Array, ""]) -> Scalar:
+        return self.quantile(jax.random.uniform(key, dtype=float))
+
+    def quantile(self, share: Float[Array, "..."]) -> Scalar:
         lower, upper = self.in_deviations()
-        share = jax.random.uniform(key, dtype=float)
         # In the tail below the mean, by symmetry, where a probability that is small keeps
         # its digits: above it they are what is left of 1, and beyond 8 deviations nothing.
         above = lower + upper > 0.0

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from ..addresses import leaves_by_address
 from ..campaign.dispersions import (
     Dispersion,
@@ -19,6 +21,9 @@ from .options import dispersions_before
 from .overrides import Overrides
 from .tables import new_console, new_table, print_under
 
+
+_LISTED = 6
+"""Numbers of a table that are printed"""
 
 _HOW: dict[Any, str] = {
     replace: "in place of",
@@ -79,7 +84,13 @@ def print_what_is_flown(
 
 def _in_words(distribution: AbstractDistribution) -> str:
     numbers = {**static_fields(distribution), **leaves_by_address(distribution)}.items()
-    words = [f"{name.replace('_', ' ')} {float(x):.6g}" for name, x in numbers]
+    words = [f"{name.replace('_', ' ')} {_listed(x)}" for name, x in numbers]
     kind = type(distribution).__name__
     spaced = "".join(f" {c.lower()}" if c.isupper() else c for c in kind).strip()
     return ", ".join([spaced, *words])
+
+
+def _listed(numbers: Any) -> str:
+    """One number, or those of a table; of a long one, the ends."""
+    flat = [f"{x:.6g}" for x in np.ravel(numbers)]
+    return " ".join(flat if len(flat) <= _LISTED else [*flat[:2], "...", flat[-1]])

@@ -131,11 +131,14 @@ def dispersion_table(mission, overrides, reading):
             "dispersions are given by --dispersions and by --config, whose replace = true "
             "leaves out those of the mission: give one of them"
         )
+    from .overrides import correlated
+
     reading = first_given(reading, overrides.reading, *mission.dispersions, "")
-    return reading, {
+    table = {
         **dispersions_before(mission, overrides, reading),
         **(overrides.dispersions or {}),
     }
+    return reading, correlated(table, overrides.correlations)
 
 
 def dispersions_before(mission, overrides, reading):
