@@ -13,15 +13,18 @@ from .analysis import (
 )
 from .campaign import (
     AbstractDistribution as AbstractDistribution,
+    AbstractSampler as AbstractSampler,
     Campaign as Campaign,
     CampaignError as CampaignError,
     Constant as Constant,
     CorrelatedNormal as CorrelatedNormal,
     Discrete as Discrete,
     Dispersion as Dispersion,
+    LatinHypercube as LatinHypercube,
     LogNormal as LogNormal,
     Normal as Normal,
     OneOfSeveral as OneOfSeveral,
+    Sobol as Sobol,
     TruncatedNormal as TruncatedNormal,
     Uniform as Uniform,
     add as add,

@@ -23,4 +23,9 @@ from .distributions import (
 )
 from .errors import CampaignError as CampaignError
 from .results import dataset as dataset
+from .samplers import (
+    AbstractSampler as AbstractSampler,
+    LatinHypercube as LatinHypercube,
+    Sobol as Sobol,
+)
 from .store import open_campaign as open_campaign, run_campaign as run_campaign

@@ -13,6 +13,7 @@ from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
 from .dispersions import Dispersion
 from .distributions import static_fields
+from .samplers import AbstractSampler, described
 
 
 _LONG = 100
@@ -28,6 +29,7 @@ def describe(
     solver: AbstractSolver,
     history: float | None,
     inputs: Mapping[str, Any] | None = None,
+    sampler: AbstractSampler | None = None,
     **labels: Any,
 ) -> dict[str, Any]:
     """A campaign as plain values: two with equal values fly the same runs."""
@@ -35,6 +37,7 @@ def describe(
     return {
         **labels,
         "seed": seed,
+        **described(sampler),
         "history_interval": None if history is None else float(history),
         "solver": repr(solver),
         "xla_options": xla_options(),

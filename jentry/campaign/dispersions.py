@@ -316,3 +316,29 @@ def _dispersed_inputs(
         return {address: jnp.asarray(value) for address, value in inputs.items()}
 
     return jax.vmap(one)(runs)
+
+
+@kept
+def inputs_of_shares(
+    scenario: Scenario,
+    pairs: tuple[tuple[str, Dispersion], ...],
+    shares: Mapping[str, Array],
+) -> dict[str, Float[Array, " runs"]]:
+    """Inputs of many runs, by address, whose shares of each stream a sampler has chosen.
+
+    **Arguments:**
+
+    - `pairs`: the dispersions by name, in their order.
+    - `shares`: by stream, of shape (runs,) or (runs, numbers).
+    """
+    dispersions = dict(pairs)
+
+    def one(shares: Mapping[str, Array]) -> dict[str, Array]:
+        draws = {
+            name: jnp.asarray(d.distribution.quantile(shares[d.stream or name]))
+            for name, d in dispersions.items()
+        }
+        inputs = disperse(scenario, dispersions, draws)
+        return {address: jnp.asarray(value) for address, value in inputs.items()}
+
+    return jax.vmap(one)(shares)

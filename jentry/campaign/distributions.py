@@ -333,11 +333,7 @@ class TruncatedNormal(AbstractDistribution):
         return TruncatedNormal(mean, factor * self.standard_deviation, lower, upper)
 
 
-def static_fields(distribution: AbstractDistribution) -> dict[str, Any]:
-    """What a distribution has besides numbers that JAX sees, by name."""
-    fields = dataclasses.fields(distribution)
-    return {
-        f.name: getattr(distribution, f.name)
-        for f in fields
-        if f.metadata.get("static")
-    }
+def static_fields(module: eqx.Module) -> dict[str, Any]:
+    """What a distribution or a sampler has besides numbers that JAX sees, by name."""
+    fields = dataclasses.fields(module)
+    return {f.name: getattr(module, f.name) for f in fields if f.metadata.get("static")}

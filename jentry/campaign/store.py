@@ -37,6 +37,7 @@ from .parts import (
     read_manifest,
 )
 from .results import dataset
+from .samplers import AbstractSampler
 
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def run_campaign(
     inputs: Mapping[str, Any] | None = None,
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
+    sampler: AbstractSampler | None = None,
     report: Callable[[int], None] = lambda stored: None,
     **labels: Any,
 ) -> None:
@@ -67,6 +69,7 @@ def run_campaign(
 
     - `out`: folder; made if it does not exist.
     - `inputs`: in place of dispersions, values by address.
+    - `sampler`: as for `monte_carlo`; a `LatinHypercube` cannot be extended.
     - `report`: is told how many runs are stored, whenever that changes.
     - `labels`: attributes of the results, such as the mission.
 
@@ -87,11 +90,12 @@ def run_campaign(
             inputs=inputs,
             solver=solver,
             history=history,
+            sampler=sampler,
         )
 
     blocks_of(runs)  # flies nothing yet, and refuses what cannot be flown
     description = describe(
-        scenario, dispersions, seed, solver, history, inputs, **labels
+        scenario, dispersions, seed, solver, history, inputs, sampler, **labels
     )
     if out.exists() and not out.is_dir():
         raise CampaignError(f"{out} is a file: give a folder for the campaign")

@@ -11,6 +11,8 @@ from .options import (
     Dispersions,
     Fast,
     MissionName,
+    Sampler,
+    Sampling,
     Set,
     Step,
     Variant,
@@ -42,6 +44,7 @@ def command(
     workers: Workers = None,
     variant: Variant = None,
     dispersions: Dispersions = None,
+    sampler: Sampler = Sampling.PLAIN,
     inputs: Annotated[
         Path | None,
         typer.Option(
@@ -82,6 +85,7 @@ def command(
         raise ValueError("--inputs takes the place of dispersions: give one of them")
     as_published = (
         inputs is None
+        and sampler is Sampling.PLAIN
         and not overrides.values
         and overrides.dispersions is None
         and variant == chosen.published_variant
@@ -97,7 +101,10 @@ def command(
         runs = 1000
     folder = Path("results") / chosen.name if out is None else out
     solver = FixedStep(step)
-    histories = histories_of(scenario, table, seed, given, runs, history, solver)
+    spread = sampler.of(runs)
+    histories = histories_of(
+        scenario, table, seed, given, runs, history, solver, spread
+    )
     resumed = rounding_off("the same command resumes")
     with resumed as look, progress(runs) as told, histories:
 
@@ -116,6 +123,7 @@ def command(
             inputs=given,
             solver=solver,
             history=history,
+            sampler=spread,
             report=report,
             **chosen.labels,
             variant=variant,
