@@ -91,6 +91,7 @@ from jentry.world import (
     PerturbedAtmosphere,
     Planet,
     PolynomialAerodynamics,
+    ScaledWind,
     StillAir,
     TabulatedAerodynamics,
     TabulatedAtmosphere,
@@ -521,6 +522,9 @@ all_winds = {
     "still": StillAir,
     "constant": lambda: ConstantWind(10.0, -4.0, 0.5),
     "table": lambda: TabulatedWind(WIND_ALTITUDES, EAST_WIND, NORTH_WIND),
+    "scaled": lambda: ScaledWind(
+        TabulatedWind(WIND_ALTITUDES, EAST_WIND, NORTH_WIND), -1.5
+    ),
 }
 
 

@@ -33,6 +33,7 @@ from .vehicle import Vehicle as Vehicle
 from .wind import (
     AbstractWind as AbstractWind,
     ConstantWind as ConstantWind,
+    ScaledWind as ScaledWind,
     StillAir as StillAir,
     TabulatedWind as TabulatedWind,
 )
