@@ -6,6 +6,7 @@ from .aerodynamics import (
     ConstantAerodynamics as ConstantAerodynamics,
     ExponentialAerodynamics as ExponentialAerodynamics,
     PolynomialAerodynamics as PolynomialAerodynamics,
+    RandomAerodynamics as RandomAerodynamics,
     TabulatedAerodynamics as TabulatedAerodynamics,
 )
 from .atmosphere import (
@@ -23,6 +24,11 @@ from .perturbed_atmosphere import (
     PerturbedAtmosphere as PerturbedAtmosphere,
 )
 from .planet import Planet as Planet
+from .random_air import RandomAtmosphere as RandomAtmosphere, RandomWind as RandomWind
+from .random_profile import (
+    RandomAltitudeProfile as RandomAltitudeProfile,
+    RandomMachProfile as RandomMachProfile,
+)
 from .smoothed_atmosphere import (
     SmoothedAtmosphere as SmoothedAtmosphere,
     smoothed as smoothed,
