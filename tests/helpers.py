@@ -84,6 +84,8 @@ from jentry.world import (
     ConstantGravity,
     ConstantWind,
     DensityWave,
+    EnsembleAtmosphere,
+    EnsembleWind,
     ExponentialAerodynamics,
     ExponentialAtmosphere,
     GroundWave,
@@ -488,6 +490,12 @@ all_atmospheres = {
         RandomAltitudeProfile(12e3, seed=0.3, nodes=21),
         0.1,
     ),
+    "ensemble": lambda: EnsembleAtmosphere(
+        jnp.linspace(0.0, 120e3, 61),
+        jnp.stack([f * tabulated_atmosphere().densities for f in (0.9, 1.1)]),
+        jnp.stack([f * tabulated_atmosphere().temperatures for f in (1.1, 1.0)]),
+        profile=1.0,
+    ),
     "smoothed": functools.cache(lambda: smoothed(ExponentialAtmosphere(1.225, 7200.0))),
 }
 
@@ -541,6 +549,12 @@ all_winds = {
     "table": lambda: TabulatedWind(WIND_ALTITUDES, EAST_WIND, NORTH_WIND),
     "scaled": lambda: ScaledWind(
         TabulatedWind(WIND_ALTITUDES, EAST_WIND, NORTH_WIND), -1.5
+    ),
+    "ensemble": lambda: EnsembleWind(
+        WIND_ALTITUDES,
+        jnp.stack([NORTH_WIND, EAST_WIND]),
+        jnp.stack([EAST_WIND, NORTH_WIND]),
+        1.0,
     ),
     "random": lambda: RandomWind(
         ConstantWind(10.0, -4.0, 0.5),

@@ -13,6 +13,11 @@ from .atmosphere import (
     AbstractAtmosphere as AbstractAtmosphere,
     ExponentialAtmosphere as ExponentialAtmosphere,
 )
+from .ensemble import (
+    EnsembleAtmosphere as EnsembleAtmosphere,
+    EnsembleWind as EnsembleWind,
+)
+from .ensemble_files import Ensemble as Ensemble, read_ensemble as read_ensemble
 from .gravity import (
     AbstractGravity as AbstractGravity,
     ConstantGravity as ConstantGravity,
