@@ -208,3 +208,21 @@ def test_a_description_tells_tables():
     told = describe(cheap.scenario(), table, 0, cheap.SOLVER, None)["dispersions"]["x"]
     assert told["values"] == [900.0, 950.0] and told["probabilities"] == [0.25, 0.75]
     assert told["distribution"] == "Discrete"
+
+
+def test_lists_are_printed_and_long_ones_by_their_ends(command, tmp_path):
+    config = tmp_path / "many.toml"
+    config.write_text(
+        '[dispersions.mass]\naddress = "vehicle.mass"\ndistribution = "discrete"\n'
+        "values = [900, 901, 902, 903, 904, 905, 906, 907]\n"
+        '[dispersions.density]\naddress = "planet.density_scale"\n'
+        'distribution = "discrete"\nvalues = [0.5, 2]\nprobabilities = [0.25, 0.75]\n'
+    )
+    code, printed, _ = command("show", "cheap", "--config", config)
+    assert code == 0
+    rows = [line.split("│") for line in printed.splitlines() if "│" in line]
+    drawn = " ".join(" ".join(row[2].split()) for row in rows if len(row) > 5)
+    assert (
+        "discrete, values 900 901 ... 907, probabilities 0.125 0.125 ... 0.125" in drawn
+    )
+    assert "discrete, values 0.5 2, probabilities 0.25 0.75" in drawn

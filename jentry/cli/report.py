@@ -145,7 +145,7 @@ def print_campaign(mission: Mission, results, as_published: bool) -> None:
     if not as_published:
         console.print(
             f"published values are of the variant {mission.published_variant} with the "
-            f"dispersions {mission.published_dispersions}, unchanged"
+            f"dispersions {mission.published_dispersions}, unchanged, by plain draws"
         )
     elif results.sizes["run"] < SETS * size:
         console.print(
