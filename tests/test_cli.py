@@ -139,7 +139,7 @@ ARRIVE = {
     "fly": RUN | {"history", "out"},
     "monte-carlo": RUN
     | {"runs", "seed", "out", "workers", "dispersions", "inputs", "history", "fast"}
-    | {"no-fast", "figures", "no-figures"},
+    | {"no-fast", "figures", "no-figures", "sampler"},
     "tune": RUN
     | {"gains", "runs", "steps", "loss", "of", "out", "optimizer", "learning-rate"}
     | {"bounds", "smooth", "no-smooth", "fresh-draws", "no-fresh-draws", "patience"}

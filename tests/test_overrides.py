@@ -24,11 +24,11 @@ from jentry.campaign import (
 from jentry.cli.overrides import (
     AtAddresses,
     apply_values,
-    correlated,
     in_si,
     read_inputs,
     read_overrides,
 )
+from jentry.cli.stated_correlations import correlated
 from jentry.tuning.saving import with_unit
 from jentry.units import degree
 

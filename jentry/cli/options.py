@@ -157,7 +157,7 @@ def dispersion_table(mission, overrides, reading):
             "dispersions are given by --dispersions and by --config, whose replace = true "
             "leaves out those of the mission: give one of them"
         )
-    from .overrides import correlated
+    from .stated_correlations import correlated
 
     reading = first_given(reading, overrides.reading, *mission.dispersions, "")
     table = {

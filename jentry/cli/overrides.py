@@ -35,7 +35,6 @@ from ..addresses import (
     require_address,
     unit_of,
 )
-from ..campaign.correlations import correlated_normals
 from ..campaign.dispersions import Dispersion, add, multiply, replace, unit_of_draw
 from ..campaign.distributions import (
     Discrete,
@@ -380,47 +379,6 @@ def _coefficients(table: Any, place: str) -> dict[str, float]:
                 f"{place}.{name} is {found[name]:g}: it must be between -1 and 1"
             )
     return found
-
-
-def correlated(
-    dispersions: Mapping[str, Dispersion],
-    correlations: Mapping[str, Mapping[str, float]],
-) -> dict[str, Dispersion]:
-    """A table of dispersions with those correlated of which a file says so.
-
-    Two of which it does not say so are not, be it that both are with a third.
-    """
-    table, joined = dict(dispersions), {name: {name} for name in dispersions}
-    coefficients: dict[frozenset[str], float] = {}
-    for name, others in correlations.items():
-        for other, value in others.items():
-            place = f"dispersions.{name}.correlation"
-            if other not in table:
-                raise ValueError(
-                    f"{place}: no dispersion {other!r}; {nearest(other, table)}"
-                )
-            if other == name:
-                raise ValueError(
-                    f"{place}: it is that of {name} with itself, which is 1"
-                )
-            pair = frozenset((name, other))
-            if coefficients.setdefault(pair, value) != value:
-                raise ValueError(
-                    f"{place}.{other} is {value:g}, and dispersions.{other}.correlation"
-                    f".{name} {coefficients[pair]:g}: give one of them"
-                )
-            group = joined[name] | joined[other]
-            joined |= dict.fromkeys(group, group)
-    for group in {id(group): group for group in joined.values()}.values():
-        if len(group) < 2:
-            continue
-        names = [name for name in dispersions if name in group]
-        matrix = np.eye(len(names))
-        for i, j in np.ndindex(matrix.shape):
-            if i != j:
-                matrix[i, j] = coefficients.get(frozenset((names[i], names[j])), 0.0)
-        table |= correlated_normals({name: table[name] for name in names}, matrix)
-    return table
 
 
 def _dispersion(name: str, stated: Stated, scenario: Scenario) -> Dispersion:
