@@ -23,7 +23,8 @@ import numpy as np
 import optimistix
 
 import jentry
-from jentry.campaign.dispersions import Constant, Dispersion, Normal, Uniform, multiply
+from jentry.campaign.dispersions import Dispersion, multiply
+from jentry.campaign.distributions import Constant, Normal, Uniform
 from jentry.missions.mars.drag_tracking import entry, independent, lift_to_drag_held
 from jentry.missions.mars.predictor_corrector import in_plane, three_dimensional
 from jentry.onboard import Accelerometers

@@ -7,16 +7,17 @@ import equinox as eqx
 import pytest
 
 
-def _benchmark():
-    path = Path(__file__).parents[1] / "benchmarks" / "populations.py"
-    spec = importlib.util.spec_from_file_location("populations", path)
+def benchmark(name):
+    """A program of the folder of benchmarks, as a module."""
+    path = Path(__file__).parents[1] / "benchmarks" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-populations = _benchmark()
+populations = benchmark("populations")
 """The benchmark that flies many sets of runs"""
 
 

@@ -84,6 +84,8 @@ from jentry.world import (
     ConstantGravity,
     ConstantWind,
     DensityWave,
+    EnsembleAtmosphere,
+    EnsembleWind,
     ExponentialAerodynamics,
     ExponentialAtmosphere,
     GroundWave,
@@ -91,6 +93,12 @@ from jentry.world import (
     PerturbedAtmosphere,
     Planet,
     PolynomialAerodynamics,
+    RandomAerodynamics,
+    RandomAltitudeProfile,
+    RandomAtmosphere,
+    RandomMachProfile,
+    RandomWind,
+    ScaledWind,
     StillAir,
     TabulatedAerodynamics,
     TabulatedAtmosphere,
@@ -477,6 +485,17 @@ all_atmospheres = {
         share_high=0.08,
         ground_waves=(GroundWave(0.02, 800e3, 6371e3, 1.0),),
     ),
+    "random": lambda: RandomAtmosphere(
+        ExponentialAtmosphere(1.225, 7200.0),
+        RandomAltitudeProfile(12e3, seed=0.3, nodes=21),
+        0.1,
+    ),
+    "ensemble": lambda: EnsembleAtmosphere(
+        jnp.linspace(0.0, 120e3, 61),
+        jnp.stack([f * tabulated_atmosphere().densities for f in (0.9, 1.1)]),
+        jnp.stack([f * tabulated_atmosphere().temperatures for f in (1.1, 1.0)]),
+        profile=1.0,
+    ),
     "smoothed": functools.cache(lambda: smoothed(ExponentialAtmosphere(1.225, 7200.0))),
 }
 
@@ -510,6 +529,13 @@ all_aerodynamics = {
         2.9, 0.3, 3.4e-4, -0.24, 2.4, 0.4, 1.1e-3, 0.023, 10 * degree
     ),
     "table": tabulated_aerodynamics,
+    "random": lambda: RandomAerodynamics(
+        ConstantAerodynamics(0.4, 1.2),
+        RandomMachProfile(5.0, seed=0.6, nodes=13),
+        RandomMachProfile(5.0, seed=0.7, nodes=13),
+        0.1,
+        0.05,
+    ),
 }
 
 
@@ -521,6 +547,21 @@ all_winds = {
     "still": StillAir,
     "constant": lambda: ConstantWind(10.0, -4.0, 0.5),
     "table": lambda: TabulatedWind(WIND_ALTITUDES, EAST_WIND, NORTH_WIND),
+    "scaled": lambda: ScaledWind(
+        TabulatedWind(WIND_ALTITUDES, EAST_WIND, NORTH_WIND), -1.5
+    ),
+    "ensemble": lambda: EnsembleWind(
+        WIND_ALTITUDES,
+        jnp.stack([NORTH_WIND, EAST_WIND]),
+        jnp.stack([EAST_WIND, NORTH_WIND]),
+        1.0,
+    ),
+    "random": lambda: RandomWind(
+        ConstantWind(10.0, -4.0, 0.5),
+        RandomAltitudeProfile(8e3, -1.3e3, seed=0.1, nodes=21),
+        RandomAltitudeProfile(8e3, -1.3e3, seed=0.9, nodes=21),
+        15.0,
+    ),
 }
 
 

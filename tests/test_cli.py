@@ -143,7 +143,15 @@ ARRIVE = {
     "fly": RUN | {"history", "out", "figure"},
     "monte-carlo": RUN
     | {"runs", "seed", "out", "workers", "dispersions", "inputs", "history", "fast"}
-    | {"no-fast", "figures", "no-figures", "until-decided", "most-runs", "slice"}
+    | {
+        "no-fast",
+        "figures",
+        "no-figures",
+        "until-decided",
+        "most-runs",
+        "slice",
+        "sampler",
+    }
     | REPORT,
     "report": {"runs", "mission", "figures", "no-figures", "figures-only"} | REPORT,
     "merge": set(),

@@ -9,7 +9,8 @@ import pytest
 from helpers import mars_scenario
 
 from jentry.campaign import monte_carlo
-from jentry.campaign.dispersions import Dispersion, Uniform, key_of
+from jentry.campaign.dispersions import Dispersion, key_of
+from jentry.campaign.distributions import Uniform
 from jentry.cli.figures import Histories, histories_of
 from jentry.flight import FixedStep
 

@@ -204,6 +204,7 @@ def test_what_was_flown_is_made_again(folder):
     assert str(scenario) == str(cheap.scenario())
     assert stored_solver(description) == cheap.SOLVER
     assert is_as_published(description, mission)
+    assert not is_as_published(description | {"sampler": "Sobol"}, mission)
     assert not is_as_published(description | {"variant": "steep"}, mission)
     assert not is_as_published(description | {"inputs": {"vehicle.mass": [1]}}, mission)
     changed = json.loads(json.dumps(description))
@@ -311,6 +312,25 @@ def test_until_decided_needs_a_requirement(command, tmp_path):
     inputs.write_text("vehicle.mass\n900\n")
     words = ("--until-decided", "--require", EASY, "--inputs", inputs)
     assert_refused(monte_carlo(command, *words), "has no more")
+
+
+@pytest.mark.parametrize("sampler", ["sobol", "latin-hypercube"])
+def test_runs_that_are_spread_evenly_are_no_independent_ones(
+    command, tmp_path, sampler
+):
+    """Their intervals say so, and they are not judged."""
+    out = tmp_path / "out"
+    words = ("--runs", 4, "--sampler", sampler, "--out", out)
+    code, printed, _ = monte_carlo(command, *words)
+    assert code == 0 and "those of independent draws" in printed
+    assert "those of independent draws" in (out / "report.html").read_text()
+    told = json.loads((out / "summary.json").read_text())
+    assert "independent" in told["intervals"]["caution"]
+    assert "sampler" in told["campaign"]
+    result = monte_carlo(command, *words, "--require", EASY)
+    assert_refused(result, "judged of independent runs")
+    assert_refused(report(command, out, "--require", EASY), "fly plain draws")
+    assert not is_as_published(read_manifest(out), cheap.MISSION)
 
 
 # Progress where nobody looks.

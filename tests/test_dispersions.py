@@ -28,12 +28,12 @@ from jentry.campaign import (
 )
 from jentry.campaign.description import describe
 from jentry.campaign.dispersions import (
-    Constant,
     check_dispersions,
     dispersed_inputs,
     key_of,
     scaled_dispersions,
 )
+from jentry.campaign.distributions import Constant
 from jentry.missions import ALL
 
 

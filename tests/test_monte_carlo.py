@@ -26,7 +26,7 @@ from jentry.campaign import (
 )
 from jentry.campaign.batch import LANES
 from jentry.campaign.campaign import drawn_inputs, fly_in_blocks
-from jentry.campaign.dispersions import Constant
+from jentry.campaign.distributions import Constant
 from jentry.missions import find_mission
 from jentry.motion import EquatorialDynamics
 from jentry.tuning import Budget, Draws

@@ -3,6 +3,7 @@
 import tomllib
 
 import cheap
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from helpers import mars_scenario
 from jentry._files import write_toml
 from jentry.addresses import leaves_by_address
 from jentry.campaign import (
+    LogNormal,
     Normal,
     TruncatedNormal,
     Uniform,
@@ -26,6 +28,7 @@ from jentry.cli.overrides import (
     read_inputs,
     read_overrides,
 )
+from jentry.cli.stated_correlations import correlated
 from jentry.tuning.saving import with_unit
 from jentry.units import degree
 
@@ -519,3 +522,123 @@ def test_an_angle_of_a_dispersion_beyond_a_turn_was_meant_in_degrees(written):
     entry = uniform(address='"initial_state.heading"', lower=88, upper=92)
     with pytest.raises(ValueError, match="x.lower: 88 rad .*did you mean 88deg"):
         read(written(entry))
+
+
+# Distributions of a file that have lists, and correlations.
+
+MORE = """
+[dispersions.density]
+address = "planet.density_scale"
+distribution = "lognormal"
+median = 1.0
+deviation_of_logarithm = 0.2
+
+[dispersions.path]
+address = "initial_state.flight_path_angle"
+distribution = "discrete"
+values = ["-14.5 deg", "-14 deg"]
+probabilities = [0.25, 0.75]
+
+[dispersions.velocity]
+address = "initial_state.velocity"
+distribution = "discrete"
+values = ["6.7 km/s", 6750]
+
+[dispersions.lift]
+address = "vehicle.lift_scale"
+distribution = "normal"
+mean = 1.0
+standard_deviation = 0.1
+
+[dispersions.drag]
+address = "vehicle.drag_scale"
+distribution = "normal"
+mean = 1.0
+standard_deviation = 0.05
+correlation = { lift = 0.8, mass = -0.2 }
+
+[dispersions.mass]
+address = "vehicle.mass"
+distribution = "normal"
+mean = 950
+standard_deviation = 10
+"""
+
+
+def test_lognormal_and_discrete_distributions_of_a_file(written):
+    table = read(written(MORE)).dispersions
+    assert table["density"].distribution.moments() == LogNormal(1.0, 0.2).moments()
+    path, velocity = table["path"].distribution, table["velocity"].distribution
+    np.testing.assert_array_equal(path.values, [-14.5 * degree, -14.0 * degree])
+    np.testing.assert_array_equal(path.probabilities, [0.25, 0.75])
+    np.testing.assert_array_equal(velocity.values, [6700.0, 6750.0])
+    np.testing.assert_array_equal(velocity.probabilities, [0.5, 0.5])
+
+
+def test_correlations_of_a_file(written):
+    overrides = read(written(MORE))
+    table = correlated(overrides.dispersions, overrides.correlations)
+    assert list(table) == list(overrides.dispersions)
+    assert table["path"] is overrides.dispersions["path"]
+    names = "lift", "drag", "mass"
+    rows = np.stack([table[name].distribution.weights for name in names])
+    # What is not said of lift and mass is zero.
+    expected = [[1.0, 0.8, 0.0], [0.8, 1.0, -0.2], [0.0, -0.2, 1.0]]
+    np.testing.assert_allclose(rows @ rows.T, expected, atol=1e-15)
+    assert {table[name].stream for name in names} == {"lift and drag and mass"}
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "message"),
+    [
+        (
+            'values = ["6.7 km/s", 6750]',
+            "values = 6750",
+            "velocity.values is 6750: write",
+        ),
+        ("[0.25, 0.75]", "[0.25, 0.8]", "dispersions.path: the probabilities .* 1.05"),
+        ('values = ["-14.5 deg", "-14 deg"]', "", r"\[dispersions.path\] lacks values"),
+        ("[0.25, 0.75]", '["0.25 m", 0.75]', r"path.probabilities\[0\]"),
+        (
+            "lift = 0.8",
+            "lft = 0.8",
+            "drag.correlation: no dispersion 'lft'; nearest: lift",
+        ),
+        (
+            "lift = 0.8",
+            "lift = 1.8",
+            "drag.correlation.lift is 1.8: it must be between",
+        ),
+        ("lift = 0.8", "drag = 0.8", "it is that of drag with itself, which is 1"),
+        ("lift = 0.8", "path = 0.8", "dispersion 'path' is Discrete"),
+        ("lift = 0.8", "lift = 0.99, mass2 = 1", "correlation.mass2 is 1"),
+        ("mass = -0.2", "mass = -0.7", "not positive definite"),
+        ("{ lift = 0.8, mass = -0.2 }", "0.8", "drag.correlation is 0.8: write"),
+        ("median = 1.0", "median = 1.0\ncorrelation = {}", "unknown key 'correlation'"),
+        (
+            "mean = 950",
+            "mean = 950\ncorrelation = { drag = 0.2 }",
+            "mass.correlation.drag is 0.2, and dispersions.drag.correlation.mass -0.2",
+        ),
+    ],
+    ids=str,
+)
+def test_what_is_no_distribution_or_correlation_is_refused(
+    written, before, after, message
+):
+    assert before in MORE
+    with pytest.raises(ValueError, match=message):
+        overrides = read(written(MORE.replace(before, after)))
+        correlated(overrides.dispersions, overrides.correlations)
+
+
+def test_a_written_table_with_lists_and_correlations_is_the_same(written, tmp_path):
+    first = read(written(MORE))
+    path = tmp_path / "tuned.toml"
+    write_overrides(path, "Again", "right", {}, first.written)
+    again = read(path)
+    assert again.correlations == first.correlations
+    for name, dispersion in first.dispersions.items():
+        numbers = leaves_by_address(dispersion.distribution)
+        found = leaves_by_address(again.dispersions[name].distribution)
+        assert jax.tree.all(jax.tree.map(np.array_equal, found, numbers))

@@ -1,5 +1,7 @@
 """Winds: what blows where, and how a table of it is joined."""
 
+import cheap
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,11 +11,14 @@ from helpers import (
     NORTH_WIND as NORTH,
     WIND_ALTITUDES as ALTITUDES,
     all_winds,
+    fly_compiled,
     over,
 )
 from scipy.interpolate import PchipInterpolator
 
-from jentry.world import TabulatedWind
+from jentry.addresses import replace_leaves
+from jentry.campaign import Dispersion, Uniform, monte_carlo, multiply
+from jentry.world import ConstantWind, ScaledWind, StillAir, TabulatedWind
 
 
 @pytest.fixture(params=all_winds)
@@ -106,3 +111,59 @@ def test_csv_errors_name_file_line_and_expectation(tmp_path):
         ValueError, match="sounding.csv, line 3: altitude_m is -5 after"
     ):
         TabulatedWind.from_csv(path)
+
+
+def in_wind(wind):
+    scenario = cheap.scenario()
+    return eqx.tree_at(
+        lambda s: s.planet.wind,
+        scenario,
+        wind,
+        is_leaf=lambda x: isinstance(x, StillAir),
+    )
+
+
+def test_a_scale_of_one_is_the_wind_itself():
+    wind = TabulatedWind(ALTITUDES, EAST, NORTH)
+    scaled = ScaledWind(wind)
+    for z in jnp.asarray([-5.0, 3e3, 12.5e3, 90e3]):
+        assert scaled.velocity(z) == wind.velocity(z)
+        doubled = ScaledWind(wind, 2.0).velocity(z)
+        assert doubled == tuple(2.0 * x for x in wind.velocity(z))
+
+
+@pytest.mark.slow
+def test_a_flight_in_a_scaled_wind_is_that_in_the_wind_that_it_is():
+    """Bit by bit at 1, and at another scale as in a wind of so many times the speed."""
+    windy = ConstantWind(40.0, -25.0, 1.0)
+    flights = {
+        scale: fly_compiled(in_wind(ScaledWind(windy, scale)), cheap.SOLVER)
+        for scale in (1.0, 2.0)
+    }
+    same = fly_compiled(in_wind(windy), cheap.SOLVER)
+    assert all(map(np.array_equal, *map(jax.tree.leaves, (flights[1.0], same))))
+    double = fly_compiled(in_wind(ConstantWind(80.0, -50.0, 2.0)), cheap.SOLVER)
+    assert all(map(np.array_equal, *map(jax.tree.leaves, (flights[2.0], double))))
+    assert flights[1.0].state.longitude != flights[2.0].state.longitude
+
+
+TABLE = {
+    "wind": Dispersion(lambda s: s.planet.wind.scale, Uniform(-2.0, 2.0), multiply)
+}
+
+
+def test_a_scale_is_dispersed_by_its_address(key):
+    scenario = in_wind(ScaledWind(ConstantWind(40.0, -25.0, 1.0)))
+    campaign = monte_carlo(scenario, TABLE, key, 3, solver=cheap.SOLVER)
+    scales = campaign.inputs["planet.wind.scale"]
+    assert np.all(np.abs(scales) <= 2.0) and len(np.unique(scales)) == 3
+    for scale, longitude in zip(scales, campaign.flights.state.longitude, strict=True):
+        one = replace_leaves(scenario, {"planet.wind.scale": scale})
+        # One flight alone and side by side: rounding, over some thousand steps.
+        expected = fly_compiled(one, cheap.SOLVER).state.longitude
+        assert longitude == pytest.approx(float(expected), rel=1e-10)
+
+
+def test_still_air_is_not_scaled():
+    with pytest.raises(ValueError, match="StillAir is scaled, and a factor on no wind"):
+        ScaledWind(StillAir(), 2.0)

@@ -9,6 +9,7 @@ NASA/TP-2010-216447, 2010.
 import bisect
 import dataclasses
 import enum
+import json
 import math
 import re
 from collections.abc import Callable, Iterable
@@ -188,9 +189,14 @@ def judged(
       at a test that is meant for one look makes it wrong more often than it promises; the
       sequential one may be looked at after every run, and takes more of them.
 
-    **Raises:** `ValueError` for a quantity that the results do not have, and for a limit
-    in a unit of another dimension.
+    **Raises:** `ValueError` for a quantity that the results do not have, for a limit in a
+    unit of another dimension, and for runs that a sampler has spread evenly.
     """
+    if "sampler" in json.loads(results.attrs.get("campaign", "{}")):
+        raise ValueError(
+            "these runs are spread evenly by a sampler, and a requirement is judged of "
+            "independent runs: fly plain draws"
+        )
     failed, without_end = _failed(requirement, results)
     runs, failures = len(failed), int(np.sum(failed))
     allowed, risk = 1.0 - requirement.share, 1.0 - requirement.confidence

@@ -104,9 +104,9 @@ def linear_covariance(
 ) -> LinearCovariance:
     """Predict the standard deviations of outputs, with a Monte Carlo beside it on request.
 
-    Each dispersion is independent and enters by its mean and standard deviation. One
-    more batch, a standard deviation above and below for each, shows how linear the
-    flight is and which conditions end it.
+    Each dispersion enters by its mean and standard deviation, and by how its draws go
+    with those of the others. One more batch, a standard deviation above and below for
+    each, shows how linear the flight is and which conditions end it.
 
     **Arguments:**
 

@@ -108,6 +108,16 @@ class Summary:
     ellipse: MissEllipse | None
     verdicts: list[Verdict]
 
+    @property
+    def caution(self) -> str | None:
+        """What the intervals are not, of runs that were not drawn independently."""
+        if "sampler" not in self.campaign:
+            return None
+        return (
+            "the intervals are those of independent draws: runs of a sampler that spreads "
+            "them evenly repeat themselves better than these say"
+        )
+
     def as_json(self) -> str:
         """All of it, SI; what is not known is null."""
         contents = {
@@ -123,7 +133,11 @@ class Summary:
                 name: {"flights": flights, "largest_share": share}
                 for name, (flights, share) in self.caveats.items()
             },
-            "intervals": {"confidence": CONFIDENCE, **METHODS},
+            "intervals": {
+                "confidence": CONFIDENCE,
+                **METHODS,
+                "caution": self.caution,
+            },
             "statistics": [each.plain() for each in self.statistics],
             "miss_ellipse": None if self.ellipse is None else self.ellipse.plain(),
             "requirements": [verdict.plain() for verdict in self.verdicts],
@@ -202,7 +216,15 @@ def summarize(
 def _described(results: "xarray.Dataset") -> dict[str, Any]:
     """What stands in the results of how they were flown, without the scenario."""
     described = json.loads(results.attrs.get("campaign", "{}"))
-    told = "mission", "variant", "seed", "solver", "xla_options", "dispersions"
+    told = (
+        "mission",
+        "variant",
+        "seed",
+        "sampler",
+        "solver",
+        "xla_options",
+        "dispersions",
+    )
     return {name: described[name] for name in (*told, "versions") if name in described}
 
 

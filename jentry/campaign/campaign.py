@@ -26,9 +26,17 @@ from ..flight.scenario import Scenario, check_values, checked, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
 from .batch import filled_up, in_blocks, over_runs
-from .dispersions import Dispersion, check_dispersions, check_runs, dispersed_inputs
+from .dispersions import (
+    Dispersion,
+    check_dispersions,
+    check_runs,
+    dispersed_inputs,
+    inputs_of_shares,
+    numbers_of_streams,
+)
 from .outputs import is_output, shown
 from .populations import finite_flights
+from .samplers import AbstractSampler, check_sampler, shares_of
 
 
 if TYPE_CHECKING:
@@ -106,6 +114,7 @@ def monte_carlo(
     inputs: Mapping[str, Any] | None = None,
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
+    sampler: AbstractSampler | None = None,
 ) -> Campaign:
     """Fly a scenario many times, with drawn or with given inputs.
 
@@ -120,6 +129,8 @@ def monte_carlo(
     - `runs`: how many, or which; 1000, or all of the inputs, if not given.
     - `inputs`: in place of dispersions, values by address, each of shape (runs,).
     - `solver`, `history`: as for `fly`.
+    - `sampler`: how the draws are spread, `LatinHypercube(runs)` or `Sobol()`; if not
+        given they are independent of each other.
 
     **Raises:** `ValueError` for an empty batch, a dispersion or an address that reaches no
     leaf, inputs of unequal length, and inputs that cannot be flown: all draws are looked
@@ -131,7 +142,14 @@ def monte_carlo(
         np.std(campaign.misses.downrange)
     """
     blocks = fly_in_blocks(
-        scenario, dispersions, key, runs, inputs=inputs, solver=solver, history=history
+        scenario,
+        dispersions,
+        key,
+        runs,
+        inputs=inputs,
+        solver=solver,
+        history=history,
+        sampler=sampler,
     )
     campaign = jax.tree.map(lambda *parts: np.concatenate(parts), *blocks)
     warn_of(campaign.flights.caveats)
@@ -147,6 +165,7 @@ def fly_in_blocks(
     inputs: Mapping[str, Any] | None = None,
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
+    sampler: AbstractSampler | None = None,
 ) -> Iterator[Campaign]:
     """Fly a campaign as `monte_carlo` does, part by part in the order of the runs.
 
@@ -159,6 +178,8 @@ def fly_in_blocks(
     if inputs is not None:
         if dispersions:
             raise ValueError("give dispersions or inputs, not both")
+        if sampler is not None:
+            raise ValueError("a sampler draws dispersions: give it without inputs")
         given = _check_inputs(scenario, inputs)
         count = len(next(iter(given.values())))
     elif dispersions:
@@ -178,11 +199,14 @@ def fly_in_blocks(
     if indices.size == 0:
         raise ValueError(f"no runs to fly: runs is {wanted}")
     check_runs(indices)
+    if dispersions and sampler is not None:
+        count = int(wanted) if wanted.ndim == 0 else None
+        check_sampler(sampler, numbers_of_streams(dispersions), count)
     if given is not None and indices.max() >= count:
         raise ValueError(f"run {indices.max()} was asked for, of {count} given")
     if dispersions and key is not None:
-        check_draws(scenario, dispersions, key, indices)
-    return _blocks(scenario, dispersions, key, indices, given, solver, history)
+        check_draws(scenario, dispersions, key, indices, sampler)
+    return _blocks(scenario, dispersions, key, indices, given, solver, history, sampler)
 
 
 def _check_inputs(
@@ -213,12 +237,13 @@ def drawn_inputs(
     dispersions: Mapping[str, Dispersion],
     key: Key[Array, ""],
     runs: np.ndarray,
+    sampler: AbstractSampler | None = None,
 ) -> dict[str, np.ndarray]:
-    """Inputs of some runs by address, as `dispersed_inputs` draws them.
+    """Inputs of some runs by address, as `monte_carlo` draws them.
 
     Raises `ValueError` for a draw that cannot be flown.
     """
-    inputs = _drawn(scenario, dispersions, key, runs)
+    inputs = _drawn(scenario, dispersions, key, runs, sampler)
     moved = {
         f"dispersions.{name}": addresses_of(scenario, dispersion.where)
         for name, dispersion in dispersions.items()
@@ -229,10 +254,17 @@ def drawn_inputs(
     return inputs
 
 
-def _drawn(scenario, dispersions, key, runs: np.ndarray) -> dict[str, np.ndarray]:
+def _drawn(
+    scenario, dispersions, key, runs: np.ndarray, sampler: AbstractSampler | None
+) -> dict[str, np.ndarray]:
     """Drawn in whole batches, for which flying has compiled."""
-    filled = jnp.asarray(filled_up(runs))
-    inputs = dispersed_inputs(scenario, dispersions, key, filled)
+    filled = filled_up(runs)
+    if sampler is None:
+        inputs = dispersed_inputs(scenario, dispersions, key, jnp.asarray(filled))
+    else:
+        shares = shares_of(sampler, key, numbers_of_streams(dispersions), filled)
+        shares = {stream: jnp.asarray(x) for stream, x in shares.items()}
+        inputs = inputs_of_shares(scenario, tuple(dispersions.items()), shares)
     return {a: np.asarray(values)[: len(runs)] for a, values in inputs.items()}
 
 
@@ -241,6 +273,7 @@ def check_draws(
     dispersions: Mapping[str, Dispersion],
     key: Key[Array, ""],
     runs: np.ndarray,
+    sampler: AbstractSampler | None = None,
 ) -> None:
     """Refuse runs of which one has a draw that cannot be flown, before any is flown.
 
@@ -248,7 +281,7 @@ def check_draws(
     nothing compiled that flying does not need.
     """
     for block in in_blocks(runs):
-        drawn_inputs(scenario, dispersions, key, block)
+        drawn_inputs(scenario, dispersions, key, block, sampler)
 
 
 def _check_runs(
@@ -272,10 +305,10 @@ def _check_runs(
     raise ValueError(f"{source}, run {runs[first]}: {why}")
 
 
-def _blocks(scenario, dispersions, key, indices, given, solver, history):
+def _blocks(scenario, dispersions, key, indices, given, solver, history, sampler):
     for runs in in_blocks(indices):
         if given is None:
-            inputs = _drawn(scenario, dispersions, key, runs)
+            inputs = _drawn(scenario, dispersions, key, runs, sampler)
         else:
             inputs = {address: values[runs] for address, values in given.items()}
         flown = over_runs(_fly_one, (scenario, solver, history), inputs)

@@ -11,7 +11,9 @@ from .._setup import xla_options
 from ..addresses import addresses_of, leaves_by_address, unit_of, with_leaves
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
-from .dispersions import Dispersion, static_fields
+from .dispersions import Dispersion
+from .distributions import static_fields
+from .samplers import AbstractSampler, described
 
 
 _LONG = 100
@@ -27,6 +29,7 @@ def describe(
     solver: AbstractSolver,
     history: float | None,
     inputs: Mapping[str, Any] | None = None,
+    sampler: AbstractSampler | None = None,
     **labels: Any,
 ) -> dict[str, Any]:
     """A campaign as plain values: two with equal values fly the same runs."""
@@ -34,6 +37,7 @@ def describe(
     return {
         **labels,
         "seed": seed,
+        **described(sampler),
         "history_interval": None if history is None else float(history),
         "solver": repr(solver),
         "xla_options": xla_options(),
@@ -45,7 +49,7 @@ def describe(
                 "distribution": type(dispersion.distribution).__name__,
                 **static_fields(dispersion.distribution),
                 **{
-                    field: float(value)
+                    field: _plain(value)
                     for field, value in leaves_by_address(
                         with_leaves(dispersion.distribution)
                     ).items()

@@ -1,9 +1,7 @@
-"""What is uncertain: distributions, and the leaves of a scenario that they move."""
+"""What is uncertain: the leaves of a scenario that are drawn, run by run."""
 
 import dataclasses
-import math
 import zlib
-from abc import abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -12,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
-from jax.scipy.special import ndtr, ndtri
 from jaxtyping import Array, Float, Int, Key
 
 from .._programs import kept
@@ -23,166 +20,10 @@ from ..addresses import (
     unit_of,
     with_leaves,
 )
-from ..fields import Scalar, scalar
+from ..fields import Scalar
 from ..flight.effect import require_felt
 from ..flight.scenario import Scenario, check_values, require_effect
-
-
-class AbstractDistribution(eqx.Module):
-    """Distribution of one number."""
-
-    @abstractmethod
-    def sample(self, key: Key[Array, ""]) -> Scalar:
-        """Draw one number."""
-
-    @abstractmethod
-    def moments(self) -> tuple[Scalar, Scalar]:
-        """Mean and standard deviation of what is drawn."""
-
-    @abstractmethod
-    def scaled(self, factor: Scalar | float) -> "AbstractDistribution":
-        """The distribution about the same mean that is `factor` times as wide."""
-
-
-class Normal(AbstractDistribution):
-    """Normal distribution. Where a source quotes three sigma, write the division."""
-
-    mean: Scalar = scalar()
-    standard_deviation: Scalar = scalar(positive=True)
-
-    def sample(self, key: Key[Array, ""]) -> Scalar:
-        return self.mean + self.standard_deviation * jax.random.normal(key, dtype=float)
-
-    def moments(self) -> tuple[Scalar, Scalar]:
-        return self.mean, self.standard_deviation
-
-    def scaled(self, factor: Scalar | float) -> "Normal":
-        return Normal(self.mean, factor * self.standard_deviation)
-
-
-class Uniform(AbstractDistribution):
-    """Uniform distribution between two bounds."""
-
-    lower: Scalar = scalar()
-    upper: Scalar = scalar()
-
-    def sample(self, key: Key[Array, ""]) -> Scalar:
-        share = jax.random.uniform(key, dtype=float)
-        return self.lower + (self.upper - self.lower) * share
-
-    def moments(self) -> tuple[Scalar, Scalar]:
-        middle = 0.5 * (self.lower + self.upper)
-        return middle, (self.upper - self.lower) / math.sqrt(12.0)
-
-    def scaled(self, factor: Scalar | float) -> "Uniform":
-        middle, _ = self.moments()
-        return Uniform(
-            middle + factor * (self.lower - middle),
-            middle + factor * (self.upper - middle),
-        )
-
-
-class Constant(AbstractDistribution):
-    """A number that is always the same, for a table of dispersions without a draw."""
-
-    value: Scalar = scalar()
-
-    def sample(self, key: Key[Array, ""]) -> Scalar:
-        return self.value
-
-    def moments(self) -> tuple[Scalar, Scalar]:
-        return self.value, 0.0 * self.value
-
-    def scaled(self, factor: Scalar | float) -> "Constant":
-        return self
-
-
-class OneOfSeveral(AbstractDistribution):
-    """Uniform about zero in a share of the runs, and zero in the others.
-
-    Dispersions with places 0 to `count` - 1 and one stream are drawn one at a time: in
-    each run one of them, which is as likely as any other.
-    """
-
-    place: int = eqx.field(static=True)
-    count: int = eqx.field(static=True)
-    most: Scalar = scalar(positive=True)
-    """Largest size of what is drawn"""
-
-    def __check_init__(self):
-        if not 0 <= self.place < self.count:
-            raise ValueError(
-                f"place is {self.place}: it must be from 0 to count - 1, and count is "
-                f"{self.count}"
-            )
-
-    def sample(self, key: Key[Array, ""]) -> Scalar:
-        number = self.count * jax.random.uniform(key, dtype=float)
-        chosen = jnp.floor(number) == self.place
-        share = 2.0 * (number - self.place) - 1.0
-        return jnp.where(chosen, self.most * share, 0.0)
-
-    def moments(self) -> tuple[Scalar, Scalar]:
-        return 0.0 * self.most, self.most / math.sqrt(3.0 * self.count)
-
-    def scaled(self, factor: Scalar | float) -> "OneOfSeveral":
-        return OneOfSeveral(self.place, self.count, factor * self.most)
-
-
-_FARTHEST = 37.0
-"""Standard deviations: beyond it the probability is below the least number there is."""
-
-
-class TruncatedNormal(AbstractDistribution):
-    """Normal distribution of which only what lies between two bounds is drawn."""
-
-    mean: Scalar = scalar()
-    standard_deviation: Scalar = scalar(positive=True)
-    lower: Scalar = scalar()
-    upper: Scalar = scalar()
-
-    def in_deviations(self) -> tuple[Scalar, Scalar]:
-        """The two bounds, counted from the mean in standard deviations."""
-        lower = (self.lower - self.mean) / self.standard_deviation
-        upper = (self.upper - self.mean) / self.standard_deviation
-        return lower, upper
-
-    def sample(self, key: Key[Array, ""]) -> Scalar:
-        lower, upper = self.in_deviations()
-        share = jax.random.uniform(key, dtype=float)
-        # In the tail below the mean, by symmetry, where a probability that is small keeps
-        # its digits: above it they are what is left of 1, and beyond 8 deviations nothing.
-        above = lower + upper > 0.0
-        near = jnp.where(above, ndtr(-lower), ndtr(lower))
-        far = jnp.where(above, ndtr(-upper), ndtr(upper))
-        draw = ndtri(near + (far - near) * share)
-        draw = jnp.clip(jnp.where(above, -draw, draw), lower, upper)
-        return self.mean + self.standard_deviation * draw
-
-    def moments(self) -> tuple[Scalar, Scalar]:
-        # By quadrature about the mode: the closed form cancels in the tails.
-        lower, upper = self.in_deviations()
-        mode = jnp.clip(jnp.zeros_like(lower), lower, upper)
-        # As far as the density is more than exp(-80) of that at the mode.
-        reach = jnp.sqrt(mode * mode + 160.0) - jnp.abs(mode)
-        lower, upper = (
-            jnp.maximum(lower, mode - reach),
-            jnp.minimum(upper, mode + reach),
-        )
-        nodes, weights = np.polynomial.legendre.leggauss(128)
-        x = lower + 0.5 * (upper - lower) * (1.0 + nodes)
-        weights = weights * jnp.exp(0.5 * (mode * mode - x * x))
-        weights = weights / jnp.sum(weights)
-        mean = jnp.sum(weights * x)
-        deviation = jnp.sqrt(jnp.sum(weights * (x - mean) ** 2))
-        scale = self.standard_deviation
-        return self.mean + scale * mean, scale * deviation
-
-    def scaled(self, factor: Scalar | float) -> "TruncatedNormal":
-        centre, _ = self.moments()
-        numbers = (self.mean, self.lower, self.upper)
-        mean, lower, upper = (centre + factor * (x - centre) for x in numbers)
-        return TruncatedNormal(mean, factor * self.standard_deviation, lower, upper)
+from .distributions import AbstractDistribution, TruncatedNormal
 
 
 def replace(nominal: Scalar, draw: Scalar) -> Scalar:
@@ -198,16 +39,6 @@ def add(nominal: Scalar, draw: Scalar) -> Scalar:
 def multiply(nominal: Scalar, draw: Scalar) -> Scalar:
     """The nominal value is multiplied by the draw."""
     return nominal * draw
-
-
-def static_fields(distribution: AbstractDistribution) -> dict[str, Any]:
-    """What a distribution has besides numbers that JAX sees, by name."""
-    fields = dataclasses.fields(distribution)
-    return {
-        f.name: getattr(distribution, f.name)
-        for f in fields
-        if f.metadata.get("static")
-    }
 
 
 class Dispersion(eqx.Module):
@@ -239,6 +70,10 @@ def scaled_dispersions(
         )
         for name, dispersion in dispersions.items()
     }
+
+
+_FARTHEST = 37.0
+"""Standard deviations: beyond it the probability is below the least number there is."""
 
 
 Inputs = dict[str, Scalar]
@@ -279,6 +114,24 @@ def _codes(names: Iterable[str]) -> dict[str, int]:
             )
         codes[name] = code
     return codes
+
+
+def numbers_of_streams(dispersions: Mapping[str, Dispersion]) -> dict[str, int]:
+    """How many random numbers a run takes of each stream, in the order of the table.
+
+    Raises `ValueError` for a stream of which two dispersions take several, and not as many.
+    """
+    counts: dict[str, int] = {}
+    for name, dispersion in dispersions.items():
+        stream, count = dispersion.stream or name, dispersion.distribution.numbers()
+        before = counts.get(stream, count)
+        if before != count and min(before, count) > 0:
+            raise ValueError(
+                f"dispersion {name!r} takes {count} random numbers of the stream "
+                f"{stream!r}, and another one takes {before}: give it another stream"
+            )
+        counts[stream] = max(before, count)
+    return counts
 
 
 def draw(
@@ -382,7 +235,7 @@ def check_dispersions(
     """
     draws = {name: jnp.zeros(()) for name in dispersions}
     jax.eval_shape(lambda draws: disperse(scenario, dispersions, draws), draws)
-    _codes(dict.fromkeys(each.stream or n for n, each in dispersions.items()))
+    _codes(numbers_of_streams(dispersions))
     leaves = leaves_by_address(scenario)
     moved: set[str] = set()
     for name, dispersion in dispersions.items():
@@ -463,3 +316,29 @@ def _dispersed_inputs(
         return {address: jnp.asarray(value) for address, value in inputs.items()}
 
     return jax.vmap(one)(runs)
+
+
+@kept
+def inputs_of_shares(
+    scenario: Scenario,
+    pairs: tuple[tuple[str, Dispersion], ...],
+    shares: Mapping[str, Array],
+) -> dict[str, Float[Array, " runs"]]:
+    """Inputs of many runs, by address, whose shares of each stream a sampler has chosen.
+
+    **Arguments:**
+
+    - `pairs`: the dispersions by name, in their order.
+    - `shares`: by stream, of shape (runs,) or (runs, numbers).
+    """
+    dispersions = dict(pairs)
+
+    def one(shares: Mapping[str, Array]) -> dict[str, Array]:
+        draws = {
+            name: jnp.asarray(d.distribution.quantile(shares[d.stream or name]))
+            for name, d in dispersions.items()
+        }
+        inputs = disperse(scenario, dispersions, draws)
+        return {address: jnp.asarray(value) for address, value in inputs.items()}
+
+    return jax.vmap(one)(shares)

@@ -37,6 +37,7 @@ from .parts import (
     read_manifest,
 )
 from .results import dataset
+from .samplers import AbstractSampler
 
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def run_campaign(
     inputs: Mapping[str, Any] | None = None,
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
+    sampler: AbstractSampler | None = None,
     report: Callable[[int], None] = lambda stored: None,
     part: tuple[int, int] | None = None,
     **labels: Any,
@@ -68,6 +70,7 @@ def run_campaign(
 
     - `out`: folder; made if it does not exist.
     - `inputs`: in place of dispersions, values by address.
+    - `sampler`: as for `monte_carlo`; a `LatinHypercube` cannot be extended.
     - `report`: is told how many runs are stored, whenever that changes.
     - `part`: (3, 10) for the third of ten parts of the runs, each of which a machine flies
       into a folder of its own: see `merge_campaigns`.
@@ -90,6 +93,7 @@ def run_campaign(
             inputs=inputs,
             solver=solver,
             history=history,
+            sampler=sampler,
         )
 
     mine = runs_of_part(runs, part)
@@ -97,7 +101,7 @@ def run_campaign(
         runs if part is None else mine
     )  # flies nothing, and refuses what cannot be
     description = describe(
-        scenario, dispersions, seed, solver, history, inputs, **labels
+        scenario, dispersions, seed, solver, history, inputs, sampler, **labels
     )
     if out.exists() and not out.is_dir():
         raise CampaignError(f"{out} is a file: give a folder for the campaign")

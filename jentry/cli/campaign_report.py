@@ -35,7 +35,7 @@ def print_campaign(
     if not as_published:
         console.print(
             f"published values are of the variant {mission.published_variant} with the "
-            f"dispersions {mission.published_dispersions}, unchanged"
+            f"dispersions {mission.published_dispersions}, unchanged, by plain draws"
         )
     elif results.sizes["run"] < SETS * size:
         console.print(
@@ -61,6 +61,8 @@ def print_summary(name: str, summary: Summary) -> None:
         title = f"{name}: {count} finite flights, errors are actual minus desired"
         _print_statistics(console, title, summary.statistics)
         _print_intervals(console, summary.statistics)
+        if summary.caution:
+            console.print(summary.caution)
     if summary.ellipse is not None:
         _print_ellipse(console, summary.ellipse)
     if summary.verdicts:

@@ -3,23 +3,27 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from ..addresses import leaves_by_address
 from ..campaign.dispersions import (
-    AbstractDistribution,
     Dispersion,
     add,
     addresses_of_dispersion,
     multiply,
     replace,
-    static_fields,
     unit_of_draw,
 )
+from ..campaign.distributions import AbstractDistribution, static_fields
 from ..flight.scenario import Scenario
 from ..missions.mission import Mission
 from .options import dispersions_before
 from .overrides import Overrides
 from .tables import new_console, new_table, print_under
 
+
+_LISTED = 6
+"""Numbers of a table that are printed"""
 
 _HOW: dict[Any, str] = {
     replace: "in place of",
@@ -80,7 +84,13 @@ def print_what_is_flown(
 
 def _in_words(distribution: AbstractDistribution) -> str:
     numbers = {**static_fields(distribution), **leaves_by_address(distribution)}.items()
-    words = [f"{name.replace('_', ' ')} {float(x):.6g}" for name, x in numbers]
+    words = [f"{name.replace('_', ' ')} {_listed(x)}" for name, x in numbers]
     kind = type(distribution).__name__
     spaced = "".join(f" {c.lower()}" if c.isupper() else c for c in kind).strip()
     return ", ".join([spaced, *words])
+
+
+def _listed(numbers: Any) -> str:
+    """One number, or those of a table; of a long one, the ends."""
+    flat = [f"{x:.6g}" for x in np.ravel(numbers)]
+    return " ".join(flat if len(flat) <= _LISTED else [*flat[:2], "...", flat[-1]])

@@ -19,6 +19,7 @@ from ..campaign.campaign import drawn_inputs, monte_carlo
 from ..campaign.dispersions import Dispersion, key_of
 from ..campaign.errors import CampaignError
 from ..campaign.results import dataset
+from ..campaign.samplers import AbstractSampler
 from ..flight.cycle import varies
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
@@ -98,6 +99,7 @@ def histories_of(
     runs: int,
     history: float | None,
     solver: AbstractSolver,
+    sampler: AbstractSampler | None = None,
 ) -> Histories:
     """Those of a campaign of given or drawn inputs.
 
@@ -109,7 +111,7 @@ def histories_of(
         first = np.arange(1 if history else min(runs, _TRAJECTORIES))
         if inputs is None:
             assert dispersions is not None
-            drawn = drawn_inputs(scenario, dispersions, key_of(seed), first)
+            drawn = drawn_inputs(scenario, dispersions, key_of(seed), first, sampler)
         else:
             drawn = {address: values[first] for address, values in inputs.items()}
         flown = slice(0, 0 if history else None)

@@ -135,7 +135,8 @@ def _statistics(summary: Summary) -> str:
         '<p class="note">Errors are actual minus desired. Small: intervals of '
         f"{CONFIDENCE:.0%}; mean and standard deviation by "
         f"{escape(METHODS['mean'])}, percentiles by {escape(METHODS['percentiles'])}; "
-        "none where the runs are too few.</p>"
+        "none where the runs are too few."
+        f"{' Note: ' + escape(summary.caution) + '.' if summary.caution else ''}</p>"
     )
 
 

@@ -17,6 +17,8 @@ from .options import (
     Quiet,
     Require,
     RequirementsFile,
+    Sampler,
+    Sampling,
     Set,
     Step,
     Variant,
@@ -48,6 +50,7 @@ def command(
     workers: Workers = None,
     variant: Variant = None,
     dispersions: Dispersions = None,
+    sampler: Sampler = Sampling.PLAIN,
     inputs: Annotated[
         Path | None,
         typer.Option(
@@ -139,6 +142,11 @@ def command(
         raise ValueError("--until-decided draws more runs, and --inputs has no more")
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
     variant = first_given(variant, overrides.variant, *chosen.variants)
+    if sampler is not Sampling.PLAIN and asked:
+        raise ValueError(
+            f"--sampler {sampler} spreads the runs evenly, and requirements are judged of "
+            "independent runs: leave one of them out"
+        )
     reading, table = dispersion_table(chosen, overrides, dispersions)
     if inputs is not None and (dispersions is not None or overrides.disperses):
         raise ValueError("--inputs takes the place of dispersions: give one of them")
@@ -162,7 +170,10 @@ def command(
         named += f"-{part[0]}-of-{part[1]}"
     folder = Path("results") / named if out is None else out
     solver = FixedStep(step)
-    histories = histories_of(scenario, table, seed, given, runs, history, solver)
+    spread = sampler.of(runs)
+    histories = histories_of(
+        scenario, table, seed, given, runs, history, solver, spread
+    )
     resumed = rounding_off("the same command resumes")
     to_fly = most_runs if until_decided else len(runs_of_part(runs, part))
     with (
@@ -187,6 +198,7 @@ def command(
                 inputs=given,
                 solver=solver,
                 history=history,
+                sampler=spread,
                 report=report,
                 part=part,
                 **chosen.labels,

@@ -55,6 +55,32 @@ Step = Annotated[
 Dispersions = Annotated[
     str | None, typer.Option(help="Reading of the dispersions: see `jentry list`.")
 ]
+
+
+class Sampling(enum.StrEnum):
+    """How the draws of the runs are spread."""
+
+    PLAIN = "plain"
+    LATIN_HYPERCUBE = "latin-hypercube"
+    SOBOL = "sobol"
+
+    def of(self, runs: int):
+        """The sampler of a campaign of so many runs; none for plain draws."""
+        from ..campaign.samplers import LatinHypercube, Sobol
+
+        if self is Sampling.PLAIN:
+            return None
+        return Sobol() if self is Sampling.SOBOL else LatinHypercube(runs)
+
+
+Sampler = Annotated[
+    Sampling,
+    typer.Option(
+        help="How the draws are spread: independent of each other, or evenly. A Latin "
+        "hypercube has a fixed number of runs; a Sobol sequence is extended by more "
+        "--runs, best to a power of 2."
+    ),
+]
 Workers = Annotated[int | None, typer.Option(help="Cores to use; all if not given.")]
 Addresses = Annotated[
     list[str] | None,
@@ -177,11 +203,14 @@ def dispersion_table(mission, overrides, reading):
             "dispersions are given by --dispersions and by --config, whose replace = true "
             "leaves out those of the mission: give one of them"
         )
+    from .stated_correlations import correlated
+
     reading = first_given(reading, overrides.reading, *mission.dispersions, "")
-    return reading, {
+    table = {
         **dispersions_before(mission, overrides, reading),
         **(overrides.dispersions or {}),
     }
+    return reading, correlated(table, overrides.correlations)
 
 
 def dispersions_before(mission, overrides, reading):

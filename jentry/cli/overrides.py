@@ -15,7 +15,8 @@
 A `[dispersions.NAME]` table changes the mission's dispersion of that name, or is added
 to them. In `[dispersions]`, `reading = "independent"` chooses which of the mission's
 readings are changed, and `replace = true` leaves out all of them. `dispersions =
-"independent"` chooses a reading and changes nothing.
+"independent"` chooses a reading and changes nothing. A `normal` dispersion may say how
+it is correlated with others, by name: `correlation = { drag = 0.8 }`.
 """
 
 import dataclasses
@@ -34,15 +35,13 @@ from ..addresses import (
     require_address,
     unit_of,
 )
-from ..campaign.dispersions import (
-    Dispersion,
+from ..campaign.dispersions import Dispersion, add, multiply, replace, unit_of_draw
+from ..campaign.distributions import (
+    Discrete,
+    LogNormal,
     Normal,
     TruncatedNormal,
     Uniform,
-    add,
-    multiply,
-    replace,
-    unit_of_draw,
 )
 from ..flight.scenario import Scenario
 from ..units import Quantity, quantity
@@ -55,7 +54,13 @@ _DISTRIBUTIONS = {
         TruncatedNormal,
         ("mean", "standard_deviation", "lower", "upper"),
     ),
+    "lognormal": (LogNormal, ("median", "deviation_of_logarithm")),
+    "discrete": (Discrete, ("values", "probabilities")),
 }
+_LISTS = "values", "probabilities"
+_MAY_LACK = ("probabilities",)
+_PURE = "deviation_of_logarithm", "probabilities"
+"""Parameters without a unit, whatever is drawn"""
 _APPLY = {"replace": replace, "add": add, "multiply": multiply}
 
 
@@ -86,8 +91,11 @@ class Stated:
 
     distribution: type
     addresses: tuple[str, ...]
-    numbers: Mapping[str, Quantity]
+    numbers: Mapping[str, Any]
+    """Each a `Quantity`, or a list of them"""
     apply: Any
+    correlation: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    """With other dispersions, by name"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -102,6 +110,10 @@ class Overrides:
     `Quantity` as read, and a float in SI"""
     dispersions: Mapping[str, Any] | None = None
     """By name: each is `Stated` as read, and a `Dispersion` in SI"""
+    correlations: Mapping[str, Mapping[str, float]] = dataclasses.field(
+        default_factory=dict
+    )
+    """Of dispersions with others, by name"""
     replaces: bool = False
     """Whether they take the place of the mission's, or are added to them"""
     written: Mapping[str, Any] | None = None
@@ -169,6 +181,7 @@ def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
         reading=reading,
         values=values | assigned,
         dispersions=table,
+        correlations={n: d.correlation for n, d in (table or {}).items()},
         replaces=replaces,
         written=dispersed if isinstance(dispersed, Mapping) else None,
         free_controls=free,
@@ -322,8 +335,11 @@ def _stated(name: str, entry: Any) -> Stated:
             f"{place}.distribution is {kind!r}: choose from {', '.join(_DISTRIBUTIONS)}"
         )
     distribution, parameters = _DISTRIBUTIONS[kind]
-    require_keys(entry, ("address", "distribution", "apply", *parameters), place)
-    missing = [p for p in ("address", *parameters) if p not in entry]
+    more = ("correlation",) if distribution is Normal else ()
+    require_keys(entry, ("address", "distribution", "apply", *parameters, *more), place)
+    missing = [
+        p for p in ("address", *parameters) if p not in entry and p not in _MAY_LACK
+    ]
     if missing:
         raise ValueError(f"[{place}] lacks {', '.join(missing)}")
     addresses = entry["address"]
@@ -339,8 +355,30 @@ def _stated(name: str, entry: Any) -> Stated:
     apply = entry.get("apply", "replace")
     if not isinstance(apply, str) or apply not in _APPLY:
         raise ValueError(f"{place}.apply is {apply!r}: choose from {', '.join(_APPLY)}")
-    numbers = {p: one_quantity(entry[p], f"{place}.{p}") for p in parameters}
-    return Stated(distribution, tuple(addresses), numbers, _APPLY[apply])
+    numbers = {}
+    for parameter in parameters:
+        if parameter not in entry:
+            continue
+        value, at = entry[parameter], f"{place}.{parameter}"
+        if parameter in _LISTS and not isinstance(value, list):
+            raise ValueError(f"{at} is {value!r}: write a list, [1.0, 2.0]")
+        read = _quantities if parameter in _LISTS else one_quantity
+        numbers[parameter] = read(value, at)
+    correlation = _coefficients(entry.get("correlation", {}), f"{place}.correlation")
+    return Stated(distribution, tuple(addresses), numbers, _APPLY[apply], correlation)
+
+
+def _coefficients(table: Any, place: str) -> dict[str, float]:
+    if not isinstance(table, Mapping):
+        raise ValueError(f"{place} is {table!r}: write {{ NAME = 0.5 }}")
+    found = {}
+    for name, value in table.items():
+        found[name] = one_quantity(value, f"{place}.{name}").si("1")
+        if not -1.0 < found[name] < 1.0:
+            raise ValueError(
+                f"{place}.{name} is {found[name]:g}: it must be between -1 and 1"
+            )
+    return found
 
 
 def _dispersion(name: str, stated: Stated, scenario: Scenario) -> Dispersion:
@@ -352,6 +390,12 @@ def _dispersion(name: str, stated: Stated, scenario: Scenario) -> Dispersion:
     except ValueError as error:
         raise ValueError(f"{place}.address: {error}") from None
     unit = unit_of_draw(scenario, name, stated.addresses, stated.apply)
-    numbers = {p: si_of(x, unit, f"{place}.{p}") for p, x in stated.numbers.items()}
-    distribution = stated.distribution(**numbers)
+    numbers = {
+        p: si_of(x, "1" if p in _PURE else unit, f"{place}.{p}")
+        for p, x in stated.numbers.items()
+    }
+    try:
+        distribution = stated.distribution(**numbers)
+    except ValueError as error:
+        raise ValueError(f"{place}: {error}") from None
     return Dispersion(AtAddresses(stated.addresses), distribution, stated.apply)

@@ -17,6 +17,7 @@ from .._warnings import ResultWarning
 from ..fields import Count, Flag, Scalar
 from ..motion.constraints import ConstraintValues
 from ..motion.state import Controls, EntryState
+from ..world.random_profile import settled
 from .closed_loop import Instant, Lane, caveats, command, constrained, start
 from .cycle import Plan
 from .end import end_of_flight
@@ -104,7 +105,7 @@ def fly(
         flight = fly(scenario)
         gradient = jax.grad(lambda s: fly(s).state.altitude)(scenario)
     """
-    scenario = checked(scenario)
+    scenario = settled(checked(scenario))
     plan = Plan.of(scenario, solver, history)
     lane = start(scenario, plan.step)
     if history is None:

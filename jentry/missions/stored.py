@@ -111,6 +111,7 @@ def is_as_published(description: Mapping[str, Any], mission: Mission) -> bool:
     if (
         not mission.published
         or description["inputs"]
+        or "sampler" in description
         or description.get("variant") != mission.published_variant
     ):
         return False

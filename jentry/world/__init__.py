@@ -6,12 +6,18 @@ from .aerodynamics import (
     ConstantAerodynamics as ConstantAerodynamics,
     ExponentialAerodynamics as ExponentialAerodynamics,
     PolynomialAerodynamics as PolynomialAerodynamics,
+    RandomAerodynamics as RandomAerodynamics,
     TabulatedAerodynamics as TabulatedAerodynamics,
 )
 from .atmosphere import (
     AbstractAtmosphere as AbstractAtmosphere,
     ExponentialAtmosphere as ExponentialAtmosphere,
 )
+from .ensemble import (
+    EnsembleAtmosphere as EnsembleAtmosphere,
+    EnsembleWind as EnsembleWind,
+)
+from .ensemble_files import Ensemble as Ensemble, read_ensemble as read_ensemble
 from .gravity import (
     AbstractGravity as AbstractGravity,
     ConstantGravity as ConstantGravity,
@@ -23,6 +29,11 @@ from .perturbed_atmosphere import (
     PerturbedAtmosphere as PerturbedAtmosphere,
 )
 from .planet import Planet as Planet
+from .random_air import RandomAtmosphere as RandomAtmosphere, RandomWind as RandomWind
+from .random_profile import (
+    RandomAltitudeProfile as RandomAltitudeProfile,
+    RandomMachProfile as RandomMachProfile,
+)
 from .smoothed_atmosphere import (
     SmoothedAtmosphere as SmoothedAtmosphere,
     smoothed as smoothed,
@@ -33,6 +44,7 @@ from .vehicle import Vehicle as Vehicle
 from .wind import (
     AbstractWind as AbstractWind,
     ConstantWind as ConstantWind,
+    ScaledWind as ScaledWind,
     StillAir as StillAir,
     TabulatedWind as TabulatedWind,
 )

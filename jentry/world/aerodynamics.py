@@ -11,8 +11,9 @@ from jaxtyping import Array, Float
 from .._interpolation import check_grid, interpolate_surface
 from .._math import horner
 from .._tables import read_columns
-from ..fields import Scalar, scalar, table
+from ..fields import NOT_NEGATIVE, Scalar, scalar, table
 from ..units import degree
+from .random_profile import RandomMachProfile
 
 
 class AbstractAerodynamics(eqx.Module):
@@ -198,3 +199,30 @@ class TabulatedAerodynamics(AbstractAerodynamics):
             mach,
         )
         return lift, drag
+
+
+class RandomAerodynamics(AbstractAerodynamics):
+    """Other aerodynamics, lift and drag each times a random factor over the Mach number.
+
+    The factors are exponentials of random profiles, so that no drag becomes negative: at
+    every Mach number lognormal with a median of 1. Disperse `lift.seed` and `drag.seed`,
+    below `vehicle.aerodynamics`, each by `Uniform(0, 1)`, or both by one draw where lift
+    over drag is to be left as it is.
+    """
+
+    undisturbed: AbstractAerodynamics
+    lift: RandomMachProfile
+    drag: RandomMachProfile
+    lift_deviation: Scalar = scalar(range=NOT_NEGATIVE)
+    """Standard deviation of the natural logarithm of the factor on the lift"""
+    drag_deviation: Scalar = scalar(range=NOT_NEGATIVE)
+    """Likewise, on the drag"""
+
+    def coefficients(
+        self, angle_of_attack: Scalar, mach: Scalar, airspeed: Scalar
+    ) -> tuple[Scalar, Scalar]:
+        lift, drag = self.undisturbed.coefficients(angle_of_attack, mach, airspeed)
+        return (
+            lift * jnp.exp(self.lift_deviation * self.lift(mach)),
+            drag * jnp.exp(self.drag_deviation * self.drag(mach)),
+        )

@@ -82,3 +82,25 @@ class TabulatedWind(AbstractWind):
         horizontal = jnp.stack([self.east, self.north], axis=-1)
         east, north = interpolate(self.altitudes, horizontal, inside)
         return east, north, jnp.zeros_like(altitude)
+
+
+class ScaledWind(AbstractWind):
+    """Another wind times a number: the usual dispersion, at `planet.wind.scale`.
+
+    With a scale of 1 it is the other wind, bit by bit; a negative one turns it round.
+    """
+
+    wind: AbstractWind
+    scale: Scalar = scalar(1.0)
+    """Factor on all components"""
+
+    def __check_init__(self):
+        if isinstance(self.wind, StillAir):
+            raise ValueError(
+                "StillAir is scaled, and a factor on no wind has no effect: give a wind, "
+                "such as ConstantWind"
+            )
+
+    def velocity(self, altitude: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        east, north, up = self.wind.velocity(altitude)
+        return self.scale * east, self.scale * north, self.scale * up

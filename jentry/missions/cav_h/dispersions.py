@@ -4,15 +4,8 @@ import functools
 import math
 from collections.abc import Callable
 
-from ...campaign.dispersions import (
-    AbstractDistribution,
-    Constant,
-    Dispersion,
-    Normal,
-    Uniform,
-    add,
-    multiply,
-)
+from ...campaign.dispersions import Dispersion, add, multiply
+from ...campaign.distributions import AbstractDistribution, Constant, Normal, Uniform
 from ...units import degree, km, micro_g
 
 

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..._programs import kept
-from ...campaign.dispersions import Dispersion, Uniform, multiply
+from ...campaign.dispersions import Dispersion, multiply
+from ...campaign.distributions import Uniform
 from ...flight.scenario import Scenario, Target
 from ...flight.termination import (
     AltitudeAbove,

@@ -4,7 +4,8 @@ import functools
 
 import numpy as np
 
-from ...campaign.dispersions import Constant, Dispersion, Normal, Uniform, add
+from ...campaign.dispersions import Dispersion, add
+from ...campaign.distributions import Constant, Normal, Uniform
 from ...units import degree
 
 

@@ -2,13 +2,8 @@
 
 import functools
 
-from ...campaign.dispersions import (
-    AbstractDistribution,
-    Dispersion,
-    OneOfSeveral,
-    Uniform,
-    add,
-)
+from ...campaign.dispersions import Dispersion, add
+from ...campaign.distributions import AbstractDistribution, OneOfSeveral, Uniform
 from ...motion.state import EntryState
 from ...units import degree, foot
 

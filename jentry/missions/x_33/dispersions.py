@@ -2,7 +2,8 @@
 
 import functools
 
-from ...campaign.dispersions import Dispersion, Uniform, add
+from ...campaign.dispersions import Dispersion, add
+from ...campaign.distributions import Uniform
 from .cases import CASES
 
 
