@@ -10,7 +10,13 @@ import pytest
 from helpers import mars_scenario
 
 from jentry import FixedStep, _setup
-from jentry.campaign.description import describe, first_difference, scalars_of
+from jentry.campaign.description import (
+    _plain,
+    describe,
+    first_difference,
+    leaf_of,
+    scalars_of,
+)
 from jentry.campaign.parts import claim
 from jentry.onboard.profiles import quintic_profile
 
@@ -78,3 +84,14 @@ def test_options_of_the_compiler_are_part_of_it(monkeypatch):
     monkeypatch.setenv("XLA_FLAGS", "")
     assert described(5)["xla_options"] == []
     assert first_difference(usual, described(5)).startswith("xla_options differs")
+
+
+@pytest.mark.parametrize("shape", [(), (3,), (4, 5), (101,), (7, 31)])
+def test_leaves_are_had_back_to_the_last_bit(shape):
+    """Short ones by their digits, long ones by their bytes; through JSON as well."""
+    values = np.random.default_rng(0).normal(size=shape) * np.pi**20
+    for leaf in (values, (1e3 * values).astype(np.int64)):
+        plain = json.loads(json.dumps(_plain(leaf)))
+        again = leaf_of(plain)
+        assert again.shape == leaf.shape
+        np.testing.assert_array_equal(again, leaf)
