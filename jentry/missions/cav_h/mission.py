@@ -8,6 +8,7 @@ import numpy as np
 from ...plots import GLIDE
 from ...units import degree
 from ..mission import Mission, PublishedValue, standard_deviation
+from . import predictor_corrector
 from .dispersions import (
     normal,
     normal_sensed,
@@ -81,6 +82,7 @@ MISSION = Mission(
         "network-once": network_once,
         "state-network-once": state_network_once,
         "us-1976": us_1976,
+        "predictor-corrector": predictor_corrector.guided,
     },
     dispersions={
         "normal-sensed": normal_sensed,

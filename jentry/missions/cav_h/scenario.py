@@ -70,6 +70,9 @@ velocity there is its 2630 m/s"""
 PIVOT = 37.5 * km
 """Altitude in the middle of the flight"""
 
+LARGEST_BANK = 85.0 * degree
+"""Assumed, to either side"""
+
 FINAL_VELOCITY = 2630.0
 """Velocity at the target, m/s: Table 1"""
 
@@ -153,7 +156,7 @@ def glide(
         limits=FlightLimits(
             least_angle_of_attack=0.0,
             largest_angle_of_attack=20.0 * degree,
-            largest_bank=85.0 * degree,
+            largest_bank=LARGEST_BANK,
         ),
         anchoring=anchoring,
         velocity_control=velocity_control,
