@@ -12,7 +12,7 @@ import pytest
 from helpers import fly_compiled, with_leaf
 
 from jentry.flight import FixedStep
-from jentry.guidance import ConstantBankShape, GlideDamping
+from jentry.guidance import ConstantBankShape, FixedSide, GlideDamping
 from jentry.missions.cav_h.predictor_corrector import guided
 from jentry.missions.cav_h.scenario import earth, glider
 from jentry.missions.mars.predictor_corrector import networked
@@ -81,7 +81,7 @@ def test_bank_is_that_of_a_few_lines_of_numbers(path, altitude, velocity):
     assert found == pytest.approx(expected, rel=1e-11)
 
 
-def test_factors_are_those_of_the_forces():
+def test_factors_are_those_of_the_sensed_forces():
     expected = by_hand(0.5, at(), 0.4, 1.2, 0.9)
     found = flown(GlideDamping(0.5), at(), 0.4, Factors(1.2, 0.9))
     assert float(found) == pytest.approx(expected, rel=1e-11)
@@ -172,10 +172,57 @@ def test_gradient_matches_differences():
 # In the law
 
 
-def start_of(scenario):
+def start_of(scenario, state=None):
     law = scenario.guidance
     angle = scenario.vehicle.trim_angle_of_attack
-    return measure(law.model.planet, law.model.vehicle, scenario.initial_state, angle)
+    state = scenario.initial_state if state is None else state
+    return measure(law.model.planet, law.model.vehicle, state, angle)
+
+
+@eqx.filter_jit
+def predicted(law, seen, factors):
+    numbers = law.shape.numbers
+    return law.predicted(number(0.0), seen, factors, numbers, 1.0, False)
+
+
+@pytest.mark.slow
+def test_factors_are_those_of_the_prediction():
+    scenario = guided()
+    law, seen = scenario.guidance, start_of(scenario)
+    by_factor = predicted(law, seen, Factors(1.1, 1.1))
+    denser = with_leaf(law, lambda law: law.model.planet.density_scale, 1.1)
+    by_density = predicted(denser, seen, Factors())
+    for a, b in zip(
+        jax.tree.leaves(by_factor.state), jax.tree.leaves(by_density.state), strict=True
+    ):
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_what_is_commanded_is_damped_by_the_sensed_factors():
+    law = dataclasses.replace(guided().guidance, lateral=FixedSide(), corrections=1)
+    believed = start_of(guided(), at(35 * km, 5000.0))
+    seen = dataclasses.replace(
+        believed, lift=1.1 * believed.lift, drag=0.9 * believed.drag
+    )
+
+    @eqx.filter_jit
+    def decide(law, seen):
+        _, held = law.init(seen)
+        _, held = law.update(number(0.0), seen, (), held)
+        return held, law(number(0.0), seen, (), held)[0]
+
+    held, controls = decide(law, seen)
+    factors, here = held.estimate.factors, seen.state.velocity
+    assert float(factors.lift) == pytest.approx(1.1, rel=1e-9)
+    assert float(factors.drag) == pytest.approx(0.9, rel=1e-9)
+    cosine = law.shape.cos_bank(held.numbers, here, here)
+    angle = law.angle_of_attack(here)
+    damped = law.damping.cos_bank(law.model, factors, seen.state, angle, cosine)
+    assert abs(float(damped - cosine)) > 0.01
+    assert float(controls.cos_bank) == pytest.approx(float(damped), rel=1e-12)
+    sine = math.sqrt(1.0 - float(damped) ** 2)
+    assert float(controls.sin_bank) == pytest.approx(sine, rel=1e-12)
 
 
 @pytest.mark.optimized
@@ -193,22 +240,37 @@ def test_what_is_predicted_with_a_damping_is_flown():
     law = with_leaf(law, lambda law: law.least_effect, 1e12)
     scenario = dataclasses.replace(scenario, guidance=law)
     flight = fly_compiled(scenario, FixedStep(0.5))
-
-    @eqx.filter_jit
-    def predicted(law):
-        seen = start_of(scenario)
-        numbers = law.shape.numbers
-        return law.predicted(number(0.0), seen, Factors(), numbers, 1.0, False)
-
-    end, free = (
-        predicted(law),
-        predicted(dataclasses.replace(law, damping=None)),
-    )
+    seen = start_of(scenario)
+    end = predicted(law, seen, Factors())
+    free = predicted(dataclasses.replace(law, damping=None), seen, Factors())
     # Fourth order of steps of 1 and of 0.5 s; without it the altitude is another one.
     assert float(end.time) == pytest.approx(float(flight.time), abs=0.01)
     difference = float(end.state.altitude - flight.state.altitude)
     assert abs(difference) < 1.0
     assert abs(float(free.state.altitude - flight.state.altitude)) > 100.0
+
+
+@pytest.mark.slow
+def test_derivative_of_a_prediction_is_that_of_differences():
+    scenario = guided()
+    law, seen = scenario.guidance, start_of(scenario)
+
+    @eqx.filter_jit
+    def altitude(mass):
+        of = with_leaf(law, lambda law: law.model.vehicle.mass, mass)
+        return predicted(of, seen, Factors()).state.altitude
+
+    at, step = 900.0, 0.5
+    _, slope = jax.jvp(altitude, (number(at),), (number(1.0),))
+    beside = [float(altitude(number(at + x * step))) for x in (1, -1, 0.5, -0.5)]
+    wide, narrow = (beside[0] - beside[1]) / (2 * step), (beside[2] - beside[3]) / step
+    numeric = narrow + (narrow - wide) / 3.0
+    assert abs(numeric) > 1.0
+    # Rounding of 25 km in some 200 steps, over 0.5 kg.
+    assert float(slope) == pytest.approx(numeric, rel=1e-6)
+    assert float(jax.grad(altitude)(number(at))) == pytest.approx(
+        float(slope), rel=1e-9
+    )
 
 
 @functools.cache
