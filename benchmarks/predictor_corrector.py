@@ -29,6 +29,7 @@ VARIANTS = {
     "sx-2": ("full", "predictor-corrector"),
     "x-33": ("with-range", "predictor-corrector"),
     "rlv": ("r5", "predictor-corrector"),
+    "cav-h": ("newton", "predictor-corrector"),
 }
 ROUNDS = 5
 

@@ -31,8 +31,8 @@ def assert_first_set(mission, variant, dispersions, scenario, campaign, rel=1e-6
         lambda c: c.flights.history, campaign, None, is_leaf=lambda x: x is None
     )
     results = campaign.to_xarray(scenario)
-    (first,) = populations.sets_of(results, populations.RUNS[mission])
+    (first,) = populations.sets_of(results, populations.runs_of(mission, variant))
     saved = populations.saved()
-    for heading, statistic in populations.statistics_of(mission).items():
+    for heading, statistic in populations.statistics_of(mission, variant).items():
         expected = saved[mission, variant, dispersions, heading][0]
         assert statistic(first) == pytest.approx(expected, rel=rel, abs=1e-9), heading

@@ -342,6 +342,44 @@ def test_other_variants_of_cav_h_fly_the_same_mission(variant):
     assert {a: other.get(a) for a in shared} == {a: paper[a] for a in shared}
 
 
+def test_cav_h_by_a_predictor_corrector():
+    """The mission of the paper; the law knows its target and believes its model."""
+    paper = CAV_H.scenario("stored")
+    scenario = CAV_H.scenario("predictor-corrector")
+    own = ("guidance.parameters", "guidance.track", "guidance.arrival")
+    own += ("guidance.limits", "guidance.estimator")
+    theirs = {a: x for a, x in numbers(paper).items() if not a.startswith(own)}
+    assert len(theirs) > 60
+    start, target = ZHOU["start"], ZHOU["target"]
+    assumed = ZHOU["assumed"]
+    largest = assumed["largest_bank_deg"] * degree
+    assert_has(
+        scenario,
+        theirs
+        | below(
+            "guidance",
+            downrange=assumed["radius_m"] * assumed["target_latitude_deg"] * degree,
+            crossrange=0.0,
+            altitude=target["altitude_m"],
+        )
+        | below(
+            "guidance.origin",
+            longitude=0.0,
+            latitude=0.0,
+            heading=start["heading_deg"] * degree,
+        )
+        | {
+            "guidance.end.velocity": target["velocity_m_s"],
+            "guidance.shape.end": target["velocity_m_s"],
+            "guidance.shape.largest": largest,
+            "guidance.damping.lowest": np.cos(largest),
+        },
+    )
+    angle = float(scenario.guidance.angle_of_attack(jnp.asarray(5e3)))
+    assert assumed["least_angle_of_attack_deg"] * degree < angle
+    assert angle < assumed["largest_angle_of_attack_deg"] * degree
+
+
 @pytest.mark.parametrize("reading", ["normal", "uniform", "normal-sensed"])
 def test_table_2_of_cav_h(reading):
     printed, radius = ZHOU["dispersions"], ZHOU["assumed"]["radius_m"]

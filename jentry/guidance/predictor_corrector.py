@@ -33,6 +33,7 @@ from ..onboard.estimation import (
     AbstractFactorEstimator,
     AbstractFactors,
     FactorEstimator,
+    Factors,
 )
 from ..onboard.longitudinal import LongitudinalState
 from ..onboard.model import OnboardModel
@@ -42,6 +43,7 @@ from ..onboard.propagation import Margin, Prediction, propagate
 from ..world.planet import Planet
 from .bank_shapes import AbstractBankShape, ConstantBankShape, Numbers
 from .cycle import FixedCycle
+from .glide_damping import GlideDamping
 from .lateral import AbstractLateralLogic, Destination
 from .law import AbstractSampledLaw
 from .path_limits import BankBounds, PathLimits
@@ -165,6 +167,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     angle_of_attack: AbstractProfile | None = None
     """rad, over the index; None for the angle of attack at which the vehicle trims, which
     is then taken for the rest of the flight too"""
+    damping: GlideDamping | None = None
+    """Of the phugoid, in the prediction as well as in flight; None where the bank is that
+    of the shape alone"""
     limits: PathLimits | None = None
     """Of the bank, by the path constraints of the scenario; the prediction has none"""
     index: AbstractIndex = EnergyIndex()
@@ -203,13 +208,14 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             )
         plain = isinstance(self.shape, ConstantBankShape) and not self.in_space
         by_velocity = self.end.velocity is not None and self.end.energy is None
-        plain = plain and self.angle_of_attack is None
+        plain = plain and self.angle_of_attack is None and self.damping is None
         if self.network is not None and not (plain and by_velocity):
             raise ValueError(
                 "a network takes the place of the prediction of a constant bank to a "
-                "velocity, in the vertical plane, at the trim angle of attack: shape is "
-                f"{type(self.shape).__name__}, in_space is {self.in_space}, "
-                f"angle_of_attack is {self.angle_of_attack}, end is {self.end}"
+                "velocity, in the vertical plane, at the trim angle of attack and without "
+                f"damping: shape is {type(self.shape).__name__}, in_space is "
+                f"{self.in_space}, angle_of_attack is {self.angle_of_attack}, damping is "
+                f"{self.damping}, end is {self.end}"
             )
         turns = self.model.planet.rotation_rate
         at_rest = isinstance(turns, Tracer) or not eqx.is_array(turns) or turns == 0.0
@@ -274,7 +280,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             def banked(state: EntryState) -> Controls:
                 here = self.index.value(planet, time, state)
                 sign = self.lateral.sign(side)
-                return self._banked(here, since, measurement, numbers, sign)
+                return self._banked(
+                    here, since, measurement, numbers, sign, state, factors
+                )
 
             factors = estimate.factors
             bounds = self.limits.bounds(self.model, measurement, factors, banked)
@@ -297,9 +305,12 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         memory: tuple[()],
         held: Corrected,
     ) -> tuple[Controls, tuple[()]]:
-        here = self.index.value(self.model.planet, time, measurement.state)
+        state, factors = measurement.state, held.estimate.factors
+        here = self.index.value(self.model.planet, time, state)
         sign = self.lateral.sign(held.side)
-        wanted = self._banked(here, held.since, measurement, held.numbers, sign)
+        wanted = self._banked(
+            here, held.since, measurement, held.numbers, sign, state, factors
+        )
         if self.limits is None:
             return wanted, ()
         cosine = held.bounds.kept(wanted.cos_bank)
@@ -333,7 +344,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
 
         def command(elapsed: Scalar, state: EntryState) -> Controls:
             here = self.index.value(planet, time + elapsed, state)
-            return self._banked(here, now, measurement, numbers, sign)
+            known = factors.at(state.altitude)
+            return self._banked(here, now, measurement, numbers, sign, state, known)
 
         return propagate(
             self.model,
@@ -457,11 +469,15 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         measurement: Measurement,
         numbers: Numbers,
         sign: Scalar | float,
+        state: EntryState,
+        factors: Factors,
     ) -> Controls:
         angle = measurement.trim_angle_of_attack
         if self.angle_of_attack is not None:
             angle = self.angle_of_attack(here)
         cosine = self.shape.cos_bank(numbers, here, since)
+        if self.damping is not None:
+            cosine = self.damping.cos_bank(self.model, factors, state, angle, cosine)
         return _banked_to(cosine, angle, sign)
 
 

@@ -1,3 +1,3 @@
 """The CAV-H glider: scenario, dispersions, networks and how they are trained."""
 
-from .scenario import MISSION as MISSION
+from .mission import MISSION as MISSION

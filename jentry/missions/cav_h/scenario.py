@@ -7,8 +7,6 @@ is chosen.
 
 import functools
 import math
-from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -46,7 +44,6 @@ from ...onboard.navigation import Accelerometers
 from ...onboard.profile_estimation import Departure, ProfileEstimator
 from ...onboard.track import Track
 from ...planning.bezier_curve import k2_polynomials
-from ...plots import GLIDE
 from ...units import degree, km, standard_gravity
 from ...world.aerodynamics import ExponentialAerodynamics
 from ...world.atmosphere import AbstractAtmosphere, ExponentialAtmosphere
@@ -55,7 +52,6 @@ from ...world.perturbed_atmosphere import DensityWave, PerturbedAtmosphere
 from ...world.planet import Planet
 from ...world.us_standard_atmosphere import USStandardAtmosphere1976
 from ...world.vehicle import Vehicle
-from ..mission import Mission, PublishedValue, standard_deviation
 from .dispersions import (
     AMPLITUDES,
     FACTOR_DEVIATION,
@@ -63,13 +59,8 @@ from .dispersions import (
     TREND_ALTITUDES,
     TREND_DEVIATIONS,
     WAVELENGTHS,
-    normal,
-    normal_sensed,
-    uniform,
-    uniform_sensed,
-    waves_sensed,
 )
-from .training import network_predictor, train
+from .training import network_predictor
 
 
 TARGET_LATITUDE = 55.9067 * degree
@@ -78,6 +69,9 @@ velocity there is its 2630 m/s"""
 
 PIVOT = 37.5 * km
 """Altitude in the middle of the flight"""
+
+LARGEST_BANK = 85.0 * degree
+"""Assumed, to either side"""
 
 FINAL_VELOCITY = 2630.0
 """Velocity at the target, m/s: Table 1"""
@@ -162,7 +156,7 @@ def glide(
         limits=FlightLimits(
             least_angle_of_attack=0.0,
             largest_angle_of_attack=20.0 * degree,
-            largest_bank=85.0 * degree,
+            largest_bank=LARGEST_BANK,
         ),
         anchoring=anchoring,
         velocity_control=velocity_control,
@@ -326,83 +320,3 @@ def us_1976() -> Scenario:
         s.guidance.model.planet.atmosphere,
     )
     return eqx.tree_at(places, newton(), (air, air))
-
-
-def _train(folder: Path, seed: int, **options: Any) -> dict[str, dict[str, Any]]:
-    scenarios = {
-        "stored": stored(),
-        "subdivision": subdivided(),
-        "state-only": stored(),
-    }
-    return train(scenarios, folder, seed, **options)
-
-
-def _errors(name: str, unit: str, variable: str, size: float, values) -> tuple:
-    """Maximum, mean and standard deviation in Table 3, of magnitudes but for the last."""
-
-    def statistic(function):
-        return lambda v: float(function(v[variable] / size))
-
-    maximum, mean, deviation = values
-    return (
-        PublishedValue(
-            f"{name}, maximum", maximum, unit, statistic(lambda e: np.max(abs(e)))
-        ),
-        PublishedValue(
-            f"{name}, mean", mean, unit, statistic(lambda e: np.mean(abs(e)))
-        ),
-        PublishedValue(
-            f"{name}, standard deviation",
-            deviation,
-            unit,
-            statistic(standard_deviation),
-        ),
-    )
-
-
-MISSION = Mission(
-    name="cav-h",
-    title="CAV-H glider, Bézier inverse dynamics with a neural predictor",
-    source='Zhou, Rahman and Chen, "Neural Network Assisted Inverse Dynamic Guidance '
-    'for Terminally Constrained Entry Flight"',
-    variants={
-        "newton": newton,
-        "newton-network": newton_network,
-        "learning": learning,
-        "learning-correlated": learning_correlated,
-        "stored": stored,
-        "model-inversion": model_inversion,
-        "adjusted-once": adjusted_once,
-        "adjusted-at-epochs": adjusted_at_epochs,
-        "network-once": network_once,
-        "state-network-once": state_network_once,
-        "us-1976": us_1976,
-    },
-    dispersions={
-        "normal-sensed": normal_sensed,
-        "uniform-sensed": uniform_sensed,
-        "normal": normal,
-        "uniform": uniform,
-        "waves-sensed": waves_sensed,
-    },
-    gains=("guidance.parameters",),
-    train=_train,
-    figures=GLIDE,
-    published=(
-        *_errors("miss distance", "m", "miss_distance", 1.0, (159.0, 0.22, 4.54)),
-        *_errors(
-            "flight-path angle error",
-            "deg",
-            "flight_path_angle_error",
-            degree,
-            (0.002, 0.0001, 0.001),
-        ),
-        *_errors("azimuth error", "deg", "heading_error", degree, (0.02, 0.002, 0.003)),
-        *_errors("velocity error", "m/s", "velocity_error", 1.0, (19.8, 5.01, 7.23)),
-    ),
-    published_note="Table 3, which contradicts itself: one miss of 159 m in 500 makes a "
-    "standard deviation of 7.1 m or more",
-    published_variant="adjusted-once",
-    published_dispersions="normal",
-    published_runs=500,
-)
