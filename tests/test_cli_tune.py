@@ -48,6 +48,7 @@ def test_tune_writes_what_monte_carlo_flies(command, tmp_path):
     assert "guidance.bank_angle" in printed and "100 %" in printed
     assert "32 held-out draws" in printed and "95 % interval" in printed
     folder = tmp_path / "results" / "cheap-tuned"
+    assert (folder / "course.png").read_bytes().startswith(b"\x89PNG")
     with open(folder / "course.csv") as file:
         rows = list(csv.DictReader(file))
     assert [row["step"] for row in rows] == ["1", "2", "3"]

@@ -4,6 +4,7 @@ import dataclasses
 import math
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import cheap
 import numpy as np
@@ -34,6 +35,7 @@ from jentry.plots import (
     save_figures,
     velocity_grid,
 )
+from jentry.plots.convergence import draw_course
 
 
 RUNS, TIMES = 40, 61
@@ -576,3 +578,25 @@ def test_the_nominal_flight_is_in_the_units_of_its_axes(runs, figures):
     _, bank = line(figures["bank"].axes[0], "nominal")
     expected = np.degrees(nominal["bank_angle"].values[flying])
     np.testing.assert_allclose(bank, expected)
+
+
+def test_the_course_of_tuning():
+    """Losses as they were tried, and numbers as shares of the first ones."""
+    losses = [4.0, 5.0, np.nan, 1.0, 2.0]
+    gains = [[2.0, 0.0], [3.0, 0.5], [3.0, 0.5], [1.0, -1.0], [4.0, 0.0]]
+    course = [
+        SimpleNamespace(loss=loss, values={"a.gain": np.array(x[0]), "b": np.array(x)})
+        for loss, x in zip(losses, gains, strict=True)
+    ]
+    tuned = Tuned.__new__(Tuned)  # of which nothing else is drawn
+    vars(tuned).update(course=course, best=3, values=course[0].values)
+    left, right = draw_course(tuned, "A title").axes
+    tried, so_far, best = left.lines
+    np.testing.assert_array_equal(tried.get_ydata(), losses)
+    np.testing.assert_array_equal(so_far.get_ydata(), [4.0, 4.0, 4.0, 1.0, 1.0])
+    assert (best.get_xdata(), best.get_ydata()) == (4, 1.0)
+    assert left.get_yscale() == "log"
+    drawn = {x.get_label(): x.get_ydata() for x in right.lines[:3]}
+    np.testing.assert_array_equal(drawn["a.gain"], [1.0, 1.5, 1.5, 0.5, 2.0])
+    np.testing.assert_array_equal(drawn["b[0]"], drawn["a.gain"])
+    np.testing.assert_array_equal(drawn["b[1], change"], [0.0, 0.5, 0.5, -1.0, 0.0])

@@ -139,6 +139,8 @@ def command(
 
     from ..campaign.dispersions import key_of
     from ..flight.solver import FixedStep
+    from ..plots import save_figures
+    from ..plots.convergence import draw_course
     from ..tuning import (
         AutomaticDifferentiation,
         Budget,
@@ -216,6 +218,7 @@ def command(
     print_what_is_flown(chosen, scenario, overrides, reading, table)
     print_tuned(chosen, scenario, tuned)
     write_course(folder / "course.csv", tuned)
+    save_figures({"course": draw_course(tuned, chosen.title)}, folder)
     stepped = "" if step is None else f", --step {step:g}"
     tuned.save(
         folder / "tuned.toml",
