@@ -36,6 +36,7 @@ from jentry.plots import (
     velocity_grid,
 )
 from jentry.plots.convergence import draw_course
+from jentry.tuning.tuning import Tuned
 
 
 RUNS, TIMES = 40, 61
