@@ -96,8 +96,9 @@ def run_campaign(
             sampler=sampler,
         )
 
+    # Flies nothing yet, and refuses what cannot be flown.
+    blocks_of(runs if part is None else runs_of_part(runs, part))
     mine = runs_of_part(runs, part)
-    blocks_of(
         runs if part is None else mine
     )  # flies nothing, and refuses what cannot be
     description = describe(

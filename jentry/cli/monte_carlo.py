@@ -175,7 +175,9 @@ def command(
         scenario, table, seed, given, runs, history, solver, spread
     )
     resumed = rounding_off("the same command resumes")
-    to_fly = most_runs if until_decided else len(runs_of_part(runs, part))
+    to_fly = most_runs if until_decided else runs
+    if part is not None:
+        to_fly = len(runs_of_part(runs, part))
     with (
         resumed as look,
         reported(to_fly, quiet) as told,
