@@ -99,8 +99,6 @@ def run_campaign(
     # Flies nothing yet, and refuses what cannot be flown.
     blocks_of(runs if part is None else runs_of_part(runs, part))
     mine = runs_of_part(runs, part)
-        runs if part is None else mine
-    )  # flies nothing, and refuses what cannot be
     description = describe(
         scenario, dispersions, seed, solver, history, inputs, sampler, **labels
     )
