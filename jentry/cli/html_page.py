@@ -15,18 +15,20 @@ from .tables import in_digits
 
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff;
-  max-width: 1150px; margin: 2rem auto; padding: 0 1rem; }
+  max-width: 1500px; margin: 2rem auto; padding: 0 1.2rem; }
 h1 { font-size: 1.5rem; margin-bottom: 0.2rem; }
 h2 { font-size: 1.15rem; margin-top: 2rem; }
 .wide { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums;
-  font-size: 0.86rem; }
-th, td { padding: 0.25rem 0.7rem; text-align: right; border-bottom: 1px solid #e6e6e6;
+  font-size: 0.8rem; }
+th, td { padding: 0.2rem 0.4rem; text-align: right; border-bottom: 1px solid #e6e6e6;
   white-space: nowrap; }
 th:first-child, td:first-child { text-align: left; }
-td small { display: block; color: #6e6e6e; }
+td small { display: block; color: #6e6e6e; font-size: 0.7rem; }
 .passes { color: #00704f; } .fails { color: #b02a00; } .not { color: #8a5a00; }
-figure { margin: 1.2rem 0; } img { max-width: 100%; height: auto; }
+.figures { display: grid; gap: 1rem;
+  grid-template-columns: repeat(auto-fit, minmax(min(100%, 34rem), 1fr)); }
+figure { margin: 0; } img { max-width: 100%; height: auto; }
 figcaption, .note { color: #6e6e6e; font-size: 0.86rem; }
 """
 
@@ -175,7 +177,10 @@ def _figures(figures: Mapping[str, bytes]) -> str:
             f'<figure><img alt="{words}" src="data:image/png;base64,{source}">'
             f"<figcaption>{words}</figcaption></figure>"
         )
-    return "<h2>Figures</h2>\n" + "\n".join(drawn) if drawn else ""
+    if not drawn:
+        return ""
+    body = "\n".join(drawn)
+    return f'<h2>Figures</h2>\n<div class="figures">\n{body}\n</div>'
 
 
 def _cell(interval: Interval, size: float) -> str:
