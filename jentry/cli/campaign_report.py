@@ -146,8 +146,8 @@ def _print_ellipse(console: Console, ellipse: MissEllipse) -> None:
     along, across = (in_digits(x / size) for x in ellipse.mean)
     console.print(
         f"centre of the ellipses: {along} {unit} downrange, {across} {unit} crossrange; "
-        f"larger axis {in_digits(ellipse.angle / degree)} deg from downrange to the left, where crossrange is "
-        "positive"
+        f"larger axis {in_digits(ellipse.angle / degree)} deg from downrange to "
+        "the left, where crossrange is positive"
     )
 
 

@@ -163,8 +163,8 @@ def _ellipse(ellipse: MissEllipse) -> str:
         f"<h2>Downrange and crossrange errors</h2>\n{_table(heads, rows)}"
         f'<p class="note">Centre of the ellipses: {along} {unit} downrange, {across} '
         f"{unit} crossrange; larger axis {in_digits(ellipse.angle / degree)} deg from "
-        "downrange to the left, where crossrange is positive. An ellipse is that of a normal distribution with the "
-        "covariance of the flights.</p>"
+        "downrange to the left, where crossrange is positive. An ellipse is that of a "
+        "normal distribution with the covariance of the flights.</p>"
     )
 
 
