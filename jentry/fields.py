@@ -55,6 +55,7 @@ def scalar(
     unit: str = "1",
     positive: bool = False,
     range: Range | None = None,
+    choice: bool = False,
 ) -> Any:
     """A physical number: a leaf with a unit that can be dispersed, tuned and swept.
 
@@ -66,9 +67,11 @@ def scalar(
     - `positive`: refuse values that are zero or negative (see `check`).
     - `range`: least and largest value, both allowed, likewise; an angle lies within a
       turn if not given.
+    - `choice`: it only chooses something, as the seed of noise does: its size means
+      nothing, and a flight has no derivative by it.
     """
     given = {} if default is MISSING else {"default": default}
-    metadata = _about(unit, positive, range)
+    metadata = {**_about(unit, positive, range), **({"choice": True} if choice else {})}
     return eqx.field(converter=as_float_array, metadata=metadata, **given)
 
 

@@ -1,5 +1,7 @@
 """`jentry inspect`: worst runs, derivatives, and one run again to the last bit."""
 
+import json
+
 import cheap
 import numpy as np
 import pytest
@@ -98,7 +100,10 @@ def test_one_run_again(command, folder):
         assert flown["run"].values == [7]
         for name, values in results.data_vars.items():  # inputs and misses as well
             np.testing.assert_array_equal(flown[name], values[7:8], str(name))
-        assert np.isfinite(altitude[0]) and flown.attrs["campaign"].count("cheap")
+        described = json.loads(flown.attrs["campaign"])
+        assert np.isfinite(altitude[0]) and described["mission"] == "cheap"
+        assert (described["seed"], described["variant"]) == (cheap.SEED, "right")
+        assert set(described["dispersions"]) == set(cheap.dispersions())
     # The derivatives by one standard deviation of the runs.
     inputs = {address: float(x[7]) for address, x in inputs_of(results).items()}
     found = sensitivity(
@@ -137,6 +142,8 @@ def test_another_flight_is_told(command, folder, monkeypatch):
         (("--run", RUNS), f"has the runs 0 to {RUNS - 1}"),
         (("--run", -1), "has the runs 0 to"),
         (("--worst", 0), "--worst is 0"),
+        (("--history", 5), "of the history of --run"),
+        (("--run", 1, "--history", 0), "must be positive"),
     ],
 )
 def test_what_cannot_be_inspected(command, folder, words, message):

@@ -8,6 +8,7 @@ import pytest
 import xarray
 from commands import assert_refused, monte_carlo
 
+import jentry.plots
 from jentry.analysis.acceptance import Requirement, judged
 from jentry.analysis.summary import summarize
 from jentry.campaign import CampaignError, open_campaign
@@ -72,6 +73,8 @@ def test_fewer_runs(command, folder):
     code, printed, _ = report(command, folder, "--runs", 3)
     assert code == 0 and "3 of 3 runs" in printed
     assert_refused(report(command, folder, "--runs", 6), "and ", 2)
+    assert "flown with FixedStep(step=1.0), not with the mission's own" in printed
+    assert_refused(report(command, folder, "--runs", 0), "must be 1 or more", 2)
 
 
 def test_json_is_all_that_is_printed(command, folder):
@@ -172,6 +175,18 @@ def test_figures_are_drawn_again_without_flying(command, tmp_path, monkeypatch):
     command("report", out)
     page = (out / "report.html").read_text()
     assert page.count("data:image/png;base64,") == len(drawn)
+    # Of fewer runs: their figures alone, and none where none are drawn.
+    seen = []
+    draw = jentry.plots.campaign_figures
+    monkeypatch.setattr(
+        "jentry.plots.campaign_figures",
+        lambda data, figures: seen.append(data) or draw(data, figures),
+    )
+    command("report", out, "--runs", 2)
+    assert seen[0].results.sizes["run"] == seen[0].trajectories.sizes["run"] == 2
+    assert not list(figures.glob("*.svg"))
+    command("report", out, "--runs", 2, "--no-figures")
+    assert "data:image/png" not in (out / "report.html").read_text()
     (figures / "histories.nc").unlink()
     code, printed, _ = command("report", out)
     assert code == 0 and "without those of histories" in printed
@@ -184,6 +199,9 @@ def test_histories_of_another_campaign_or_damaged(folder, tmp_path):
     found = stored_histories(tmp_path, digest)
     assert found is not None
     np.testing.assert_array_equal(found["altitude"], flown["altitude"])
+    # Fewer of the same campaign do not take their place.
+    store_histories(tmp_path, flown.isel(run=[0]), digest)
+    assert stored_histories(tmp_path, digest).sizes["run"] == 2
     with pytest.raises(CampaignError, match="of another campaign"):
         stored_histories(tmp_path, "another")
     path = tmp_path / "figures" / "histories.nc"
@@ -295,8 +313,22 @@ def test_more_runs_until_it_is_decided(command, tmp_path):
     assert code == 0 and "sequential" in printed and f"│ {EASY}" in printed
     code, printed, _ = report(command, same, "--require", EASY)
     assert code == 0 and "chosen beforehand" in printed
+    # Merged, it is still one that was added to.
+    command("merge", tmp_path / "merged", out)
+    assert "sequential" in report(command, tmp_path / "merged")[1]
     (out / "until-decided.json").write_text("{}")
     assert_refused(report(command, out), "is not as it was written", 3)
+
+
+def test_what_has_decided_belongs_to_its_campaign(command, tmp_path):
+    """A folder without runs is taken over, and what lies there is of nobody."""
+    out = tmp_path / "out"
+    words = ("--runs", 2, "--until-decided", "--require", LONG, "--most-runs", 3)
+    assert monte_carlo(command, *words, "--out", out)[0] == 6
+    for path in out.glob("runs-*"):
+        path.unlink()
+    code, printed, _ = monte_carlo(command, "--runs", 2, "--seed", 9, "--out", out)
+    assert code == 0 and "acceptance" not in printed
 
 
 def test_it_stops_at_the_most(command, tmp_path):
@@ -331,6 +363,9 @@ def test_runs_that_are_spread_evenly_are_no_independent_ones(
     assert_refused(result, "judged of independent runs")
     assert_refused(report(command, out, "--require", EASY), "fly plain draws")
     assert not is_as_published(read_manifest(out), cheap.MISSION)
+    code, printed, _ = report(command, out, "--runs", 2)
+    cut = "these are 2 of the 4 runs" in " ".join(printed.split())
+    assert code == 0 and cut == (sampler == "latin-hypercube")
 
 
 # Progress where nobody looks.

@@ -97,10 +97,13 @@ def test_campaigns_of_unequal_length_and_other_inputs():
     law = {"guidance.gain": np.ones(6), "peak_drag": np.ones(6)}
     found = compared(campaign(one), campaign(other[:6], **law))
     assert found.paired and found.runs == 6
-    assert found.why == "1 inputs are the same in each run, 1 are of one of them alone"
+    assert found.why == "1 input is the same in each run, 1 are of one of them alone"
     assert found.only_one == ["peak_drag"]
     nothing = campaign(other).drop_vars("vehicle.mass")
-    assert compared(campaign(one), nothing).why == "they have no input in common"
+    assert (
+        compared(campaign(one), nothing).why
+        == "they have no input in common that varies"
+    )
 
 
 def test_one_flight_is_no_comparison():
@@ -159,6 +162,10 @@ def test_variants_on_the_same_draws(command, tmp_path):
     # Stored ones likewise, and no figure unless a folder is given.
     code, again, _ = command("compare", out / "right", out / "steep")
     assert code == 0 and again.splitlines() == printed.splitlines()[:-1]
+    code, fewer, _ = command("compare", out / "right", out / "steep", "--runs", 3)
+    assert code == 0 and "3 pairs" in fewer
+    words = ("compare", out / "right", out / "steep", "--quiet")
+    assert command(*words) == (0, "", "")
 
 
 def test_a_configuration_beside_the_mission(command, tmp_path):
@@ -166,7 +173,8 @@ def test_a_configuration_beside_the_mission(command, tmp_path):
     config.write_text('[set]\n"planet.density_scale" = 1.01')
     words = ("--config", config, "--runs", 2, "--dispersions", "mass-only", "--quiet")
     code, printed, _ = command("compare", "cheap", *words, "--step", 1)
-    assert code == 0 and "heavy less mission: 2 pairs" in printed
+    assert (code, printed) == (0, "")
+    assert (tmp_path / "results" / "cheap-compared" / "comparison.png").exists()
     folder = tmp_path / "results" / "cheap-compared"
     described = json.loads(open_campaign(folder / "heavy").attrs["campaign"])
     assert described["scenario"]["planet.density_scale"]["value"] == 1.01
@@ -181,6 +189,8 @@ def test_a_configuration_beside_the_mission(command, tmp_path):
         (("cheap", "steep"), "holds no campaign"),
         (("a", "a"), "given twice"),
         (("a", "b", "--variant", "right"), "compared as they are"),
+        (("a", "b", "--seed", 3), "compared as they are"),
+        (("a", "b", "--runs", 1), "takes 2 or more"),
     ],
 )
 def test_what_cannot_be_compared(command, words, message):

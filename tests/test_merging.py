@@ -59,10 +59,13 @@ def test_merged_parts_are_the_campaign(tmp_path, whole):
     cheap.campaign(folders[0], 11, part=(1, 3), report=told.append)
     assert told == [3]
     out = tmp_path / "merged"
-    assert merge_campaigns(out, [folders[2], folders[0]]) == 4 + 3
+    assert merge_campaigns(out, [folders[2], folders[0]]) == (4 + 3, 4)
     with pytest.raises(CampaignError, match="lacks some of its runs"):
         open_campaign(out)
-    assert merge_campaigns(out, [str(folder) for folder in reversed(folders)]) == 11
+    assert merge_campaigns(out, [str(folder) for folder in reversed(folders)]) == (
+        11,
+        0,
+    )
     xarray.testing.assert_identical(open_campaign(out), whole)
     names = sorted(path.name for path in out.glob("runs-*"))
     assert names == sorted(p.name for f in folders for p in f.glob("runs-*"))
@@ -95,7 +98,7 @@ def test_a_damaged_part_is_not_taken_in(tmp_path):
     path.write_bytes(bytes(contents))
     with pytest.raises(CampaignError, match="not as this campaign has written"):
         merge_campaigns(tmp_path / "out", [one, other])
-    assert merge_campaigns(tmp_path / "out", [one]) == 2
+    assert merge_campaigns(tmp_path / "out", [one]) == (2, 0)
 
 
 def test_slices_by_the_command(command, tmp_path):
@@ -170,7 +173,7 @@ def test_parts_that_are_killed_at_any_moment(tmp_path):
             process.wait()
     assert kills >= 2
     out = tmp_path / "merged"
-    assert merge_campaigns(out, folders) == runs
+    assert merge_campaigns(out, folders) == (runs, 0)
     cheap.campaign(tmp_path / "whole", runs)
     xarray.testing.assert_identical(
         open_campaign(out), open_campaign(tmp_path / "whole")

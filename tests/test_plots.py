@@ -4,7 +4,6 @@ import dataclasses
 import math
 import subprocess
 import sys
-from types import SimpleNamespace
 
 import cheap
 import numpy as np
@@ -36,6 +35,7 @@ from jentry.plots import (
     velocity_grid,
 )
 from jentry.plots.convergence import draw_course
+from jentry.tuning.record import Entry
 from jentry.tuning.tuning import Tuned
 
 
@@ -581,13 +581,19 @@ def test_the_nominal_flight_is_in_the_units_of_its_axes(runs, figures):
     np.testing.assert_allclose(bank, expected)
 
 
+def point(loss, values, failed):
+    entry = Entry.__new__(Entry)
+    vars(entry).update(loss=loss, values=values, failed=failed)
+    return entry
+
+
 def test_the_course_of_tuning():
     """Losses as they were tried, and numbers as shares of the first ones."""
-    losses = [4.0, 5.0, np.nan, 1.0, 2.0]
+    losses = [4.0, 5.0, np.nan, 1.0, 0.5]  # the last one without a flight
     gains = [[2.0, 0.0], [3.0, 0.5], [3.0, 0.5], [1.0, -1.0], [4.0, 0.0]]
     course = [
-        SimpleNamespace(loss=loss, values={"a.gain": np.array(x[0]), "b": np.array(x)})
-        for loss, x in zip(losses, gains, strict=True)
+        point(loss, {"a.gain": np.array(x[0]), "b": np.array(x)}, failed)
+        for loss, x, failed in zip(losses, gains, (0, 0, 0, 0, 1), strict=True)
     ]
     tuned = Tuned.__new__(Tuned)  # of which nothing else is drawn
     vars(tuned).update(course=course, best=3, values=course[0].values)

@@ -102,6 +102,13 @@ def test_flights_that_are_not_finite_do_not_count():
     assert math.isnan(found["vehicle.mass"].lower)  # of three flights
 
 
+def test_what_only_chooses_does_not_drive():
+    runs = results([1.0, 2.0, 4.0, 3.0], seed=np.arange(4.0), mass=np.arange(4.0))
+    runs["vehicle.seed"].attrs["choice"] = 1
+    found, _ = rank_correlations(runs, "downrange_error")
+    assert list(found) == ["vehicle.mass"]
+
+
 def test_by_what_runs_are_the_worst():
     runs = results([1.0])
     assert ordered_by(runs) == "downrange_error"

@@ -1,6 +1,7 @@
 """Two campaigns beside each other: differences of statistics, paired where draws agree."""
 
 import dataclasses
+import json
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -71,6 +72,10 @@ class Comparison:
     differences: list[Difference]
     only_one: list[str]
     """Outputs that one of them has and the other has not"""
+    beyond: int
+    """Runs of the longer campaign that have no partner; 0 without pairs"""
+    spread: bool
+    """Whether a sampler has spread the runs of one of them: the intervals are too wide"""
 
 
 def compared(first: "xarray.Dataset", second: "xarray.Dataset") -> Comparison:
@@ -113,6 +118,11 @@ def compared(first: "xarray.Dataset", second: "xarray.Dataset") -> Comparison:
         left_out=left_out,
         differences=[_difference(flown[0], flown[1], name, paired) for name in both],
         only_one=sorted({*names[0], *names[1]} - set(both)),
+        beyond=abs(first.sizes["run"] - second.sizes["run"]) if paired else 0,
+        spread=any(
+            "sampler" in json.loads(x.attrs.get("campaign", "{}"))
+            for x in (first, second)
+        ),
     )
 
 
@@ -121,15 +131,21 @@ def _are_pairs(first: "xarray.Dataset", second: "xarray.Dataset") -> tuple[bool,
         {str(n) for n, x in runs.data_vars.items() if "." in str(n)}
         for runs in (first, second)
     ]
-    common = sorted(inputs[0] & inputs[1])
-    if not common:
-        return False, "they have no input in common"
     count = min(first.sizes["run"], second.sizes["run"])
+    # What is the same in all runs makes no pairs.
+    common = [
+        address
+        for address in sorted(inputs[0] & inputs[1])
+        if any(np.ptp(x[address].values[:count]) > 0.0 for x in (first, second))
+    ]
+    if not common:
+        return False, "they have no input in common that varies"
     for address in common:
         one, other = (x[address].values[:count] for x in (first, second))
         if not np.array_equal(one, other):
             return False, f"{address} was drawn otherwise"
-    words = f"{len(common)} inputs are the same in each run"
+    number = "1 input is" if len(common) == 1 else f"{len(common)} inputs are"
+    words = f"{number} the same in each run"
     alone = len(inputs[0] ^ inputs[1])
     return True, words + (f", {alone} are of one of them alone" if alone else "")
 

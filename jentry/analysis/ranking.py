@@ -98,7 +98,8 @@ def rank_correlations(
 
     And the number of flights that they are of: the finite ones. Of what is an error the
     magnitude is asked for by its bars, `|downrange_error|`. Inputs that are the same in
-    all runs, of which there is none, are left out. The intervals are by Fisher's
+    all runs, of which there is none, are left out, and so are those that only choose
+    something, such as the seed of noise. The intervals are by Fisher's
     transformation with the variance 1.06 / (n - 3) (E. C. Fieller, H. O. Hartley and E. S.
     Pearson, Biometrika 44, 1957).
     """
@@ -110,6 +111,8 @@ def rank_correlations(
     runs = outputs.size
     found = {}
     for address, x in inputs_of(flown).items():
+        if flown[address].attrs.get("choice"):
+            continue
         ranks = _ranks(x)
         if runs > 1 and np.ptp(ranks) > 0.0 and np.ptp(outputs) > 0.0:
             correlation = float(np.corrcoef(ranks, outputs)[0, 1])

@@ -73,7 +73,8 @@ class Statistics:
             "mean": self.mean._asdict(),
             "standard_deviation": self.standard_deviation._asdict(),
             "percentiles": {
-                f"{p:g}": interval._asdict() for p, interval in self.percentiles.items()
+                f"{p:.10g}": interval._asdict()
+                for p, interval in self.percentiles.items()
             },
         }
 
@@ -111,8 +112,15 @@ class Summary:
     @property
     def caution(self) -> str | None:
         """What the intervals are not, of runs that were not drawn independently."""
-        if "sampler" not in self.campaign:
+        sampler = self.campaign.get("sampler")
+        if sampler is None:
             return None
+        whole = sampler.get("runs", self.runs)
+        if whole != self.runs:
+            return (
+                f"these are {self.runs} of the {whole} runs that the sampler spreads "
+                "together: what they say is neither of independent draws nor of the whole"
+            )
         return (
             "the intervals are those of independent draws: runs of a sampler that spreads "
             "them evenly repeat themselves better than these say"
@@ -158,7 +166,7 @@ class Summary:
                 ("mean", each.mean),
                 ("standard_deviation", each.standard_deviation),
             ]
-            rows += [(f"percentile_{p:g}", x) for p, x in each.percentiles.items()]
+            rows += [(f"percentile_{p:.10g}", x) for p, x in each.percentiles.items()]
             for name, numbers in rows:
                 cells = ("" if math.isnan(x) else repr(float(x)) for x in numbers)
                 table.writerow((*start, name, *cells))

@@ -10,11 +10,12 @@ from .parts import claim, digest_of, not_as_written, parts_of, read_manifest
 from .store import alone_in
 
 
-def merge_campaigns(out: Path | str, folders: Sequence[Path | str]) -> int:
+def merge_campaigns(out: Path | str, folders: Sequence[Path | str]) -> tuple[int, int]:
     """Copy the runs of several folders of one campaign into one folder.
 
     What is copied is verified to the last bit before and after, and stays where it is.
-    Called again it copies what is missing. Gives the number of runs.
+    Called again it copies what is missing. Gives the number of runs that are there, and
+    of those between the first and the last that are not.
 
     **Arguments:**
 
@@ -51,4 +52,4 @@ def merge_campaigns(out: Path | str, folders: Sequence[Path | str]) -> int:
     runs: set[int] = set()
     for part in parts_of(out):
         runs.update(range(part.first, part.last + 1))
-    return len(runs)
+    return len(runs), max(runs, default=-1) + 1 - len(runs)

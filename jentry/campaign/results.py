@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from .._printed import in_words
-from ..addresses import unit_of
+from ..addresses import field_metadata, unit_of
 from ..fields import Scalar, units_of
 from ..flight.closed_loop import Instant
 from ..flight.flight import Flight, History
@@ -87,7 +87,8 @@ def dataset(
         variables[name] = (dims, np.asarray(values), described)
 
     for address, values in campaign.inputs.items():
-        put(address, values, unit_of(scenario, address), f"input {address}")
+        told = {"choice": 1} if field_metadata(scenario, address).get("choice") else {}
+        put(address, values, unit_of(scenario, address), f"input {address}", **told)
     names = scenario.termination.names
     put(
         "outcome",

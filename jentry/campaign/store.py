@@ -150,20 +150,18 @@ def write_flight(
     block = Campaign(
         np.arange(1), {}, *jax.tree.map(lambda x: np.asarray(x)[None], flown)
     )
-    write_campaign(path, scenario, block, solver, history, **labels)
+    description = describe(scenario, None, 0, solver, history, None, **labels)
+    write_campaign(path, scenario, block, description)
 
 
 def write_campaign(
     path: Path | str,
     scenario: Scenario,
     campaign: Campaign,
-    solver: AbstractSolver,
-    history: float | None,
-    **labels: Any,
+    description: Mapping[str, Any],
 ) -> None:
-    """Write flown runs with their inputs as one netCDF file."""
-    part = dataset(scenario, campaign, history)
-    description = describe(scenario, None, 0, solver, history, None, **labels)
+    """Write flown runs with their inputs as one netCDF file, and how they were flown."""
+    part = dataset(scenario, campaign, description["history_interval"])
     part.attrs["campaign"] = json.dumps(description)
     write_whole(path, _netcdf(part))
 

@@ -11,6 +11,7 @@ from ..analysis.summary import Summary
 from ..campaign.errors import CampaignError
 from ..flight.scenario import Scenario
 from ..missions.mission import Mission
+from ..plots.campaign import FORMATS
 from .figures import FIGURES, draw_figures
 from .html_page import page_of
 
@@ -18,6 +19,8 @@ from .html_page import page_of
 if TYPE_CHECKING:
     import xarray
 
+
+_DIGEST = "campaign_digest"
 
 JSON, CSV, PAGE = "summary.json", "summary.csv", "report.html"
 
@@ -31,10 +34,12 @@ def write_summary(folder: Path, summary: Summary) -> None:
     write_whole(folder / CSV, summary.as_csv().encode())
 
 
-def write_page(folder: Path, title: str, summary: Summary) -> Path:
-    """Write `report.html`, with the png files of the folder's figures in it."""
-    drawn = sorted((folder / FIGURES).glob("*.png"))
-    figures = {path.stem: path.read_bytes() for path in drawn}
+def write_page(
+    folder: Path, title: str, summary: Summary, drawn: Sequence[Path]
+) -> Path:
+    """Write `report.html`, with the figures that have been drawn of the same runs."""
+    images = sorted(path for path in drawn if path.suffix == ".png")
+    figures = {path.stem: path.read_bytes() for path in images}
     write_whole(folder / PAGE, page_of(title, summary, figures).encode())
     return folder / PAGE
 
@@ -46,26 +51,34 @@ def write_figures(
     results: "xarray.Dataset",
     flown: "xarray.Dataset | None",
     formats: Sequence[str],
-) -> Path:
+) -> list[Path]:
     """Draw the figures, and remove those of another time that are not among them."""
     # Always as png too, of which the page is made.
     kinds = dict.fromkeys((*formats, "png"))
     paths = draw_figures(folder, mission, scenario, results, flown, list(kinds))
-    for kind in kinds:
+    for kind in FORMATS:
         for old in (folder / FIGURES).glob(f"*.{kind}"):
             if old not in paths:
                 old.unlink()
-    return folder / FIGURES
+    return paths
 
 
-def note_until_decided(folder: Path, requirements: Sequence[Requirement]) -> None:
-    """Keep in a campaign's folder what decided how many runs it has."""
-    contents = {"requirements": [requirement.text for requirement in requirements]}
+def note_until_decided(
+    folder: Path, requirements: Sequence[Requirement], campaign: str
+) -> None:
+    """Keep in a campaign's folder what decided how many runs it has.
+
+    With the digest of the campaign, of which alone it is true.
+    """
+    contents = {
+        "requirements": [requirement.text for requirement in requirements],
+        _DIGEST: campaign,
+    }
     write_whole(folder / ACCEPTANCE, (json.dumps(contents, indent=2) + "\n").encode())
 
 
-def decided_by(folder: Path) -> list[Requirement] | None:
-    """What decided how many runs a campaign has; None where nothing did.
+def decided_by(folder: Path, campaign: str) -> list[Requirement] | None:
+    """What decided how many runs the campaign of a digest has; None where nothing did.
 
     Raises `CampaignError` for a file that cannot be read.
     """
@@ -74,7 +87,8 @@ def decided_by(folder: Path) -> list[Requirement] | None:
         return None
     try:
         contents: Any = json.loads(path.read_text(encoding="utf-8"))
-        return [Requirement.of(text) for text in contents["requirements"]]
+        requirements = [Requirement.of(text) for text in contents["requirements"]]
+        return requirements if contents[_DIGEST] == campaign else None
     except (ValueError, TypeError, KeyError) as error:
         raise CampaignError(
             f"{path} is not as it was written ({error}): run the campaign again with "

@@ -9,6 +9,7 @@ from ..analysis.intervals import CONFIDENCE, Interval
 from ..analysis.miss_ellipse import MissEllipse
 from ..analysis.summary import Statistics, Summary, summarize
 from ..campaign.populations import population, sets_of
+from ..flight.solver import FixedStep
 from ..missions.mission import Mission
 from ..units import at_edge, degree, edge_unit
 from .tables import in_digits, new_console, new_table, print_in_pieces, print_under
@@ -49,6 +50,7 @@ def print_campaign(
 def print_summary(name: str, summary: Summary) -> None:
     """Outcomes, limits, statistics with their intervals, circular errors, acceptance."""
     console = new_console()
+    _print_solver(console, summary)
     _print_outcomes(console, summary)
     _print_limits(console, summary)
     for caveat, (flights, share) in summary.caveats.items():
@@ -67,6 +69,13 @@ def print_summary(name: str, summary: Summary) -> None:
         _print_ellipse(console, summary.ellipse)
     if summary.verdicts:
         _print_verdicts(console, summary.verdicts)
+
+
+def _print_solver(console: Console, summary: Summary) -> None:
+    """Steps that are not the mission's own, which change its numbers."""
+    solver = summary.campaign.get("solver")
+    if solver not in (None, repr(FixedStep())):
+        console.print(f"flown with {solver}, not with the mission's own steps")
 
 
 def _print_outcomes(console: Console, summary: Summary) -> None:
@@ -91,7 +100,7 @@ def _print_limits(console: Console, summary: Summary) -> None:
 def _print_statistics(
     console: Console, title: str, statistics: list[Statistics]
 ) -> None:
-    percentiles = [f"{p:g} %" for p in statistics[0].percentiles]
+    percentiles = [f"{p:.10g} %" for p in statistics[0].percentiles]
     heads = ("", "unit", "minimum", "maximum", "mean", "std", *percentiles)
     rows = []
     for each in statistics:
@@ -104,7 +113,7 @@ def _print_statistics(
 
 
 def _print_intervals(console: Console, statistics: list[Statistics]) -> None:
-    percentiles = [f"{p:g} %" for p in statistics[0].percentiles]
+    percentiles = [f"{p:.10g} %" for p in statistics[0].percentiles]
     rows = []
     for each in statistics:
         intervals = each.mean, each.standard_deviation, *each.percentiles.values()
@@ -125,7 +134,7 @@ def _between(interval: Interval, size: float) -> str:
 
 
 def _print_ellipse(console: Console, ellipse: MissEllipse) -> None:
-    table = new_table("", "unit", *(f"{p:g} %" for p in ellipse.radii))
+    table = new_table("", "unit", *(f"{p:.10g} %" for p in ellipse.radii))
     lengths = [radius.value for radius in ellipse.radii.values()]
     unit, size = edge_unit("m", lengths)
     table.add_row(

@@ -31,8 +31,17 @@ def command(
             "Repeated.",
         ),
     ] = None,
-    runs: Annotated[int, typer.Option(help="Of each that is flown.")] = 1000,
-    seed: Annotated[int, typer.Option(help="Of the draws, the same for all.")] = 0,
+    runs: Annotated[
+        int | None,
+        typer.Option(
+            help="Of each that is flown, 1000 if not given; the first so many of stored "
+            "campaigns, all if not given."
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(help="Of the draws, the same for all; 0 if not given."),
+    ] = None,
     dispersions: Dispersions = None,
     set_: Set = None,
     step: Step = None,
@@ -66,8 +75,8 @@ def command(
                 what[0],
                 variant or [],
                 config or [],
-                runs,
-                seed,
+                1000 if runs is None else runs,
+                seed or 0,
                 dispersions,
                 set_,
                 step,
@@ -76,17 +85,23 @@ def command(
                 look,
             )
     else:
-        if asked or dispersions or set_ or step is not None:
+        if asked or dispersions or set_ or step is not None or seed is not None:
             raise ValueError(
                 "stored campaigns are compared as they are: leave out --variant, "
-                "--config, --dispersions, --set and --step"
+                "--config, --dispersions, --set, --step and --seed"
             )
-        entries, folder = stored_entries(what), out
+        if runs is not None and runs < 2:
+            raise ValueError(f"--runs is {runs}: a comparison takes 2 or more")
+        entries, folder = stored_entries(what, runs), out
     campaigns = {
         name: open_campaign(path, limit) for name, (path, limit) in entries.items()
     }
     (one, reference), *others = campaigns.items()
     for name, results in others:
-        print_comparison(one, name, compared(reference, results))
+        found = compared(reference, results)
+        if not quiet:
+            print_comparison(one, name, found)
     if folder is not None:
-        typer.echo(f"figure: {draw(folder, campaigns)}")
+        figure = draw(folder, campaigns)
+        if not quiet:
+            typer.echo(f"figure: {figure}")

@@ -24,8 +24,8 @@ Entries = dict[str, tuple[Path, int | None]]
 """Folder of each campaign and how many of its runs count, by what it is called"""
 
 
-def stored_entries(folders: Sequence[str]) -> Entries:
-    """Stored campaigns by the names of their folders."""
+def stored_entries(folders: Sequence[str], runs: int | None = None) -> Entries:
+    """Stored campaigns by the names of their folders, all runs or the first of them."""
     if len(folders) < 2:
         raise ValueError("a comparison takes two campaigns or more: give their folders")
     paths = [Path(folder) for folder in folders]
@@ -34,7 +34,7 @@ def stored_entries(folders: Sequence[str]) -> Entries:
         names = [str(path) for path in paths]
     if len(set(names)) < len(names):
         raise ValueError("a campaign is given twice: give another")
-    return {name: (path, None) for name, path in zip(names, paths, strict=True)}
+    return {name: (path, runs) for name, path in zip(names, paths, strict=True)}
 
 
 def fly_entries(
@@ -131,6 +131,13 @@ def print_comparison(first: str, second: str, found: Comparison) -> None:
         f"in brackets: intervals of {CONFIDENCE:.0%}, by bootstrap; those without zero "
         "tell a difference"
     )
+    if found.beyond:
+        console.print(f"{found.beyond} runs of the longer campaign are not compared")
+    if found.spread:
+        console.print(
+            "runs that a sampler spreads evenly repeat themselves better than these "
+            "intervals say"
+        )
     if found.left_out:
         console.print(f"{found.left_out} left out: not finite, or without an end")
     if found.only_one:

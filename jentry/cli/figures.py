@@ -1,6 +1,7 @@
 """The figures of a campaign: what is flown for them, and where they go."""
 
 import atexit
+import contextlib
 import io
 import math
 import os
@@ -151,8 +152,13 @@ def draw_figures(
 def store_histories(folder: Path, flown: "xarray.Dataset", campaign: str) -> None:
     """Keep the histories of figures beside them, so that they can be drawn again.
 
-    In single precision, which no figure shows; sealed with the digest of the campaign.
+    What is stored of the same campaign and has more runs stays. In single precision,
+    which no figure shows; sealed with the digest of the campaign.
     """
+    with contextlib.suppress(CampaignError):
+        known = stored_histories(folder, campaign)
+        if known is not None and known.sizes["run"] > flown.sizes["run"]:
+            return
     over_time = [name for name, x in flown.data_vars.items() if "time" in x.dims]
     stored = flown.assign({name: flown[name].astype(np.float32) for name in over_time})
     stored.attrs[_DIGEST] = campaign
@@ -162,6 +168,12 @@ def store_histories(folder: Path, flown: "xarray.Dataset", campaign: str) -> Non
     )
     (folder / FIGURES).mkdir(parents=True, exist_ok=True)
     write_whole(folder / FIGURES / HISTORIES, bytes(contents))
+
+
+def first_of(flown: "xarray.Dataset", runs: int) -> np.ndarray:
+    """Places of the first so many runs among histories, and of the nominal flight."""
+    count = flown.sizes["run"]
+    return np.append(np.arange(min(count - 1, runs)), count - 1)
 
 
 def stored_histories(folder: Path, campaign: str) -> "xarray.Dataset | None":

@@ -122,7 +122,7 @@ def _acceptance(summary: Summary) -> str:
 def _statistics(summary: Summary) -> str:
     if not summary.statistics:
         return ""
-    percentiles = [f"{p:g} %" for p in summary.statistics[0].percentiles]
+    percentiles = [f"{p:.10g} %" for p in summary.statistics[0].percentiles]
     heads = ("", "unit", "minimum", "maximum", "mean", "std", *percentiles)
     rows = []
     for each in summary.statistics:
@@ -145,7 +145,7 @@ def _statistics(summary: Summary) -> str:
 def _ellipse(ellipse: MissEllipse) -> str:
     lengths = [radius.value for radius in ellipse.radii.values()]
     unit, size = edge_unit("m", lengths)
-    heads = ("", "unit", *(f"{p:g} %" for p in ellipse.radii))
+    heads = ("", "unit", *(f"{p:.10g} %" for p in ellipse.radii))
     rows = [
         (
             "radius about the target",

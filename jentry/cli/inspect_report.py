@@ -94,7 +94,10 @@ def print_gradient(
 ) -> None:
     """What a standard deviation of each input changes of an output, about one run."""
     console = new_console()
-    if not inputs:
+    choices = [address for address in inputs if results[address].attrs.get("choice")]
+    if choices:
+        console.print(f"not told of what only chooses: {', '.join(choices)}")
+    if len(choices) == len(inputs):
         return
     try:
         found = sensitivity(
@@ -108,6 +111,7 @@ def print_gradient(
     effects = {
         address: float(slope) * _spread(population[address])
         for address, slope in slopes.items()
+        if address not in choices
     }
     unit = results[name].attrs.get("units", "1")
     shown, shown_unit = at_edge(list(effects.values()), unit)
@@ -159,7 +163,7 @@ def fly_again(
         )
     else:
         console.print(f"run {run} flown again: every stored number, to the last bit")
-    interval = history or _interval(scenario, solver, kept)
+    interval = _interval(scenario, solver, kept) if history is None else history
     flown = monte_carlo(
         scenario, runs=[run], inputs=inputs, solver=solver, history=interval
     )
@@ -174,7 +178,8 @@ def fly_again(
     target = folder / FOLDER
     target.mkdir(parents=True, exist_ok=True)
     path = target / f"run-{run:09d}.nc"
-    write_campaign(path, scenario, flown, solver, interval, **mission.labels)
+    as_flown = {**description, "history_interval": interval}
+    write_campaign(path, scenario, flown, as_flown)
     title = f"{mission.title}, run {run}"
     (drawn,) = save_figures({path.stem: draw_flight(scenario, flight, title)}, target)
     console.print(f"written: {path}")

@@ -18,6 +18,16 @@ def command(
     """Put the parts of a campaign together; `jentry report` says what they say."""
     set_up(workers=1)
     from ..campaign.merging import merge_campaigns
+    from ..campaign.parts import digest_of, read_manifest
+    from .campaign_files import decided_by, note_until_decided
 
-    runs = merge_campaigns(out, folders)
+    runs, lacking = merge_campaigns(out, folders)
+    digest = digest_of(read_manifest(out))
+    # What decided the number of runs of a part has decided that of the whole.
+    decided = [decided_by(folder, digest) for folder in folders]
+    if any(each is not None for each in decided):
+        every = dict.fromkeys(r for each in decided for r in each or ())
+        note_until_decided(out, list(every), digest)
     typer.echo(f"stored: {out}, {runs} runs")
+    if lacking:
+        typer.echo(f"{lacking} runs between them are not there yet: merge their parts")

@@ -119,7 +119,7 @@ def command(
     )
     from .campaign_report import print_campaign
     from .dispersions_report import print_what_is_flown
-    from .figures import histories_of, store_histories
+    from .figures import FIGURES, histories_of, store_histories
     from .overrides import read_inputs
     from .progress import reported
     from .report_choices import (
@@ -147,9 +147,11 @@ def command(
             f"--sampler {sampler} spreads the runs evenly, and requirements are judged of "
             "independent runs: leave one of them out"
         )
-    reading, table = dispersion_table(chosen, overrides, dispersions)
     if inputs is not None and (dispersions is not None or overrides.disperses):
         raise ValueError("--inputs takes the place of dispersions: give one of them")
+    reading, table = "", {}
+    if inputs is None:
+        reading, table = dispersion_table(chosen, overrides, dispersions)
     part = None if slice_ is None else chosen_slice(slice_)
     if part is not None and (asked or until_decided or json):
         raise ValueError(
@@ -211,7 +213,7 @@ def command(
             results = open_campaign(folder, runs)
             if not until_decided:
                 break
-            note_until_decided(folder, asked)
+            note_until_decided(folder, asked, digest_of(read_manifest(folder)))
             more = further_runs(asked, results, most_runs)
             if not more:
                 break
@@ -225,7 +227,8 @@ def command(
             )
         return
     description = read_manifest(folder)
-    decided = decided_by(folder)
+    digest = digest_of(description)
+    decided = decided_by(folder, digest)
     summary = summarize(
         results, percentages, asked or decided or (), sequential=decided is not None
     )
@@ -235,14 +238,15 @@ def command(
         as_published = is_as_published(description, chosen)
         print_campaign(chosen, results, as_published, summary)
         typer.echo(f"stored: {folder}")
+    write_summary(folder, summary)
+    drawn = []
     if figures:
         flown = histories.flown()
         drawn = write_figures(folder, chosen, scenario, results, flown, formats)
-        store_histories(folder, flown, digest_of(description))
+        store_histories(folder, flown, digest)
         if not quiet and not json:
-            typer.echo(f"figures: {drawn}")
-    write_summary(folder, summary)
-    write_page(folder, chosen.title, summary)
+            typer.echo(f"figures: {folder / FIGURES}")
+    write_page(folder, chosen.title, summary, drawn)
     if json:
         typer.echo(summary.as_json(), nl=False)
     leave(summary.verdicts)

@@ -47,7 +47,7 @@ def command(
     from ..missions.stored import is_as_published, stored_mission, stored_scenario
     from .campaign_files import decided_by, write_figures, write_page, write_summary
     from .campaign_report import print_campaign, print_summary
-    from .figures import stored_histories
+    from .figures import FIGURES, first_of, stored_histories
     from .report_choices import (
         chosen_formats,
         chosen_percentiles,
@@ -57,6 +57,8 @@ def command(
     )
 
     refuse_both(json, quiet)
+    if runs is not None and runs < 1:
+        raise ValueError(f"--runs is {runs}: it must be 1 or more")
     if figures_only and not figures:
         raise ValueError("--figures-only and --no-figures: give one of them")
     formats = chosen_formats(format_)
@@ -68,7 +70,8 @@ def command(
         raise ValueError(
             f"--runs is {runs}, and {folder} has {results.sizes['run']}: give no more"
         )
-    decided = decided_by(folder)
+    digest = digest_of(description)
+    decided = decided_by(folder, digest)
     summary = summarize(
         results,
         chosen_percentages,
@@ -90,11 +93,14 @@ def command(
         else:
             print_summary(str(description.get("mission", folder.name)), summary)
     written = []
+    drawn = []
     if figures:
         if chosen is not None and scenario is not None:
-            flown = stored_histories(folder, digest_of(description))
+            flown = stored_histories(folder, digest)
+            if flown is not None:  # of these runs, and the nominal flight
+                flown = flown.isel(run=first_of(flown, results.sizes["run"]))
             drawn = write_figures(folder, chosen, scenario, results, flown, formats)
-            written.append(f"figures: {drawn}")
+            written.append(f"figures: {folder / FIGURES}")
             if flown is None and "time" not in results.dims:
                 written.append(
                     "without those of histories, which are not stored: run the same "
@@ -105,7 +111,7 @@ def command(
     if not figures_only:
         write_summary(folder, summary)
         title = folder.name if chosen is None else chosen.title
-        written.append(f"page: {write_page(folder, title, summary)}")
+        written.append(f"page: {write_page(folder, title, summary, drawn)}")
     if json:
         typer.echo(summary.as_json(), nl=False)
     elif not quiet:

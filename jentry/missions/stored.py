@@ -106,7 +106,8 @@ def stored_solver(description: Mapping[str, Any]) -> FixedStep:
 def is_as_published(description: Mapping[str, Any], mission: Mission) -> bool:
     """Whether a campaign flew what the mission's published values are of.
 
-    That is the published variant with all of its numbers, and the published dispersions.
+    That is the published variant with all of its numbers, and the published dispersions;
+    the step of the solver does not count.
     """
     if (
         not mission.published

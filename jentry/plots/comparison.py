@@ -1,5 +1,6 @@
 """Campaigns beside one another: how their errors are distributed."""
 
+import itertools
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -52,7 +53,9 @@ def _draw_shares(
         list(outputs.values()), dim="run", combine_attrs="override", join="outer"
     )
     drawn = scaled(joined)
-    for colour, (words, output) in zip(ENDS, outputs.items(), strict=False):
+    for colour, (words, output) in zip(
+        itertools.cycle(ENDS), outputs.items(), strict=False
+    ):
         values = output.values / drawn.size
         values = np.sort(np.abs(values) if magnitude else values)
         # A step at each of the runs, from none of them on.

@@ -13,6 +13,15 @@ if TYPE_CHECKING:
     import matplotlib.figure
 
 
+def _best_so_far(tuned: Tuned) -> list[int]:
+    """At each step the place of the best point: one that loses a flight is none."""
+    places = [0]
+    for place in range(1, len(tuned.course)):
+        better = tuned.course[place].better_than(tuned.course[places[-1]])
+        places.append(place if better else places[-1])
+    return places
+
+
 def draw_course(tuned: Tuned, title: str = "") -> "matplotlib.figure.Figure":
     """Loss of every point that was tried, and the numbers as shares of the first ones.
 
@@ -24,10 +33,8 @@ def draw_course(tuned: Tuned, title: str = "") -> "matplotlib.figure.Figure":
     with in_style():
         figure, (left, right) = panelled(9.6, 3.9, 2, title)
         left.plot(steps, losses, ".", color=MUTED, ms=5.0, label="tried")
-        finite = np.where(np.isfinite(losses), losses, np.inf)
-        left.plot(
-            steps, np.minimum.accumulate(finite), color=ENDS[0], label="best so far"
-        )
+        so_far = losses[_best_so_far(tuned)]
+        left.plot(steps, so_far, color=ENDS[0], label="best so far")
         left.plot(steps[best], losses[best], "o", color=MEAN, ms=6.0, label="best")
         if np.all(losses[np.isfinite(losses)] > 0.0):
             left.set_yscale("log")

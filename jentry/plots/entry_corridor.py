@@ -60,7 +60,10 @@ def corridor(data: FigureData) -> "matplotlib.figure.Figure | None":
         size = scaled(runs[trajectory.name]).size
         speed = scaled(runs["velocity"]).size
         colours = itertools.cycle(ENDS[1:])
-        largest = [np.nanmax(runs[trajectory.name].values) / size]
+        flown_values = runs[trajectory.name].values
+        if not np.isfinite(flown_values).any():
+            return None
+        largest = [np.nanmax(flown_values) / size]
         for (name, point), colour in zip(curves.items(), colours, strict=False):
             limit = np.asarray(getattr(point, trajectory.name)) / size
             label = _limit_in_words(name, held[name])

@@ -44,7 +44,7 @@ class EnsembleAtmosphere(AbstractAtmosphere):
     """(profiles, n); None for the isothermal one"""
     pressures: Float[Array, "..."] | None = _optional_table("Pa", True)
     """(profiles, n); None for those of the equation of state"""
-    profile: Scalar = scalar(0.0)
+    profile: Scalar = scalar(0.0, choice=True)
     """Number of the profile that is met, from 0"""
     isothermal_temperature: Scalar = scalar(246.0, unit="K", positive=True)
     """Stands for the temperature where there is none."""
@@ -98,7 +98,7 @@ class EnsembleWind(AbstractWind):
     """(profiles, n), positive where the air moves to the east"""
     north: Float[Array, "..."] = table(unit="m/s")
     """(profiles, n), positive where the air moves to the north"""
-    profile: Scalar = scalar(0.0)
+    profile: Scalar = scalar(0.0, choice=True)
     """Number of the profile that blows, from 0"""
 
     def __check_init__(self):

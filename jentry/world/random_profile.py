@@ -34,7 +34,7 @@ class RandomAltitudeProfile(eqx.Module):
     """Altitude of the first node"""
     high: Scalar = scalar(100e3, unit="m")
     """Altitude of the last node"""
-    seed: Scalar = scalar(0.0, range=(0.0, 1.0))
+    seed: Scalar = scalar(0.0, range=(0.0, 1.0), choice=True)
     """A number between 0 and 1, of which 31 bits count"""
     nodes: int = eqx.field(default=41, static=True)
     values: tuple[Scalar, ...] | None = None
@@ -56,7 +56,7 @@ class RandomMachProfile(eqx.Module):
     """Mach number of the first node"""
     high: Scalar = scalar(30.0)
     """Mach number of the last node"""
-    seed: Scalar = scalar(0.0, range=(0.0, 1.0))
+    seed: Scalar = scalar(0.0, range=(0.0, 1.0), choice=True)
     """A number between 0 and 1, of which 31 bits count"""
     nodes: int = eqx.field(default=31, static=True)
     values: tuple[Scalar, ...] | None = None
