@@ -140,7 +140,7 @@ def test_all_figures_with_their_labels(figures):
         "bank": ("Time (s)", "Bank angle (deg)"),
         "downrange": ("Downrange error (km)", "Runs"),
         "footprint": ("Downrange error (km)", "Altitude error (km)"),
-        "overview": ("Velocity (m/s)", "Drag (m/s²)"),
+        "overview": ("Velocity (m/s)", "Drag less nominal (m/s²)"),
     }
     figures = {n: f for n, f in figures.items() if n != "overview"}
     for figure in figures.values():

@@ -96,7 +96,10 @@ def overview(data: FigureData) -> "matplotlib.figure.Figure":
         errors.draw_footprint(ends, data.results, data.nominal)
     else:
         figure, (drag, bank, histogram) = panelled(11.0, 3.6, 3, "")
-        DRAG.draw(drag, runs, data.nominal)
+        if data.nominal is None:
+            DRAG.draw(drag, runs, None)
+        else:
+            draw_deviation(drag, DRAG.name, runs, data.nominal)
         BANK.draw(bank, runs, data.nominal)
         legend(drag)
     errors.draw_downrange(histogram, data.results)
