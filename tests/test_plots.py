@@ -191,6 +191,25 @@ def test_the_bank_is_that_of_runs_with_its_sign(runs, figures):
     assert nominal.get_xdata()[-1] == 120.0
 
 
+def test_values_at_equal_velocity_between_samples():
+    """The spline is of fourth order, the linear interpolant of second."""
+    grid = np.linspace(1010.0, 5990.0, 77)
+    drag = lambda v: np.exp(v / 500.0)
+    errors = []
+    for samples in (51, 101):
+        velocity = np.linspace(6000.0, 1000.0, samples)[None]
+        found = [
+            at_velocity(velocity, drag(velocity), grid, cubic=cubic)
+            for cubic in (False, True)
+        ]
+        errors.append([np.max(np.abs(x[0] - drag(grid))[3:-3]) for x in found])
+    (linear, cubic), (linear_half, cubic_half) = errors
+    assert 3.0 < linear / linear_half < 5.0 and 10.0 < cubic / cubic_half < 25.0
+    assert np.isnan(
+        at_velocity(velocity, velocity, np.array([999.0]), cubic=True)
+    ).all()
+
+
 def test_the_deviation_of_the_drag_is_from_the_nominal_flight(runs, figures):
     """Drag is linear in velocity: so are differences, to rounding."""
     (axes,) = figures["drag_deviation"].axes

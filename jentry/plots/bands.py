@@ -1,5 +1,6 @@
 """Bands of percentiles over the runs, at equal velocity or at equal time."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,11 +34,12 @@ def velocity_grid(velocity: np.ndarray, points: int = _GRID) -> np.ndarray:
 
 
 def at_velocity(
-    velocity: np.ndarray, values: np.ndarray, grid: np.ndarray
+    velocity: np.ndarray, values: np.ndarray, grid: np.ndarray, *, cubic: bool = False
 ) -> np.ndarray:
     """Each run's values where it first slows to each velocity of a rising grid.
 
-    Linear between the samples, from the sample of highest velocity on. Shapes
+    Linear between the samples, or by a cubic spline, for differences of runs that are
+    nearly equal; from the sample of highest velocity on. Shapes
     (runs, time) to (runs, grid); NaN where a run does not fly.
     """
     found = np.full((len(velocity), len(grid)), np.nan)
@@ -51,8 +53,20 @@ def at_velocity(
         before = np.minimum.accumulate(np.concatenate([[np.inf], speeds[:-1]]))
         slower = speeds < before
         falling, there = speeds[slower][::-1], quantity[slower][::-1]
-        row[:] = np.interp(grid, falling, there, left=np.nan, right=np.nan)
+        if cubic and falling.size > 1:
+            row[:] = _cubic(falling, there)(grid)
+        else:
+            row[:] = np.interp(grid, falling, there, left=np.nan, right=np.nan)
     return found
+
+
+def _cubic(
+    places: np.ndarray, values: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray]:
+    """A spline, NaN beyond the places."""
+    from scipy.interpolate import CubicSpline
+
+    return CubicSpline(places, values, extrapolate=False)
 
 
 def draw_bands(

@@ -106,11 +106,13 @@ def draw_deviation(
     """
     grid = velocity_grid(runs["velocity"].values)
     drawn, speed = scaled(runs[name]), scaled(runs["velocity"])
-    at = [
-        at_velocity(flown["velocity"].values, flown[name].values / drawn.size, grid)
+    ours, nominal_ones = [
+        at_velocity(
+            flown["velocity"].values, flown[name].values / drawn.size, grid, cubic=True
+        )
         for flown in (runs, nominal)
     ]
-    draw_bands(axes, grid / speed.size, at[0] - at[1])
+    draw_bands(axes, grid / speed.size, ours - nominal_ones)
     axes.axhline(0.0, color=NOMINAL, label="nominal", **_REFERENCE)
     what, bracket, unit = drawn.label.partition(" (")
     axes.set_ylabel(f"{what} less nominal{bracket}{unit}")
