@@ -367,7 +367,7 @@ COMMANDS += [
         ("--runs 3", {}, "--runs is 3, and x.csv has 2"),
         ("--runs 0", {}, "no runs to fly"),
         ("--dispersions all", {}, "--inputs takes the place of dispersions"),
-        ("--dispersions=", {}, "no dispersions ''"),
+        ("--dispersions=", {}, "--inputs takes the place"),
         ("--config x.toml", {"x.toml": dispersion()}, "--inputs takes the place"),
         ("--config x.toml", {"x.toml": "dispersions = 'all'"}, "--inputs takes the pl"),
     )

@@ -1,6 +1,7 @@
 """`jentry monte-carlo`: campaigns, what is stored and drawn, how they end."""
 
 import csv
+import dataclasses
 import errno
 import json
 import math
@@ -319,3 +320,18 @@ def test_a_mission_with_a_guidance_cycle_that_varies(command, tmp_path):
     assert command(*words)[0] == 0
     assert (tmp_path / "glides" / "figures" / "end_errors.png").exists()
     assert (tmp_path / "glides" / "figures" / "controls.png").exists()
+
+
+def test_inputs_of_a_mission_without_dispersions(command, tmp_path, monkeypatch):
+    """Which has nothing else to fly."""
+    from jentry.missions import ALL
+
+    plain = dataclasses.replace(cheap.MISSION, name="plain", dispersions={})
+    monkeypatch.setitem(ALL, "plain", plain)
+    inputs, out = tmp_path / "inputs.csv", tmp_path / "out"
+    inputs.write_text("vehicle.mass\n900\n950\n")
+    words = ("--inputs", inputs, "--step", 1, "--no-figures", "--out", out)
+    code, printed, _ = command("monte-carlo", "plain", *words)
+    assert code == 0 and "2 of 2 runs" in printed
+    assert open_campaign(out)["vehicle.mass"].values.tolist() == [900.0, 950.0]
+    assert_refused(command("monte-carlo", "plain"), "has no dispersions")
