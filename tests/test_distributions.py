@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
+from test_dispersions import DISTRIBUTIONS
 
 from jentry.campaign import (
     AbstractDistribution,
@@ -18,8 +19,6 @@ from jentry.campaign import (
     LogNormal,
     Normal,
     OneOfSeveral,
-    TruncatedNormal,
-    Uniform,
 )
 from jentry.campaign.description import describe
 from jentry.campaign.dispersions import check_dispersions
@@ -27,13 +26,7 @@ from jentry.campaign.dispersions import check_dispersions
 
 DRAWS = 40_000
 
-CONTINUOUS = {
-    "normal": (Normal(3.0, 0.5), stats.norm(3.0, 0.5)),
-    "uniform": (Uniform(-1.0, 3.0), stats.uniform(-1.0, 4.0)),
-    "truncated": (
-        TruncatedNormal(10.0, 2.0, 8.0, 14.0),
-        stats.truncnorm(-1.0, 2.0, 10.0, 2.0),
-    ),
+CONTINUOUS = DISTRIBUTIONS | {
     "lognormal": (LogNormal(2.0, 0.4), stats.lognorm(0.4, scale=2.0)),
     "wide lognormal": (LogNormal(1e-3, 1.5), stats.lognorm(1.5, scale=1e-3)),
 }
@@ -155,8 +148,11 @@ def test_what_is_no_discrete_distribution_is_refused(given, message):
 
 
 def test_decimal_probabilities_need_no_last_digit():
-    Discrete([1.0, 2.0, 3.0], [0.1, 0.2, 0.7])
-    Discrete(np.arange(3.0), np.full(3, 0.3333333333))
+    mean, _ = Discrete([1.0, 2.0, 3.0], [0.1, 0.2, 0.7]).moments()
+    assert float(mean) == pytest.approx(0.1 + 2 * 0.2 + 3 * 0.7, rel=1e-12)
+    # Of three thirds to ten digits the mean is theirs to as many.
+    mean, _ = Discrete(np.arange(3.0), np.full(3, 0.3333333333)).moments()
+    assert float(mean) == pytest.approx(1.0, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -6,29 +6,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..campaign.outputs import at_end, is_error, is_output
+from .._printed import in_words
+from ..campaign.outputs import is_error, is_output
 from ..campaign.populations import finite_flights
-from ..fields import units_of
-from ..motion.state import EntryState
 from ..units import edge_unit
-from .intervals import CONFIDENCE, Interval
+from .intervals import CONFIDENCE, MOST_AT_ONCE, RESAMPLES, Interval
+from .summary import END_STATE
 
 
 if TYPE_CHECKING:
     import xarray
 
 
-RESAMPLES = 2000
-"""Of a bootstrap"""
-
 PERCENTILE = 95.0
 """That is compared, beside mean and standard deviation"""
-
-_END_STATE = {at_end(name) for name in units_of(EntryState)}
-"""Its errors are compared instead"""
-
-_MOST_DRAWN = 2**22
-"""Numbers that a block of resamples takes"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,7 +44,7 @@ class Difference:
     @property
     def words(self) -> str:
         """What people call it; the magnitude between bars."""
-        words = self.name.replace("_", " ")
+        words = in_words(self.name)
         return f"|{words}|" if is_error(self.name) else words
 
 
@@ -107,7 +98,7 @@ def compared(first: "xarray.Dataset", second: "xarray.Dataset") -> Comparison:
             f"are {flown[0].sizes['run']} and {flown[1].sizes['run']}"
         )
     names = [
-        [n for n in map(str, x.data_vars) if is_output(n) and n not in _END_STATE]
+        [n for n in map(str, x.data_vars) if is_output(n) and n not in END_STATE]
         for x in flown
     ]
     both = [name for name in names[0] if name in names[1]]
@@ -194,7 +185,7 @@ def _statistics(values: np.ndarray) -> np.ndarray:
 def _resampled(one: np.ndarray, other: np.ndarray, paired: bool) -> np.ndarray:
     """Differences of the statistics of resamples, (3, resamples)."""
     generator = np.random.default_rng(0)
-    most = max(1, _MOST_DRAWN // max(one.size, other.size))
+    most = max(1, MOST_AT_ONCE // max(one.size, other.size))
     found = []
     for begin in range(0, RESAMPLES, most):
         many = min(most, RESAMPLES - begin)

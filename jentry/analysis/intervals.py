@@ -13,8 +13,8 @@ CONFIDENCE = 0.95
 RESAMPLES = 2000
 """Of a bootstrap"""
 
-_MOST_COUNTS = 2**22
-"""Numbers that the counts of a block of resamples take"""
+MOST_AT_ONCE = 2**22
+"""Numbers that a block of resamples takes"""
 
 METHODS = {
     "mean": f"bootstrap of {RESAMPLES} resamples, bias-corrected and accelerated",
@@ -113,7 +113,7 @@ def _resampled(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     quantities, runs = values.shape
     both = np.concatenate([values, np.square(values)]).T
     generator = np.random.default_rng(0)
-    most = max(1, _MOST_COUNTS // runs)
+    most = max(1, MOST_AT_ONCE // runs)
     sums = []
     for begin in range(0, RESAMPLES, most):
         many = min(most, RESAMPLES - begin)

@@ -36,7 +36,7 @@ PERCENTILES = (1.0, 5.0, 50.0, 95.0, 99.0)
 RADII = (50.0, 90.0, 99.0)
 """Percentages of the circular errors and of the ellipses"""
 
-_END_STATE = {at_end(name) for name in units_of(EntryState)}
+END_STATE = {at_end(name) for name in units_of(EntryState)}
 """Its errors are told instead"""
 
 
@@ -258,7 +258,7 @@ def _statistics(
     names = [name for name in map(str, flown.data_vars) if is_output(name)]
     asked: list[tuple[str, bool]] = []
     for name in names:
-        if name not in _END_STATE:
+        if name not in END_STATE:
             asked.append((name, False))
             if is_error(name):
                 asked.append((name, True))

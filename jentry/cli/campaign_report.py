@@ -1,5 +1,7 @@
 """What the commands print of a campaign."""
 
+from collections.abc import Iterator
+
 import numpy as np
 from rich.console import Console
 
@@ -51,13 +53,8 @@ def print_summary(name: str, summary: Summary) -> None:
     """Outcomes, limits, statistics with their intervals, circular errors, acceptance."""
     console = new_console()
     _print_solver(console, summary)
-    _print_outcomes(console, summary)
-    _print_limits(console, summary)
-    for caveat, (flights, share) in summary.caveats.items():
-        console.print(
-            f"caveat: {flights} of {summary.runs} flights have {in_words(caveat)}, up to "
-            f"{share:.0%} in one flight"
-        )
+    for line in told_first(summary):
+        console.print(line)
     if summary.statistics:
         count = summary.finite
         title = f"{name}: {count} finite flights, errors are actual minus desired"
@@ -78,23 +75,24 @@ def _print_solver(console: Console, summary: Summary) -> None:
         console.print(f"flown with {solver}, not with the mission's own steps")
 
 
-def _print_outcomes(console: Console, summary: Summary) -> None:
-    """How many runs ended how, and how many of these are left out of the statistics."""
+def told_first(summary: Summary) -> Iterator[str]:
+    """Lines about how the runs ended, how many exceed a limit, and caveats of the law."""
     for outcome, (runs, left_out) in summary.outcomes.items():
         line = f"{runs} of {summary.runs} runs {outcome.message}"
         if left_out:
             line += f"; {left_out} of them left out of the statistics"
-        console.print(line)
-
-
-def _print_limits(console: Console, summary: Summary) -> None:
-    """How many of the flights keep each path constraint below its limit."""
+        yield line
     for limit in summary.limits:
         number, unit = at_edge(limit.limit, limit.unit)
         # The same number where it is shown by another name, such as g.
         unit = limit.shown_unit or unit
         words = f"the limit of the {in_words(limit.name)}, {float(number):g} {unit}"
-        console.print(f"{limit.beyond} of {summary.finite} flights exceed {words}")
+        yield f"{limit.beyond} of {summary.finite} flights exceed {words}"
+    for caveat, (flights, share) in summary.caveats.items():
+        yield (
+            f"caveat: {flights} of {summary.runs} flights have {in_words(caveat)}, up to "
+            f"{share:.0%} in one flight"
+        )
 
 
 def _print_statistics(

@@ -9,7 +9,8 @@ from .._printed import in_words
 from ..analysis.intervals import CONFIDENCE, METHODS, Interval
 from ..analysis.miss_ellipse import MissEllipse
 from ..analysis.summary import Summary
-from ..units import at_edge, degree, edge_unit
+from ..units import degree, edge_unit
+from .campaign_report import told_first
 from .tables import in_digits
 
 
@@ -74,22 +75,7 @@ def _flown(summary: Summary) -> str:
 
 
 def _outcomes(summary: Summary) -> str:
-    lines = []
-    for outcome, (runs, left_out) in summary.outcomes.items():
-        line = f"{runs} of {summary.runs} runs {outcome.message}"
-        lines.append(f"{line}; {left_out} of them left out" if left_out else line)
-    for limit in summary.limits:
-        number, unit = at_edge(limit.limit, limit.unit)
-        lines.append(
-            f"{limit.beyond} of {summary.finite} flights exceed the limit of the "
-            f"{in_words(limit.name)}, {float(number):g} {limit.shown_unit or unit}"
-        )
-    for caveat, (flights, share) in summary.caveats.items():
-        lines.append(
-            f"caveat: {flights} of {summary.runs} flights have {in_words(caveat)}, up to "
-            f"{share:.0%} in one flight"
-        )
-    items = "\n".join(f"<li>{escape(line)}</li>" for line in lines)
+    items = "\n".join(f"<li>{escape(line)}</li>" for line in told_first(summary))
     return f"<h2>Outcomes</h2>\n<ul>\n{items}\n</ul>"
 
 
