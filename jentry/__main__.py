@@ -1,6 +1,6 @@
 """`python -m jentry` is the command `jentry`."""
 
-from .cli import main
+from .cli import process
 
 
-main()
+process()

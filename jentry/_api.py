@@ -3,23 +3,13 @@
 from ._setup import setup as setup
 from ._warnings import ResultWarning as ResultWarning
 from .analysis import (
-    Comparison as Comparison,
-    Decision as Decision,
     FrozenLoop as FrozenLoop,
     LinearCovariance as LinearCovariance,
-    Requirement as Requirement,
     Sensitivity as Sensitivity,
-    Summary as Summary,
-    Verdict as Verdict,
     clairvoyant_floor as clairvoyant_floor,
-    compared as compared,
-    judged as judged,
     linear_covariance as linear_covariance,
     linearize as linearize,
-    rank_correlations as rank_correlations,
     sensitivity as sensitivity,
-    summarize as summarize,
-    worst_runs as worst_runs,
 )
 from .campaign import (
     AbstractDistribution as AbstractDistribution,
@@ -163,6 +153,18 @@ from .planning import (
     free_controls as free_controls,
     optimize as optimize,
     within_limits as within_limits,
+)
+from .statistics import (
+    Comparison as Comparison,
+    Decision as Decision,
+    Requirement as Requirement,
+    Summary as Summary,
+    Verdict as Verdict,
+    compared as compared,
+    judged as judged,
+    rank_correlations as rank_correlations,
+    summarize as summarize,
+    worst_runs as worst_runs,
 )
 from .tuning import (
     AutomaticDifferentiation as AutomaticDifferentiation,

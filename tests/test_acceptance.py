@@ -8,7 +8,8 @@ import xarray
 from readme import assert_says
 from scipy import stats
 
-from jentry.analysis.acceptance import (
+from jentry.flight import Outcome
+from jentry.statistics.acceptance import (
     _FIXED,
     _SEQUENTIAL,
     Decision,
@@ -17,7 +18,6 @@ from jentry.analysis.acceptance import (
     overall,
     runs_needed,
 )
-from jentry.flight import Outcome
 
 
 # Runs of which k may fail: NASA/TP-2010-216447, and by the binomial distribution.

@@ -124,6 +124,37 @@ def test_exit_codes_of_the_process(words, code, said, tmp_path):
     assert bool(run.stdout) == (code == 0)
 
 
+ENDINGS = {
+    "pass": (0, ""),
+    "sys.exit(5)": (5, ""),
+    "sys.exit()": (0, ""),
+    "raise ValueError('what no one expects')": (1, "ValueError: what no one expects"),
+    "sys.stdout.close()": (0, ""),
+    "threading.Thread(target=threading.Event().wait).start()": (0, ""),
+}
+
+
+@pytest.mark.parametrize("ending", ENDINGS)
+def test_the_process_ends_at_once(ending):
+    """With its exit code, all that was printed, and nothing taken apart before."""
+    program = f"""
+import atexit, sys, threading
+from jentry.cli.ending import as_process
+atexit.register(print, "taken apart", file=sys.stderr)
+def run():
+    print("done")
+    {ending}
+as_process(run)
+"""
+    call = [sys.executable, "-c", program]
+    run = subprocess.run(call, capture_output=True, text=True, timeout=60.0)
+    code, said = ENDINGS[ending]
+    assert run.returncode == code
+    assert run.stdout == "done\n"
+    assert run.stderr.strip().endswith(said) and "taken apart" not in run.stderr
+    assert bool(run.stderr) == bool(said)
+
+
 RUN = {"variant", "set", "config", "step"}
 FREE = {"problem", "end", "limits", "no-limits", "bank", "angle-of-attack", "nodes"} | {
     "over",

@@ -11,11 +11,11 @@ from test_report import rows
 
 from jentry.addresses import replace_leaves
 from jentry.analysis import sensitivity
-from jentry.analysis.ranking import inputs_of
 from jentry.campaign import open_campaign
 from jentry.campaign.campaign import fly_run
 from jentry.campaign.results import OutputNamed
 from jentry.flight import misses
+from jentry.statistics.ranking import inputs_of
 
 
 RUNS = 12

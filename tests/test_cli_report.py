@@ -9,8 +9,6 @@ import xarray
 from commands import assert_refused, monte_carlo
 
 import jentry.plots
-from jentry.analysis.acceptance import Requirement, judged
-from jentry.analysis.summary import summarize
 from jentry.campaign import CampaignError, open_campaign
 from jentry.campaign.parts import digest_of, read_manifest
 from jentry.cli import progress
@@ -23,6 +21,8 @@ from jentry.missions.stored import (
     stored_scenario,
     stored_solver,
 )
+from jentry.statistics.acceptance import Requirement, judged
+from jentry.statistics.summary import summarize
 
 
 EASY = "peak_drag > 0 m/s2, 70 % at 60 %"

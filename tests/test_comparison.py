@@ -10,9 +10,9 @@ from commands import assert_refused
 from scipy import stats
 from test_report import rows
 
-from jentry.analysis.comparison import compared
 from jentry.campaign import open_campaign
 from jentry.plots.comparison import draw_comparison
+from jentry.statistics.comparison import compared
 
 
 def campaign(errors, mass=None, outcomes=None, **more):

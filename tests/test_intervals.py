@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from jentry.analysis.intervals import (
+from jentry.statistics.intervals import (
     CONFIDENCE,
     Interval,
     _accelerated,

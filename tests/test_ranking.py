@@ -7,12 +7,12 @@ import pytest
 import xarray
 from scipy import stats
 
-from jentry.analysis.ranking import (
+from jentry.flight import Outcome
+from jentry.statistics.ranking import (
     ordered_by,
     rank_correlations,
     worst_runs,
 )
-from jentry.flight import Outcome
 
 
 def results(errors, outcomes=None, **inputs):

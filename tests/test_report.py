@@ -8,10 +8,10 @@ import pytest
 import xarray
 from helpers import fly_compiled
 
-from jentry.analysis.summary import summarize
 from jentry.cli.campaign_report import SETS, print_campaign, print_summary
 from jentry.cli.mission_report import print_flight
 from jentry.flight import Outcome, misses
+from jentry.statistics.summary import summarize
 from jentry.units import degree, km
 
 

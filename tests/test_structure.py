@@ -37,6 +37,7 @@ FLOORS = {
     "guidance": 4,
     "flight": 5,
     "campaign": 6,
+    "statistics": 7,
     "planning": 8,
     "tuning": 8,
     "analysis": 8,
@@ -182,7 +183,7 @@ def test_no_module_has_the_name_of_what_it_holds(path):
     assert not held & modules
 
 
-SHOWN = ("cli", "plots", "campaign", "tuning", "analysis")
+SHOWN = ("cli", "plots", "campaign", "statistics", "tuning", "analysis")
 UNITS = {
     "km",
     "rad",

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import xarray
 
-from jentry.analysis.acceptance import Requirement
-from jentry.analysis.miss_ellipse import ellipse_of
-from jentry.analysis.summary import RADII, Summary, summarize
 from jentry.cli.campaign_report import print_summary
 from jentry.cli.html_page import page_of
 from jentry.flight import Outcome
+from jentry.statistics.acceptance import Requirement
+from jentry.statistics.miss_ellipse import ellipse_of
+from jentry.statistics.summary import RADII, Summary, summarize
 from jentry.units import degree
 
 

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .._files import write_whole
-from ..analysis.acceptance import Requirement
-from ..analysis.summary import Summary
 from ..campaign.errors import CampaignError
 from ..flight.scenario import Scenario
 from ..missions.mission import Mission
 from ..plots.campaign import FORMATS
+from ..statistics.acceptance import Requirement
+from ..statistics.summary import Summary
 from .figures import FIGURES, draw_figures
 from .html_page import page_of
 

@@ -6,13 +6,13 @@ import numpy as np
 from rich.console import Console
 
 from .._printed import in_words
-from ..analysis.acceptance import Decision, Verdict
-from ..analysis.intervals import CONFIDENCE, Interval
-from ..analysis.miss_ellipse import MissEllipse
-from ..analysis.summary import Statistics, Summary, summarize
 from ..campaign.populations import population, sets_of
 from ..flight.solver import FixedStep
 from ..missions.mission import Mission
+from ..statistics.acceptance import Decision, Verdict
+from ..statistics.intervals import CONFIDENCE, Interval
+from ..statistics.miss_ellipse import MissEllipse
+from ..statistics.summary import Statistics, Summary, summarize
 from ..units import at_edge, degree, edge_unit
 from .tables import in_digits, new_console, new_table, print_in_pieces, print_under
 

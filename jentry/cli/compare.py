@@ -58,8 +58,8 @@ def command(
 ) -> None:
     """Compare campaigns run by run: what one law, gain set or variant changes."""
     set_up(workers, fast)
-    from ..analysis.comparison import compared
     from ..campaign.store import open_campaign
+    from ..statistics.comparison import compared
     from .compare_report import (
         draw,
         fly_entries,

@@ -4,13 +4,13 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..analysis.comparison import PERCENTILE, Comparison
-from ..analysis.intervals import CONFIDENCE, Interval
 from ..campaign.outputs import MISS_DISTANCE, is_error
 from ..campaign.store import run_campaign
 from ..flight.solver import FixedStep
 from ..plots import save_figures
 from ..plots.comparison import draw_comparison
+from ..statistics.comparison import PERCENTILE, Comparison
+from ..statistics.intervals import CONFIDENCE, Interval
 from .options import chosen_scenario, dispersion_table, first_given
 from .progress import reported
 from .tables import in_digits, new_console, print_in_pieces

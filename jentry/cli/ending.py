@@ -34,6 +34,26 @@ def forget_output() -> None:
         os.close(nothing)
 
 
+def as_process(run: Callable[[], None]) -> NoReturn:
+    """Run a command, and end the process with its exit code.
+
+    Python would take apart first what JAX has built, which takes up to a second, and must
+    not be done while a thread still computes. All files have been written by then.
+    """
+    code: int | str | None = 0
+    try:
+        run()
+    except SystemExit as ended:
+        code = ended.code
+    except BaseException as error:
+        sys.excepthook(type(error), error, error.__traceback__)
+        code = 1
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code if isinstance(code, int) else int(code is not None))
+
+
 def _leave(number, frame) -> NoReturn:
     os.write(2, b"jentry: interrupted\n")
     os._exit(130)

@@ -1,10 +1,8 @@
 """The figures of a campaign: what is flown for them, and where they go."""
 
-import atexit
 import contextlib
 import io
 import math
-import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
@@ -82,14 +80,10 @@ class Histories:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_) -> None:
-        """An error waits for them: XLA must not be torn down while it works. Ctrl-C does
-        not wait, and tears nothing down."""
-        if kind is None or self._flown is None or self._flown.done():
+        """An error waits for them, so that no thread goes on behind it; Ctrl-C does not."""
+        if kind is None or self._flown is None or issubclass(kind, KeyboardInterrupt):
             return
-        if issubclass(kind, KeyboardInterrupt):
-            atexit.register(os._exit, 130)
-        else:
-            self._flown.exception()
+        self._flown.exception()
 
 
 def histories_of(

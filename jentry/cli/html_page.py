@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 from .._printed import in_words
-from ..analysis.intervals import CONFIDENCE, METHODS, Interval
-from ..analysis.miss_ellipse import MissEllipse
-from ..analysis.summary import Summary
+from ..statistics.intervals import CONFIDENCE, METHODS, Interval
+from ..statistics.miss_ellipse import MissEllipse
+from ..statistics.summary import Summary
 from ..units import degree, edge_unit
 from .campaign_report import told_first
 from .tables import in_digits

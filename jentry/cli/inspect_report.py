@@ -9,8 +9,6 @@ import numpy as np
 
 from .._printed import in_words
 from ..addresses import unit_of
-from ..analysis.intervals import CONFIDENCE, Interval
-from ..analysis.ranking import WorstRun, inputs_of
 from ..analysis.sensitivities import sensitivity
 from ..campaign.campaign import monte_carlo
 from ..campaign.outputs import unit_size
@@ -24,6 +22,8 @@ from ..flight.termination import Outcome
 from ..missions.mission import Mission
 from ..plots import save_figures
 from ..plots.one_flight import draw_flight
+from ..statistics.intervals import CONFIDENCE, Interval
+from ..statistics.ranking import WorstRun, inputs_of
 from ..units import at_edge, edge_unit
 from .tables import in_digits, new_console, print_in_pieces
 

@@ -43,16 +43,16 @@ def command(
     description = read_manifest(folder)
     # As it was flown, or the numbers differ by rounding.
     set_up(workers, fast=any("fusion" in o for o in description["xla_options"]))
-    from ..analysis.ranking import (
+    from ..campaign.outputs import is_error
+    from ..campaign.store import open_campaign
+    from ..missions.stored import stored_mission, stored_scenario, stored_solver
+    from ..statistics.ranking import (
         inputs_of,
         ordered_by,
         rank_correlations,
         require_output,
         worst_runs,
     )
-    from ..campaign.outputs import is_error
-    from ..campaign.store import open_campaign
-    from ..missions.stored import stored_mission, stored_scenario, stored_solver
     from .inspect_report import (
         fly_again,
         print_correlations,

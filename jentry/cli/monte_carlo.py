@@ -107,11 +107,11 @@ def command(
     import_meanwhile(
         "xarray", "h5netcdf", "rich.table", "rich.progress", "scipy.special", *drawing
     )
-    from ..analysis.summary import summarize
     from ..campaign.parts import digest_of, read_manifest
     from ..campaign.store import open_campaign, run_campaign, runs_of_part
     from ..flight.solver import FixedStep
     from ..missions.stored import is_as_published
+    from ..statistics.summary import summarize
     from .campaign_files import (
         decided_by,
         note_until_decided,

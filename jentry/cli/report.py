@@ -40,11 +40,11 @@ def command(
 ) -> None:
     """Say what a stored campaign says: a table, JSON, csv, a page, figures."""
     set_up(workers=1)
-    from ..analysis.summary import summarize
     from ..campaign.errors import CampaignError
     from ..campaign.parts import digest_of, read_manifest
     from ..campaign.store import open_campaign
     from ..missions.stored import is_as_published, stored_mission, stored_scenario
+    from ..statistics.summary import summarize
     from .campaign_files import decided_by, write_figures, write_page, write_summary
     from .campaign_report import print_campaign, print_summary
     from .figures import FIGURES, first_of, stored_histories

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import typer
 
-from ..analysis.acceptance import EXAMPLE, Decision, Requirement, Verdict, overall
-from ..analysis.summary import PERCENTILES
+from ..statistics.acceptance import EXAMPLE, Decision, Requirement, Verdict, overall
+from ..statistics.summary import PERCENTILES
 from .overrides import read_toml, require_keys
 
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from ..analysis.acceptance import Decision, Requirement, judged
+from ..statistics.acceptance import Decision, Requirement, judged
 
 
 if TYPE_CHECKING:

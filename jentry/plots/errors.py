@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._printed import in_words
-from ..analysis.miss_ellipse import ellipse_of
-from ..analysis.summary import RADII
 from ..campaign.outputs import error_of
+from ..statistics.miss_ellipse import ellipse_of
+from ..statistics.summary import RADII
 from .style import (
     ENDS,
     MEAN,

@@ -1,0 +1,11 @@
+"""Floor 7: what campaigns say: summaries, intervals, acceptance, comparison, ranking."""
+
+from .acceptance import (
+    Decision as Decision,
+    Requirement as Requirement,
+    Verdict as Verdict,
+    judged as judged,
+)
+from .comparison import Comparison as Comparison, compared as compared
+from .ranking import rank_correlations as rank_correlations, worst_runs as worst_runs
+from .summary import Summary as Summary, summarize as summarize
