@@ -112,12 +112,12 @@ def main() -> None:
     from jentry.addresses import addresses_of
     from jentry.campaign.campaign import drawn_inputs
     from jentry.flight import misses
+    from jentry.parameters.parameters import Parameters
     from jentry.tuning import Budget, Draws, tune
     from jentry.tuning.batch_gradients import Problem, Simulation
     from jentry.tuning.draws import held_out
     from jentry.tuning.gradients import fly_at
     from jentry.tuning.losses import OfDistance
-    from jentry.tuning.parameters import Parameters
 
     tuning = PROBLEMS[options.problem]()
     mission = jentry.find_mission(tuning.mission)

@@ -26,7 +26,7 @@ from jentry.guidance import FlownModel  # noqa: E402
 from jentry.guidance.bezier.anchoring import Shape  # noqa: E402
 from jentry.missions import find_mission  # noqa: E402
 from jentry.missions.cav_h.scenario import subdivided  # noqa: E402
-from jentry.missions.cav_h.training import network_predictor  # noqa: E402
+from jentry.missions.cav_h.stored_networks import network_predictor  # noqa: E402
 
 
 def situations():

@@ -16,6 +16,7 @@ from jentry.campaign.batch import LANES
 from jentry.campaign.campaign import drawn_inputs
 from jentry.flight import FixedStep, misses
 from jentry.missions import find_mission
+from jentry.parameters.parameters import Parameters
 from jentry.tuning.batch_gradients import (
     Problem,
     Simulation,
@@ -23,7 +24,6 @@ from jentry.tuning.batch_gradients import (
     loss_and_weights,
 )
 from jentry.tuning.gradients import fly_at
-from jentry.tuning.parameters import Parameters
 
 
 LADDER = 0.02 * 0.5 ** np.arange(14)

@@ -219,3 +219,16 @@ def test_every_option_is_in_a_test_of_what_arrives():
         for name, command in commands.items()
     }
     assert options == ARRIVE
+
+
+def test_a_campaign_imports_no_optimizer():
+    """They take a fifth of a second, which is more than a thousand flights take."""
+    program = """
+import sys
+import jentry.cli.entry, jentry.cli.campaign_files, jentry.cli.figures, jentry.missions
+import jentry.campaign.store, jentry.statistics.summary
+print(*{"optax", "pandas", "matplotlib", "scipy", "pint"} & set(sys.modules))
+"""
+    call = [sys.executable, "-c", program]
+    run = subprocess.run(call, capture_output=True, text=True, check=True)
+    assert run.stdout == "\n"

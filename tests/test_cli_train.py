@@ -39,7 +39,7 @@ def test_train_is_for_missions_with_networks(command):
 @pytest.mark.slow
 def test_train_stores_networks_that_are_read_again(command, monkeypatch, tmp_path):
     """One of them: the others take as long."""
-    from jentry.missions.cav_h.training import PURPOSES, network_predictor
+    from jentry.missions.cav_h.stored_networks import PURPOSES, network_predictor
 
     for name in set(PURPOSES) - {"stored"}:
         monkeypatch.delitem(PURPOSES, name)

@@ -17,6 +17,7 @@ from jentry.campaign.batch import LANES
 from jentry.campaign.campaign import drawn_inputs
 from jentry.flight import FixedStep, misses
 from jentry.missions import find_mission
+from jentry.parameters.parameters import Parameters
 from jentry.tuning.batch_gradients import (
     Problem,
     Simulation,
@@ -27,7 +28,6 @@ from jentry.tuning.batch_gradients import (
 from jentry.tuning.differences import gradient_by_differences
 from jentry.tuning.gradients import fly_at
 from jentry.tuning.losses import BY_NAME, ScaledMisses
-from jentry.tuning.parameters import Parameters
 
 
 FLIGHTS = 2 * LANES

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from jentry._files import digest_of_arrays
-from jentry.learning.velocity_network import VELOCITIES
-from jentry.missions.cav_h.training import FOLDER, PURPOSES, network_predictor
+from jentry.guidance.bezier.prediction import VELOCITIES
+from jentry.missions.cav_h.stored_networks import FOLDER, PURPOSES, network_predictor
 from jentry.onboard import Network, load_network, save_network
 
 

@@ -23,9 +23,9 @@ from jentry.flight import (
 from jentry.motion.constraints import Drag, LoadFactor
 from jentry.motion.quantities import ground_track
 from jentry.motion.state import EntryState
+from jentry.parameters.maps import Bounds, Scale
 from jentry.planning.flight_constraints import AlongPath, Constraint, within_limits
 from jentry.planning.optimization import optimize
-from jentry.tuning.maps import Bounds, Scale
 from jentry.units import degree, km
 
 

@@ -10,8 +10,8 @@ from helpers import mars_scenario, with_leaf
 
 from jentry.addresses import leaves_by_address, replace_leaves
 from jentry.motion import EntryDynamics, EquatorialDynamics
-from jentry.tuning.maps import Between, Bounds, Positive, Scale, Unbounded
-from jentry.tuning.parameters import Parameters
+from jentry.parameters.maps import Between, Bounds, Positive, Scale, Unbounded
+from jentry.parameters.parameters import Parameters
 
 
 def parameters_of(scenario, where, bounds=None, scales=None):

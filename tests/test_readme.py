@@ -20,7 +20,8 @@ from jentry.campaign.populations import Population
 from jentry.cli.overrides import apply_values, in_si, read_overrides
 from jentry.flight import FixedStep, misses
 from jentry.missions import find_mission
-from jentry.missions.cav_h.training import BETWEEN, FOLDER, PURPOSES
+from jentry.missions.cav_h.stored_networks import FOLDER, PURPOSES
+from jentry.missions.cav_h.training import BETWEEN
 from jentry.missions.mars.drag_tracking import GATE
 from jentry.onboard.network import load_network
 from jentry.tuning.batch_gradients import Simulation

@@ -37,6 +37,7 @@ FLOORS = {
     "guidance": 4,
     "flight": 5,
     "campaign": 6,
+    "parameters": 7,
     "statistics": 7,
     "planning": 8,
     "tuning": 8,

@@ -17,6 +17,7 @@ from jentry.flight import FixedStep, misses
 from jentry.guidance import AbstractContinuousLaw
 from jentry.missions import find_mission
 from jentry.motion import Controls
+from jentry.parameters.parameters import Parameters
 from jentry.planning.reference_flight import plan_bank_profile
 from jentry.tuning import (
     AutomaticDifferentiation,
@@ -41,7 +42,6 @@ from jentry.tuning.batch_gradients import (
 from jentry.tuning.draws import held_out
 from jentry.tuning.gradients import batch_loss
 from jentry.tuning.judgement import judge
-from jentry.tuning.parameters import Parameters
 from jentry.units import degree, km
 
 

@@ -29,7 +29,7 @@ from jentry.guidance.bezier.prediction import (
     features,
 )
 from jentry.missions.cav_h.scenario import constraints, glide, stored, subdivided
-from jentry.missions.cav_h.training import network_predictor
+from jentry.missions.cav_h.stored_networks import network_predictor
 from jentry.onboard import Factors
 
 

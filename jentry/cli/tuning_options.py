@@ -9,9 +9,9 @@ from ..fields import units_of
 from ..flight.miss import Misses, misses
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
+from ..parameters.maps import Bounds, Scale
 from ..tuning.batch_gradients import Outputs
 from ..tuning.losses import MissesAndPeaks, ScaledMisses
-from ..tuning.maps import Bounds, Scale
 from ..tuning.penalties import DampingBelow
 from ..units import km, parse_quantity
 

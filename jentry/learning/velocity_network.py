@@ -11,7 +11,13 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from ..flight.scenario import Scenario
-from ..guidance.bezier.prediction import Inputs, NetworkPredictor, Situation, features
+from ..guidance.bezier.prediction import (
+    VELOCITIES,
+    Inputs,
+    NetworkPredictor,
+    Situation,
+    features,
+)
 from ..onboard.network import Network
 from ..planning.bezier_curve import bezier_law
 from .descent import descended, robust
@@ -128,7 +134,3 @@ def train_predictor(
         "training, s": round(time.perf_counter() - began, 1),
     }
     return Trained(predictor, card)
-
-
-VELOCITIES = "velocity at the target, m/s"
-"""Of a model card: smallest and largest in training"""

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..tuning.maps import Linear
-from ..tuning.parameters import Parameters
+from ..parameters.maps import Linear
+from ..parameters.parameters import Parameters
 from ._constrained import Limits, Linearized
 from .flight_constraints import Constraint
 

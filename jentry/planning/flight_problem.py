@@ -15,7 +15,7 @@ from ..guidance.law import AbstractLaw
 from ..motion.index import AbstractIndex, EnergyIndex
 from ..motion.quantities import energy, ground_track
 from ..motion.state import EntryState
-from ..tuning.maps import Bounds
+from ..parameters.maps import Bounds
 from ..units import degree, km
 from .control_splines import control_coefficients, free_controls
 from .flight_constraints import Constraint, Quantity, within_limits

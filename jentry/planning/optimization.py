@@ -20,8 +20,8 @@ from ..flight.flight import Flight, fly
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome, has_end
-from ..tuning.maps import Ranges, linear_map_of
-from ..tuning.parameters import Build, Parameters, itself, scenario_at
+from ..parameters.maps import Ranges, linear_map_of
+from ..parameters.parameters import Build, Parameters, itself, scenario_at
 from ._constrained import Linearized, NoOptimumError, sequential_quadratic
 from ._scaled_limits import ScaledLimits, parted, scaled_limits, what_is_wrong
 from .flight_constraints import AlongPath, Constraint, Quantity

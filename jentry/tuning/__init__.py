@@ -1,5 +1,6 @@
 """Floor 8: numbers of a scenario tuned by gradient through its Monte Carlo."""
 
+from ..parameters import Bounds as Bounds, Scale as Scale
 from .course import Budget as Budget
 from .draws import Draws as Draws
 from .gradients import (
@@ -17,7 +18,6 @@ from .losses import (
     probability_outside as probability_outside,
     smooth_maximum as smooth_maximum,
 )
-from .maps import Bounds as Bounds, Scale as Scale
 from .penalties import DampingBelow as DampingBelow
 from .record import Record as Record
 from .smoothing import (

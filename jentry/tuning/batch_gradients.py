@@ -23,7 +23,7 @@ from ..flight.flight import Flight
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
 from ..flight.termination import has_end
-from .parameters import Free, Parameters, Tangent
+from ..parameters.parameters import Free, Parameters, Tangent
 
 
 Outputs = Callable[[Scenario, Flight], Any]

@@ -9,9 +9,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..parameters.parameters import Free, Parameters
 from .evaluation import Evaluator
 from .gradients import Evaluation
-from .parameters import Free, Parameters
 from .record import CourseFile, Entry, restored
 from .steppers import AbstractStepper
 

@@ -23,8 +23,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..parameters.parameters import Free
 from .batch_gradients import Loss, loss_and_weights, where_finite
-from .parameters import Free
 
 
 @dataclasses.dataclass(frozen=True)

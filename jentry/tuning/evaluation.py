@@ -6,11 +6,11 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from ..parameters.parameters import Free, Parameters, scenario_at
 from .batch_gradients import Loss, Problem, all_finite
 from .differences import Slope, slope_along
 from .draws import Draws
 from .gradients import Evaluation, GradientMethod, Inputs, batch_loss, fly_at
-from .parameters import Free, Parameters, scenario_at
 from .penalties import Penalty, penalty_and_slopes
 
 

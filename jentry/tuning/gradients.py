@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..flight.scenario import Scenario, check
+from ..parameters.parameters import Free, Parameters, scenario_at
 from .batch_gradients import (
     FORWARD_UP_TO,
     Loss,
@@ -20,7 +21,6 @@ from .batch_gradients import (
     where_finite,
 )
 from .differences import gradient_by_differences
-from .parameters import Free, Parameters, scenario_at
 
 
 Surrogate = Callable[[Scenario], Scenario]

@@ -13,7 +13,7 @@ from ..analysis.damping import Damping
 from ..analysis.local_derivatives import QUICKLY
 from ..fields import Scalar
 from ..flight.scenario import Scenario
-from .parameters import Free, Parameters
+from ..parameters.parameters import Free, Parameters
 
 
 Penalty = Callable[[Scenario], Any]

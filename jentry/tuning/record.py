@@ -15,7 +15,7 @@ from jaxtyping import PyTree
 
 from .._files import read_sealed, write_sealed
 from ..campaign.description import first_difference
-from .parameters import Free
+from ..parameters.parameters import Free
 
 
 _KIND = "jentry tuning 2"

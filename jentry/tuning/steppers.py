@@ -16,8 +16,8 @@ import optax
 import optimistix
 from jaxtyping import Array, PyTree
 
+from ..parameters.parameters import Free
 from .gradients import Evaluation
-from .parameters import Free
 
 
 _FIRST = 1.0

@@ -19,14 +19,14 @@ from ..campaign.dispersions import Dispersion
 from ..flight.miss import misses
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
+from ..parameters.maps import Ranges
+from ..parameters.parameters import Build, Parameters, itself, scenario_at
 from .batch_gradients import Loss, Outputs, Problem, Simulation
 from .course import COARSE_STEP, Budget, Course
 from .draws import Draws, held_out
 from .evaluation import Evaluator
 from .gradients import AutomaticDifferentiation, GradientMethod
 from .judgement import Judgement, judge
-from .maps import Ranges
-from .parameters import Build, Parameters, itself, scenario_at
 from .penalties import Penalty
 from .record import CourseFile, Entry, Record, told
 from .saving import write_tuned

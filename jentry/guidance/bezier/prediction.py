@@ -147,6 +147,10 @@ def features(glide: Glide, situation: Situation, inputs: Inputs) -> Float[Array,
     return jnp.stack(numbers)
 
 
+VELOCITIES = "velocity at the target, m/s"
+"""Of a network's model card: smallest and largest in training"""
+
+
 class NetworkPredictor(AbstractVelocityPredictor):
     """A network that has learnt from flights.
 

@@ -30,10 +30,11 @@ from .scenario import (
     subdivided,
     us_1976,
 )
-from .training import train
 
 
 def _train(folder: Path, seed: int, **options: Any) -> dict[str, dict[str, Any]]:
+    from .training import train  # optax takes a while
+
     scenarios = {
         "stored": stored(),
         "subdivision": subdivided(),

@@ -60,7 +60,7 @@ from .dispersions import (
     TREND_DEVIATIONS,
     WAVELENGTHS,
 )
-from .training import network_predictor
+from .stored_networks import network_predictor
 
 
 TARGET_LATITUDE = 55.9067 * degree

@@ -1,64 +1,24 @@
-"""The networks of the CAV-H mission: what they are for, and how they are trained."""
+"""How the networks of the CAV-H mission are trained."""
 
-import functools
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 
 from ...flight.scenario import Scenario
-from ...guidance.bezier.prediction import Inputs, NetworkPredictor
-from ...learning.velocity_network import VELOCITIES, train_predictor
+from ...guidance.bezier.prediction import Inputs
+from ...learning.velocity_network import train_predictor
 from ...learning.velocity_samples import fly_samples
-from ...onboard.network import card_ranges, load_network, save_network
+from ...onboard.network import save_network
 from .dispersions import state_training_dispersions, training_dispersions
+from .stored_networks import PURPOSES
 
-
-FOLDER = Path(__file__).parent / "networks"
-"""Folder of the weights that come with the package"""
 
 BETWEEN = 1600.0, 3600.0
 """m/s at the target, with which the flights end that the networks with factors learn from.
 Equation (38) asks before anything is adjusted: 8000 dispersed vehicles then end
 between 1860 and 3364 m/s on the stored curve, and as slow as 1776 on a subdivided one."""
-
-
-class Purpose(NamedTuple):
-    """What a network is for, and what it reads."""
-
-    anchoring: str
-    inputs: Inputs
-
-    @property
-    def sentence(self) -> str:
-        """The purpose in words, as in the model card."""
-        return (
-            f"CAV-H velocity at the target from {self.inputs.value}, {self.anchoring}"
-        )
-
-
-PURPOSES = {
-    "stored": Purpose("stored k1 and k2", Inputs.ALL),
-    "subdivision": Purpose("subdivided curve", Inputs.ALL),
-    "state-only": Purpose("stored k1 and k2", Inputs.STATE),
-}
-"""Purposes of the networks by the names of their files; the last one is the paper's."""
-
-
-@functools.cache
-def network_predictor(name: str, folder: Path = FOLDER) -> NetworkPredictor:
-    """A stored network as a predictor.
-
-    Raises `ValueError` for a file that is damaged or of another network.
-    """
-    path = folder / f"{name}.npz"
-    network, card = load_network(path, PURPOSES[name].sentence)
-    try:
-        (velocities,) = card_ranges({VELOCITIES: card.get(VELOCITIES)})
-        return NetworkPredictor(network, velocities, PURPOSES[name].inputs)
-    except ValueError as error:
-        raise ValueError(f"{path} contradicts its purpose: {error}") from None
 
 
 def train(

@@ -18,7 +18,6 @@ from ...guidance.bank_shapes import ConstantBankShape
 from ...guidance.lateral import AbstractLateralLogic, FixedSide, PredictedCrossrange
 from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector
 from ...guidance.range_network import BASIS, PURPOSE, RangeNetwork
-from ...learning.range_network import predict_samples, train_range_network
 from ...motion.dynamics import AbstractDynamics, EntryDynamics, EquatorialDynamics
 from ...onboard.model import OnboardModel
 from ...onboard.network import load_network, save_network
@@ -95,6 +94,9 @@ def train(
     - `iterations`: of L-BFGS.
     - `report`: is told what is done.
     """
+    # optax takes a while
+    from ...learning.range_network import predict_samples, train_range_network
+
     flights_key, key = jax.random.split(jax.random.key(seed))
     scenario = in_plane()
     report(f"{flights} flights and {again} predictions")
