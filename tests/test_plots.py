@@ -34,6 +34,7 @@ from jentry.plots import (
     save_figures,
     velocity_grid,
 )
+from jentry.plots.bands import percentiles
 from jentry.plots.convergence import draw_course
 from jentry.tuning.record import Entry
 from jentry.tuning.tuning import Tuned
@@ -155,6 +156,17 @@ def test_histories_have_two_bands_a_median_and_the_nominal(figures, name):
     assert [text.get_text() for text in axes.get_legend().get_texts()] == LABELS
     assert len(axes.lines) == 2
     assert axes.get_title(loc="left") == "40 runs"
+
+
+def test_percentiles_are_those_of_numpy():
+    random = np.random.default_rng(5)
+    values = random.normal(size=(37, 60))
+    values[random.uniform(size=values.shape) < 0.3] = np.nan
+    values[1:, 7], values[0, 7] = np.nan, 3.0
+    which = [0.0, 5.0, 33.3, 50.0, 100.0]
+    expected = np.nanpercentile(values, which, axis=0)
+    # Both interpolate between the same two numbers, of order one, from either of them.
+    np.testing.assert_allclose(percentiles(values, which), expected, rtol=0, atol=1e-15)
 
 
 @pytest.mark.parametrize(

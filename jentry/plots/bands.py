@@ -1,6 +1,6 @@
 """Bands of percentiles over the runs, at equal velocity or at equal time."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -78,7 +78,7 @@ def draw_bands(
         return
     grid, values = grid[somewhere], values[:, somewhere]
     for low, high, opacity in _SPREADS:
-        lower, upper = np.nanpercentile(values, [low, high], axis=0)
+        lower, upper = percentiles(values, [low, high])
         axes.fill_between(
             grid,
             lower,
@@ -88,4 +88,19 @@ def draw_bands(
             lw=0,
             label=f"{low:.0f}–{high:.0f} %",
         )
-    axes.plot(grid, np.nanmedian(values, axis=0), color=RUNS, lw=1.8, label="median")
+    (median,) = percentiles(values, [50.0])
+    axes.plot(grid, median, color=RUNS, lw=1.8, label="median")
+
+
+def percentiles(values: np.ndarray, which: Sequence[float]) -> np.ndarray:
+    """Percentiles of each column, of what is not NaN in it: shape (percentiles, columns).
+
+    `np.nanpercentile` takes the columns one by one, which takes 0.3 s of a campaign.
+    """
+    ordered = np.sort(values, axis=0)  # NaN last
+    last = np.count_nonzero(np.isfinite(values), axis=0) - 1
+    place = np.outer(np.asarray(which) / 100.0, last)
+    below = np.floor(place).astype(int)
+    above = np.minimum(below + 1, last)
+    lower, upper = (np.take_along_axis(ordered, at, axis=0) for at in (below, above))
+    return lower + (place - below) * (upper - lower)
