@@ -19,7 +19,7 @@ from jentry.guidance import (
     TrackErrors,
 )
 from jentry.motion import EntryState
-from jentry.onboard import Measurement, PolynomialProfile
+from jentry.onboard import FactorEstimator, Measurement, PolynomialProfile
 from jentry.units import degree
 
 
@@ -263,6 +263,10 @@ def test_the_reference_moves_as_the_vehicle_does(law):
     found = [float(getattr(rate.state, name)) for name in names]
     np.testing.assert_allclose(found, over[:5] * falls, rtol=1e-9)
     assert float(rate.state.heading) == pytest.approx(-over[5] * falls, rel=1e-9)
+    # The energy that falls is the vehicle's, and not that of the reference.
+    faster = dataclasses.replace(state, velocity=1.01 * state.velocity)
+    _, later = act(law, dataclasses.replace(measurement, state=faster), memory, held)
+    assert float(later.state.altitude) == pytest.approx(1.01 * found[0], rel=1e-9)
     # Where both are in one state the command is that of the reference.
     assert float(controls.angle_of_attack) == pytest.approx(angle, rel=1e-9)
     # Off it, the errors are integrated, and the law steers back.
@@ -302,6 +306,18 @@ def test_the_band_stays_about_the_reference_of_the_law(law):
         deviations.append(float(controls.angle_of_attack) - reference)
     assert deviations[0] == pytest.approx(5.0 * degree, rel=1e-9)
     assert np.all(np.abs(deviations) <= 5.0 * degree * (1.0 + 1e-9))
+
+
+def test_old_samples_fade_over_the_guidance_cycle(law):
+    """Two samples of equal weight, one of them a cycle of 10 s old."""
+    estimator = FactorEstimator(time_constant=20.0)
+    remembering = dataclasses.replace(law, estimator=estimator)
+    memory, held = decided(remembering, sensed(on_the_way(), 0.9, 1.1))
+    _, held = update(remembering, sensed(on_the_way(), 0.8, 1.0), memory, held)
+    faded = np.exp(-10.0 / 20.0)
+    found = held.estimate.factors
+    assert float(found.lift) == pytest.approx((0.8 + faded * 0.9) / (1.0 + faded))
+    assert float(found.drag) == pytest.approx((1.0 + faded * 1.1) / (1.0 + faded))
 
 
 @pytest.mark.slow
