@@ -121,20 +121,27 @@ def test_it_is_a_bank_up_to_the_largest():
 def test_eigenvalues_are_those_of_the_ratio(ratio):
     """Without drag the glide is level; of altitude and path angle, at one velocity."""
     free = with_leaf(model(), lambda m: m.vehicle.drag_scale, 1e-15)
-    damping, angle, cosine = GlideDamping(ratio), number(ANGLE), number(0.5)
+    damping = GlideDamping(ratio)
 
-    def rates(numbers):
-        state = at(numbers[0], 6000.0, numbers[1])
-        cos_bank = damping.cos_bank(free, Factors(), state, angle, cosine)
-        controls = Controls(angle, cos_bank, jnp.sqrt(1.0 - cos_bank**2))
-        moved = entry_dynamics(free.planet, free.vehicle, state, controls)
-        return jnp.stack([moved.altitude, moved.flight_path_angle])
+    @eqx.filter_jit
+    def linear(free, damping, numbers):
+        angle, cosine = number(ANGLE), number(0.5)
 
-    here = jnp.array([35 * km, 0.0])
+        def rates(numbers):
+            state = at(numbers[0], 6000.0, numbers[1])
+            cos_bank = damping.cos_bank(free, Factors(), state, angle, cosine)
+            controls = Controls(angle, cos_bank, jnp.sqrt(1.0 - cos_bank**2))
+            moved = entry_dynamics(free.planet, free.vehicle, state, controls)
+            return jnp.stack([moved.altitude, moved.flight_path_angle])
+
+        return rates(numbers), jax.jacfwd(rates)(numbers)
+
+    here = np.array([35 * km, 0.0])
     for _ in range(30):  # to the altitude at which it glides
-        here = here - jnp.linalg.solve(jax.jacfwd(rates)(here), rates(here))
-    assert 25 * km < float(here[0]) < 55 * km
-    found = np.linalg.eigvals(np.asarray(jax.jacfwd(rates)(here)))
+        value, slope = linear(free, damping, here)
+        here = here - np.linalg.solve(slope, value)
+    assert 25 * km < here[0] < 55 * km
+    found = np.linalg.eigvals(np.asarray(linear(free, damping, here)[1]))
     # w^2 of the notes: v^2 / r holds up what the lift does not.
     radius = 6371e3 + float(here[0])
     gravity = 9.80665 * (6371e3 / radius) ** 2
