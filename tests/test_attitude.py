@@ -178,6 +178,7 @@ def test_an_attitude_follows_its_law_as_its_equation_says():
     np.testing.assert_allclose(bank, alone, atol=1.2 * late)
 
 
+@pytest.mark.slow
 def test_a_swift_attitude_is_an_ideal_one():
     """Of a bank and an angle of attack that change little: the error goes with the lag,
     2 damping / frequency."""
@@ -211,6 +212,7 @@ def test_gradients_reach_the_response():
     assert float(pushed) == pytest.approx(float(difference), rel=1e-5)
 
 
+@pytest.mark.slow
 def test_side_by_side_is_one_by_one():
     given = scenario(attitude=lagging(rate=5 * degree))
 

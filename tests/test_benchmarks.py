@@ -20,6 +20,7 @@ def benchmark(monkeypatch):
         sys.modules.pop(name)
 
 
+@pytest.mark.slow
 def test_the_programs_that_are_compared_fly_the_same_flights(benchmark, monkeypatch):
     """A reference on another grid was once flown as if it were on an even one."""
     monkeypatch.setattr(jentry, "setup", lambda *how, **options: None)

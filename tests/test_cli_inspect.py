@@ -47,6 +47,7 @@ def test_the_worst_by_an_error(command, folder):
     assert set(inputs_of(results)) <= set(table)
 
 
+@pytest.mark.slow
 def test_derivatives_of_one_run_are_those_of_differences(folder):
     """At the inputs of the run, with the target where the nominal entry point has it."""
     scenario, results = cheap.scenario(), open_campaign(folder)

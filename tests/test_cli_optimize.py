@@ -17,6 +17,7 @@ ASKED = ("--maximize", "downrange", "--bank", "50deg:-90deg:90deg", "--nodes", 5
 ASKED += ("--angle-of-attack", "0deg:-1deg:1deg", "--step", 2)
 
 
+@pytest.mark.slow
 def test_optimize(command, tmp_path):
     """Printed and written; the file flies the same flight again, and begins there."""
     out = tmp_path / "best"

@@ -71,6 +71,7 @@ def test_what_is_free():
     np.testing.assert_allclose(coefficients[1], 5 * degree)
 
 
+@pytest.mark.slow
 def test_the_angle_of_attack_stays_with_its_law():
     start = free_controls(composed(bank_profile()), BANK, nodes=6)
     assert isinstance(start.guidance.angle_of_attack, AngleOfAttackProfile)

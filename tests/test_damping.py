@@ -112,6 +112,7 @@ def test_what_is_slower_does_not_count():
     assert np.isnan(loop.least_damping_of(1e3).value)
 
 
+@pytest.mark.slow
 def test_a_deadbeat_mode_is_damped_and_has_a_derivative():
     gains = jnp.asarray(deadbeat_gains())
     scenario = level(Sampled(hold(gains), PERIOD))

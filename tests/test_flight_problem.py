@@ -113,6 +113,7 @@ def tight():
     return 0.8 * float(best(AtEnd("downrange"), False).flight.peaks.load_factor)
 
 
+@pytest.mark.slow
 def test_limits_are_kept_unless_it_is_asked_not_to():
     far = best(AtEnd("downrange"), False)
     limit = tight()

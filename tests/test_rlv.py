@@ -342,7 +342,7 @@ def test_what_the_gains_need_of_the_attitude():
     least = []
     for frequency in (5.0, 3.0, 2.0):
         response = lambda s: s.attitude.angle_of_attack_response.frequency
-        slower = eqx.tree_at(response, scenario, frequency)
+        slower = eqx.tree_at(response, scenario, jnp.asarray(frequency))
         least.append(linearize(slower, points=120).least_damping_of(0.2).value)
     assert least[:2] == pytest.approx([0.28, 0.05], abs=0.005)
     assert least[2] < 0.0

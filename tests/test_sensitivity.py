@@ -258,6 +258,7 @@ def test_a_dispersion_that_is_constant_spoils_no_prediction():
         assert spread.standard_deviation > 0.0
 
 
+@pytest.mark.slow
 def test_mean_differences_go_across_the_teeth_that_derivatives_see_alone():
     """As the phase of the last guidance cycle makes them."""
     exact, mean = of_teeth(None), of_teeth("difference")

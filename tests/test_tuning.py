@@ -127,6 +127,7 @@ def test_the_best_bank_is_found(name):
     assert comparison.after.value < 0.1 * comparison.before.value
 
 
+@pytest.mark.slow
 def test_all_optimizers_end_at_the_same_point():
     ends = [float(tuned(n).values["guidance.bank_angle"]) for n in OPTIMIZERS]
     assert ends[0] == pytest.approx(ends[1], abs=2e-3)  # adam creeps
