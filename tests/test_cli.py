@@ -147,7 +147,10 @@ def run():
 as_process(run)
 """
     call = [sys.executable, "-c", program]
-    run = subprocess.run(call, capture_output=True, text=True, timeout=60.0)
+    buffered = {k: x for k, x in os.environ.items() if k != "PYTHONUNBUFFERED"}
+    run = subprocess.run(
+        call, capture_output=True, text=True, timeout=60.0, env=buffered
+    )
     code, said = ENDINGS[ending]
     assert run.returncode == code
     assert run.stdout == "done\n"
