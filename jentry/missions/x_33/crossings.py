@@ -8,7 +8,6 @@ those over time stand in seconds, the others are without dimensions.
 import dataclasses
 import functools
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from ..._integrate import runge_kutta
@@ -31,9 +30,7 @@ from ...guidance.feedback_linearization import (
     GroundTrackTracking,
 )
 from ...guidance.law import AbstractLaw, Sampled
-from ...guidance.open_loop import BankProfile
 from ...guidance.shuttle import ShuttleBank, ShuttleModulation
-from ...guidance.tracking_gains import TrackingGains
 from ...motion.forces import air_data
 from ...motion.index import AbstractIndex, EnergyIndex, VelocityIndex
 from ...motion.quantities import energy
@@ -46,8 +43,9 @@ from ...onboard.velocity_domain import VelocityDomain
 from ...planning.ground_track import GroundTrackPlan, plan_ground_track
 from ...planning.reference_flight import ReferenceFlight
 from ...units import degree
+from ..sx_2.scenario import gains
 from .airframe import ScheduledAngleOfAttack, vehicle
-from .scenario import STEP, LAST_VELOCITY, cos_bank, earth, entry, glide, open_loop, reference
+from .scenario import STEP, cos_bank, earth, glide, open_loop, reference
 
 
 _BEFORE = 30.0
@@ -58,6 +56,8 @@ _INTERVALS = 2000
 """Of the tables"""
 CYCLE = 0.1
 """s: of the laws that the RLV flies in cycles of this length"""
+LARGEST_BANK = 80.0 * degree
+"""Of the laws of the RLV and of the SX-2, which have it there"""
 
 
 def _angle(state: EntryState) -> Scalar:
@@ -126,14 +126,14 @@ def _scheduled_model() -> OnboardModel:
     """What the drag trackers know: the coefficients along the angle of attack flown."""
     known = vehicle()
     aerodynamics = ScheduledAerodynamics(known.aerodynamics, ScheduledAngleOfAttack())
-    return OnboardModel(
-        earth(), dataclasses.replace(known, aerodynamics=aerodynamics)
-    )
+    return OnboardModel(earth(), dataclasses.replace(known, aerodynamics=aerodynamics))
 
 
 def drag_reference() -> DragReference:
     """The drag of the reference over the energy, as the law's paper tracks it."""
-    return DragReference(EnergyIndex(), table(EnergyIndex()).profile("drag"), cos_bank())
+    return DragReference(
+        EnergyIndex(), table(EnergyIndex()).profile("drag"), cos_bank()
+    )
 
 
 def drag_gains() -> ErrorGains:
@@ -184,7 +184,7 @@ def shuttle() -> Scenario:
 
 def _modulated(angle_of_attack: AbstractLaw) -> Scenario:
     bank = Sampled(ShuttleBank(glide_reference()), CYCLE)
-    limits = BankLimits(12.0 * degree, 80.0 * degree)
+    limits = BankLimits(12.0 * degree, LARGEST_BANK)
     return _flown_by(compose(angle_of_attack, bank, limits))
 
 
@@ -203,17 +203,22 @@ def track_model() -> GroundTrackModel:
 
 @functools.cache
 def ground_track() -> GroundTrackPlan:
-    scenario = longer()
-    start = scenario.initial_state
-    end = energy(earth(), reference().end.eastward())
-    return kept(plan_ground_track)(scenario, track_model(), end - 0.02 * track_model().energy_span)
+    """What the reference gives over the energy, with both of its ends longer."""
+    energies = table(EnergyIndex())
+    last = energies.start + _INTERVALS * energies.spacing
+    return kept(plan_ground_track)(longer(), track_model(), last)
 
 
 def feedback_linearization() -> Scenario:
+    """Bharadwaj, Rao and Mease's law, with the eigenvalues and the band of the SX-2.
+
+    In the vertical plane its crossrange has no error: the sideways lift stays that of the
+    reference, which turns nothing here, and the downrange has angle of attack and bank.
+    """
     law = GroundTrackTracking(
         track_model(),
         ground_track().table,
-        TrackingGains.from_eigenvalues((18.0, 8.0, 8.0, 0.1), (30.0, 1.2, 1.2)),
-        AttitudeBand(5.0 * degree, 5.0 * degree, 45.0 * degree, 80.0 * degree),
+        gains(),
+        AttitudeBand(5.0 * degree, 5.0 * degree, 45.0 * degree, LARGEST_BANK),
     )
     return _flown_by(law)
