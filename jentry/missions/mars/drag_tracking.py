@@ -166,6 +166,11 @@ def nominal_gains() -> ErrorGains:
     return ErrorGains(epsilon0=5.0, a=1.982, b=3.0)
 
 
+def nominal_observer() -> ObserverGains:
+    """Observer of figures 6 to 10."""
+    return ObserverGains(epsilon=0.481, l1=2.0, l2=1.0)
+
+
 def monte_carlo_gains() -> ErrorGains:
     """Gains of figure 11 and Table 3."""
     return ErrorGains(epsilon0=20.0, a=20.0, b=5.0)
@@ -205,8 +210,7 @@ def state_feedback() -> Scenario:
 
 def observer_feedback() -> Scenario:
     """The flight of figures 6 to 10: law (24) with observer (25), over energy."""
-    observer = ObserverGains(epsilon=0.481, l1=2.0, l2=1.0)
-    return scenario(EnergyIndex(), nominal_gains(), observer)
+    return scenario(EnergyIndex(), nominal_gains(), nominal_observer())
 
 
 @functools.cache

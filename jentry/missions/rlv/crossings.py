@@ -64,6 +64,7 @@ from ...planning.ground_track import GroundTrackPlan, plan_ground_track
 from ...planning.longitudinal_flight import as_longitudinal
 from ...planning.reference_flight import ReferenceFlight
 from ...units import degree
+from ..mars.drag_tracking import nominal_gains, nominal_observer
 from ..sx_2.scenario import gains
 from .airframe import vehicle
 from .scenario import (
@@ -124,7 +125,14 @@ drag rate, and -0.01, with the observer. This is the least power of two with whi
 
 def drag_gains() -> ErrorGains:
     """Of figures 1 to 10 of Yan and He, slower."""
-    return ErrorGains(epsilon0=5.0 * SLOWER, a=1.982, b=3.0)
+    gains = nominal_gains()
+    return dataclasses.replace(gains, epsilon0=SLOWER * gains.epsilon0)
+
+
+def drag_observer() -> ObserverGains:
+    """Of figures 6 to 10, slower."""
+    observer = nominal_observer()
+    return dataclasses.replace(observer, epsilon=SLOWER * observer.epsilon)
 
 
 def drag_reference() -> DragReference:
@@ -152,7 +160,7 @@ def observer_drag_tracking() -> Scenario:
     """Yan and He's law (24) with observer (25), four times slower than in their figures."""
     law = ObserverDragTracking(
         drag_gains(),
-        ObserverGains(epsilon=0.481 * SLOWER, l1=2.0, l2=1.0),
+        drag_observer(),
         drag_reference(),
         scheduled_model(),
         lateral=reversals(),

@@ -49,6 +49,8 @@ MISSION = Mission(
         "guidance.angle_of_attack.gains.observer_pole",
         "guidance.angle_of_attack.gains.bank_deviation",
         "guidance.angle_of_attack.gains.bank_rate",
+        "guidance.bank.law.gains",
+        "guidance.bank.law.observer",
     ),
     tuned_for=("drag_deviation=4e-4", "angle_of_attack_deviation=10deg"),
     modes_faster_than=0.2,

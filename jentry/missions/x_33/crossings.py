@@ -19,9 +19,7 @@ from ...guidance.angle_of_attack import AngleOfAttackProfile
 from ...guidance.angle_of_attack_modulation import DynamicalModulation
 from ...guidance.composition import BankLimits, compose
 from ...guidance.drag_tracking import (
-    ErrorGains,
     ObserverDragTracking,
-    ObserverGains,
     StateFeedbackDragTracking,
 )
 from ...guidance.feedback_linearization import (
@@ -43,6 +41,7 @@ from ...onboard.velocity_domain import VelocityDomain
 from ...planning.ground_track import GroundTrackPlan, plan_ground_track
 from ...planning.reference_flight import ReferenceFlight
 from ...units import degree
+from ..mars.drag_tracking import nominal_gains, nominal_observer
 from ..sx_2.scenario import gains
 from .airframe import ScheduledAngleOfAttack, vehicle
 from .scenario import STEP, cos_bank, earth, glide, open_loop, reference
@@ -136,22 +135,19 @@ def drag_reference() -> DragReference:
     )
 
 
-def drag_gains() -> ErrorGains:
-    """Of figures 1 to 10 of Yan and He."""
-    return ErrorGains(epsilon0=5.0, a=1.982, b=3.0)
-
-
 def state_drag_tracking() -> Scenario:
     """Yan and He's law (14), with the gains of their figures 1 to 5."""
-    law = StateFeedbackDragTracking(drag_gains(), drag_reference(), _scheduled_model())
+    law = StateFeedbackDragTracking(
+        nominal_gains(), drag_reference(), _scheduled_model()
+    )
     return _tracking(law)
 
 
 def observer_drag_tracking() -> Scenario:
     """Yan and He's law (24) with observer (25), with the gains of figures 6 to 10."""
     law = ObserverDragTracking(
-        drag_gains(),
-        ObserverGains(epsilon=0.481, l1=2.0, l2=1.0),
+        nominal_gains(),
+        nominal_observer(),
         drag_reference(),
         _scheduled_model(),
     )

@@ -107,5 +107,9 @@ MISSION = Mission(
         "guidance.bank.regulator.underway",
         "guidance.bank.regulator.at_end",
         "guidance.bank.regulator.control",
+        "guidance.bank.gains",
+        "guidance.bank.observer",
+        "guidance.angle_of_attack.gains",
+        "guidance.gains",
     ),
 )
