@@ -29,7 +29,9 @@ class Gated(AbstractContinuousLaw[Memory]):
     def init(self, measurement: Measurement) -> Memory:
         return self.law.init(measurement)
 
-    def tracked(self, time: Scalar, measurement: Measurement, held: None) -> Tracked:
+    def tracked(
+        self, time: Scalar, measurement: Measurement, held: None
+    ) -> Tracked | None:
         return self.law.tracked(time, measurement, held)
 
     def __call__(

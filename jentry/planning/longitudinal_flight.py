@@ -218,8 +218,7 @@ def as_longitudinal(
     last = table.start + 4000 * table.spacing
     ends = jnp.linspace(table.start, last, parts + 1)
     shares = 0.5 * (1.0 + jnp.asarray(legendre_gauss_lobatto(degree).nodes))
-    times = ends[:-1, None] + jnp.diff(ends)[:, None] * shares
+    times = ends[:-1, None] + jnp.outer(jnp.diff(ends), shares)
     read = jax.vmap(jax.vmap(table.with_derivatives))(times)
-    return LongitudinalReference(
-        ends, **{name: values[0] for name, values in read.items()}
-    )
+    columns = {name: jnp.asarray(values[0]) for name, values in read.items()}
+    return LongitudinalReference(ends, **columns)

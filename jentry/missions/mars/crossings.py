@@ -8,6 +8,8 @@ other chooses the size of the lift.
 import dataclasses
 import functools
 
+import jax.numpy as jnp
+
 from ..._programs import kept
 from ...flight.scenario import Scenario
 from ...flight.termination import Termination, VelocityBelow
@@ -43,7 +45,9 @@ def longitudinal_reference() -> LongitudinalReference:
 
 
 def _regulated(**weights) -> Scenario:
-    level = PolynomialProfile([0.0])  # No coefficient goes with the angle of attack.
+    level = PolynomialProfile(
+        jnp.zeros(1)
+    )  # No coefficient goes with the angle of attack.
     model = LongitudinalModel(OnboardModel(mars(), lander()), level)
     regulator = Regulator(model, longitudinal_reference(), **weights)
     law = StoredGainTracking(regulator, kept(plan_gains)(regulator))

@@ -258,16 +258,17 @@ def recorded() -> Recorded:
     rows = np.flatnonzero(np.isfinite(np.asarray(history.time)))
     rows = rows[begins - int(_EARLIER / _EVERY) :]
     states = jax.tree.map(lambda x: x[rows], states)
-    energies = jax.vmap(lambda s: energy(earth(), s))(states)[::-1]
+    energies = jnp.asarray(jax.vmap(lambda s: energy(earth(), s))(states))[::-1]
     bank = jnp.arctan2(controls.sin_bank, controls.cos_bank)[rows][::-1]
-    angle = controls.angle_of_attack[rows][::-1]
+    angle = jnp.asarray(controls.angle_of_attack)[rows][::-1]
     nodes = grid(energies[-1], energies[0], _INTERVALS)
-    read = {
-        name: jax.vmap(cubic_spline(energies, values).with_derivatives)(nodes)
-        for name, values in (("angle_of_attack", angle), ("bank", bank))
-    }
-    first = jax.tree.map(lambda x: x[0], states)
-    return Recorded(first, quintic_table(nodes, read))
+    read = {}
+    for name, values in (("angle_of_attack", angle), ("bank", bank)):
+        spline = cubic_spline(energies, values)
+        value, first, second = jax.vmap(spline.with_derivatives)(nodes)
+        read[name] = tuple(jnp.asarray(x) for x in (value, first, second))
+    begun = jax.tree.map(lambda x: x[0], states)
+    return Recorded(begun, quintic_table(nodes, read))
 
 
 def track_model() -> GroundTrackModel:
