@@ -117,12 +117,40 @@ def share_of_limit(name: str) -> Callable[..., float]:
     return share
 
 
+CROSSINGS = {
+    "x-33": (
+        "tracking",
+        "state-drag-tracking",
+        "observer-drag-tracking",
+        "modulation",
+        "shuttle",
+        "feedback-linearization",
+    ),
+    "rlv": (
+        "bank-alone",
+        "state-drag-tracking",
+        "observer-drag-tracking",
+        "pseudospectral",
+        "pseudospectral-with-range",
+        "feedback-linearization",
+    ),
+}
+"""The laws that fly beside the mission's own one, which is the first for the X-33"""
+
+_LOST = Column("lost, %", "outcome", 1.0, lambda codes: 100.0 * np.mean(codes != 0))
+_DRAG = (
+    Column("drag deviation, median, g", "peak_drag_deviation", 1.0, np.median),
+    Column("drag deviation, maximum, g", "peak_drag_deviation", 1.0, np.max),
+)
+
 MORE = {
     ("cav-h", "predictor-corrector"): (
         *_END,
         Column("heat rate, maximum, MW/m2", "peak_heat_rate", 1e6, np.max),
         Column("load factor, maximum", "peak_load_factor", 1.0, np.max),
-    )
+    ),
+    **{("x-33", variant): (_LOST,) for variant in CROSSINGS["x-33"]},
+    **{("rlv", variant): (_LOST, *_DRAG) for variant in ("r5", *CROSSINGS["rlv"])},
 }
 """Columns of one variant beside those of its mission"""
 
@@ -193,12 +221,23 @@ ROWS = {
             "predictor-corrector",
             "predictor-corrector-limited",
             "predictor-corrector-3d",
+            *CROSSINGS["x-33"],
         )
     ),
-    "rlv": (("r5", "table-1"), ("predictor-corrector", "table-1")),
-    "mars-drag-tracking": (
-        ("table-3", "lift-to-drag-held"),
-        ("energy-index", "lift-to-drag-held"),
+    "rlv": tuple(
+        (variant, "table-1")
+        for variant in ("r5", "predictor-corrector", *CROSSINGS["rlv"])
+    ),
+    "mars-drag-tracking": tuple(
+        (variant, "lift-to-drag-held")
+        for variant in (
+            "table-3",
+            "energy-index",
+            "state-feedback",
+            "observer-feedback",
+            "pseudospectral",
+            "pseudospectral-with-range",
+        )
     ),
 }
 

@@ -44,6 +44,7 @@ from jentry.guidance import (
     FixedCycle,
     FixedSide,
     Gate,
+    Gated,
     GroundTrackModel,
     GroundTrackTracking,
     GuidedEnd,
@@ -75,6 +76,7 @@ from jentry.onboard import (
     OnboardModel,
     PolynomialProfile,
     Reference,
+    ScheduledAerodynamics,
     VelocityDomain,
     quintic_table,
 )
@@ -418,6 +420,7 @@ all_laws = {
     "Bézier": lambda reference: stored().guidance,
     "ground track": ground_track_law,
     "replanning": replanning_law,
+    "gated": lambda reference: Gated(state_feedback(reference), bank_profile(), 1.0),
     "control profiles": control_profiles,
     "pseudospectral": pseudospectral_law,
     "stored gains": stored_gain_law,
@@ -535,6 +538,10 @@ all_aerodynamics = {
         RandomMachProfile(5.0, seed=0.7, nodes=13),
         0.1,
         0.05,
+    ),
+    "scheduled": lambda: ScheduledAerodynamics(
+        PolynomialAerodynamics([-0.04, 0.8], [0.05, -0.1, 0.9]),
+        PolynomialProfile([0.5, 1e-5]),
     ),
 }
 

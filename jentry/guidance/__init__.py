@@ -69,6 +69,7 @@ from .feedback_linearization import (
     SmallAngleLinearization as SmallAngleLinearization,
     TrackErrors as TrackErrors,
 )
+from .gated import Gated as Gated
 from .glide_damping import GlideDamping as GlideDamping
 from .lateral import (
     AbstractLateralLogic as AbstractLateralLogic,

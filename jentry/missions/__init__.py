@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..addresses import nearest
 from .cav_h import MISSION as CAV_H
-from .mars.drag_tracking import MISSION as DRAG_TRACKING
+from .mars.drag_tracking_mission import MISSION as DRAG_TRACKING
 from .mars.range_tracking import MISSION as RANGE_TRACKING
 from .mission import Mission as Mission, PublishedValue as PublishedValue
 from .own import (

@@ -60,6 +60,7 @@ from .reference import (
     along as along,
     index_motion as index_motion,
 )
+from .scheduled_aerodynamics import ScheduledAerodynamics as ScheduledAerodynamics
 from .spline import (
     BSpline as BSpline,
     CubicSpline as CubicSpline,

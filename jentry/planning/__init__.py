@@ -39,6 +39,7 @@ from .inverse_dynamics import (
 )
 from .landing_footprint import Footprint as Footprint, footprint as footprint
 from .longitudinal_flight import (
+    as_longitudinal as as_longitudinal,
     fly_longitudinal as fly_longitudinal,
     plan_bank_over_velocity as plan_bank_over_velocity,
 )

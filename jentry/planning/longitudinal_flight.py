@@ -1,4 +1,4 @@
-"""A bank over the velocity, and the flight in the vertical plane that it makes."""
+"""Flights in the vertical plane as references: of a bank over the velocity, or flown."""
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +8,11 @@ from .._integrate import runge_kutta
 from .._programs import kept
 from .._setup import needs_float64
 from ..fields import Scalar, Vector
+from ..flight.closed_loop import Moving, command, start as begin
+from ..motion.forces import air_data
+from ..motion.index import TimeIndex
+from ..motion.quantities import ground_track
+from ..motion.state import EntryState
 from ..onboard.longitudinal import (
     LongitudinalModel,
     LongitudinalReference,
@@ -22,6 +27,7 @@ from ..onboard.profiles import (
 )
 from .drag_profile import CollocatedProfile
 from .inverse_dynamics import AbstractInverse
+from .reference_flight import ReferenceFlight
 
 
 _STEPS = 4000
@@ -179,3 +185,40 @@ def _flown(
         states.downrange,
         controls,
     )
+
+
+@needs_float64
+def as_longitudinal(
+    flight: ReferenceFlight, parts: int = 20, degree: int = 10
+) -> LongitudinalReference:
+    """A flight in the vertical plane as a reference over the time since its start.
+
+    **Arguments:**
+
+    - `flight`: under a law without memory, which is flown at once.
+    - `parts`: of equal duration.
+    - `degree`: of the polynomials over the time in each of those.
+    """
+    scenario = flight.scenario
+    planet, origin = scenario.planet, scenario.initial_state
+    memory = begin(scenario, flight.interval).moving.memory
+
+    def quantities(time: Scalar, state: EntryState) -> dict[str, Scalar]:
+        controls, _ = command(scenario, time, Moving(state, None, memory), None)
+        air = air_data(planet, scenario.vehicle, state, controls.angle_of_attack)
+        return {
+            "altitude": state.altitude,
+            "velocity": state.velocity,
+            "flight_path_angle": state.flight_path_angle,
+            "downrange": ground_track(planet, origin, state)[0],
+            "lift_to_drag_up": controls.cos_bank * air.lift / air.drag,
+        }
+
+    table = flight.tabulate(quantities, TimeIndex(), 4000)
+    last = table.start + 4000 * table.spacing
+    ends = jnp.linspace(table.start, last, parts + 1)
+    shares = 0.5 * (1.0 + jnp.asarray(legendre_gauss_lobatto(degree).nodes))
+    times = ends[:-1, None] + jnp.outer(jnp.diff(ends), shares)
+    read = jax.vmap(jax.vmap(table.with_derivatives))(times)
+    columns = {name: jnp.asarray(values[0]) for name, values in read.items()}
+    return LongitudinalReference(ends, **columns)

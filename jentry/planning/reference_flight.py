@@ -14,7 +14,7 @@ from .._math import derivatives_along
 from .._newton import newton, solve
 from .._setup import needs_float64
 from ..fields import Scalar
-from ..flight.closed_loop import Moving, vector_field
+from ..flight.closed_loop import Moving, start as begin, vector_field
 from ..flight.flight import fly
 from ..flight.miss import misses
 from ..flight.scenario import Scenario
@@ -161,7 +161,10 @@ class ReferenceFlight(eqx.Module):
 
     @classmethod
     def of(cls, scenario: Scenario, interval: float = 0.1) -> "ReferenceFlight":
-        """Fly a scenario whose law has no memory, such as a bank profile."""
+        """Fly a scenario whose law has no memory, such as a bank profile.
+
+        It may be composed, with an angle of attack over the velocity.
+        """
         flight = fly(scenario, FixedStep(interval), history=interval)
         history = flight.history
         assert history is not None
@@ -239,10 +242,12 @@ class ReferenceFlight(eqx.Module):
 
         planet = self.scenario.planet
         field = vector_field(self.scenario, None)
+        # Nothing, or a tree of nothing for a composed law.
+        memory = begin(self.scenario, self.interval).moving.memory
 
         def flow(point):
             time, state = point
-            return jnp.ones_like(time), field(time, Moving(state, None, None)).state
+            return jnp.ones_like(time), field(time, Moving(state, None, memory)).state
 
         def index_at(point):
             return index.value(planet, *point)
@@ -251,7 +256,7 @@ class ReferenceFlight(eqx.Module):
 
         def after(point, duration):
             time, state = point
-            moving = solver.advance(field, time, duration, Moving(state, None, None))
+            moving = solver.advance(field, time, duration, Moving(state, None, memory))
             return time + duration, moving.state
 
         along = self._along(index)

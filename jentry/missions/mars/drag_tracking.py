@@ -8,7 +8,6 @@ import functools
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 
 from ..._programs import kept
 from ...campaign.dispersions import Dispersion, multiply
@@ -51,7 +50,6 @@ from ...world.atmosphere import ExponentialAtmosphere
 from ...world.gravity import InverseSquareGravity
 from ...world.planet import Planet
 from ...world.vehicle import Vehicle
-from ..mission import Mission, PublishedValue, standard_deviation
 
 
 END_VELOCITY = 503.0
@@ -168,6 +166,11 @@ def nominal_gains() -> ErrorGains:
     return ErrorGains(epsilon0=5.0, a=1.982, b=3.0)
 
 
+def nominal_observer() -> ObserverGains:
+    """Observer of figures 6 to 10."""
+    return ObserverGains(epsilon=0.481, l1=2.0, l2=1.0)
+
+
 def monte_carlo_gains() -> ErrorGains:
     """Gains of figure 11 and Table 3."""
     return ErrorGains(epsilon0=20.0, a=20.0, b=5.0)
@@ -207,8 +210,7 @@ def state_feedback() -> Scenario:
 
 def observer_feedback() -> Scenario:
     """The flight of figures 6 to 10: law (24) with observer (25), over energy."""
-    observer = ObserverGains(epsilon=0.481, l1=2.0, l2=1.0)
-    return scenario(EnergyIndex(), nominal_gains(), observer)
+    return scenario(EnergyIndex(), nominal_gains(), nominal_observer())
 
 
 @functools.cache
@@ -237,56 +239,3 @@ def independent() -> dict[str, Dispersion]:
         "lift": Dispersion(lambda s: s.vehicle.lift_scale, Uniform(0.7, 1.3)),
         "drag": Dispersion(lambda s: s.vehicle.drag_scale, Uniform(0.7, 1.3)),
     }
-
-
-def _downrange(name: str, value: float, statistic) -> PublishedValue:
-    """The paper counts the downrange error as desired minus actual."""
-    return PublishedValue(
-        f"downrange error, {name}",
-        value,
-        "km",
-        lambda v: statistic(-v["downrange_error"] / km),
-    )
-
-
-def _altitude(name: str, value: float, statistic) -> PublishedValue:
-    """And the altitude error, by its sign, as actual minus desired."""
-    return PublishedValue(
-        f"altitude error, {name}",
-        value,
-        "km",
-        lambda v: statistic(v["altitude_error"] / km),
-    )
-
-
-MISSION = Mission(
-    name="mars-drag-tracking",
-    title="Mars lander, drag tracking with a high-gain observer",
-    source='Yan and He, "Drag-Tracking Guidance for Entry Vehicles Without Drag Rate '
-    'Measurement"',
-    variants={
-        "table-3": table_3,
-        "energy-index": energy_index,
-        "time-index": time_index,
-        "state-feedback": state_feedback,
-        "observer-feedback": observer_feedback,
-    },
-    dispersions={
-        "lift-to-drag-held": lift_to_drag_held,
-        "independent": independent,
-    },
-    published=(
-        _downrange("minimum |.|", 0.0028, lambda e: np.min(abs(e))),
-        _downrange("maximum", 24.3249, np.max),
-        _downrange("average", 2.3957, np.mean),
-        _downrange("standard deviation", 6.7809, standard_deviation),
-        _altitude("minimum", -0.0013, np.min),
-        _altitude("maximum", 3.9263, np.max),
-        _altitude("average", 0.6369, np.mean),
-        _altitude("standard deviation", 0.8584, standard_deviation),
-    ),
-    published_note="Table 3; downrange error desired minus actual, as the paper has it",
-    published_variant="table-3",
-    published_dispersions="lift-to-drag-held",
-    published_runs=1000,
-)

@@ -11,7 +11,6 @@ import equinox as eqx
 
 from ..._programs import kept
 from ...flight.scenario import Scenario
-from ...guidance.drag_tracking import ObserverGains
 from ...guidance.lateral import CrossrangeCorridor
 from ...guidance.range_tracking import Aim, RangeTracking, ScaleLimits
 from ...motion.dynamics import EntryDynamics, EquatorialDynamics
@@ -30,6 +29,7 @@ from .drag_tracking import (
     independent,
     lift_to_drag_held,
     nominal_gains,
+    nominal_observer,
     reference,
 )
 
@@ -79,7 +79,7 @@ def three_dimensional() -> Scenario:
     target = start.target
     law = RangeTracking(
         gains=nominal_gains(),
-        observer=ObserverGains(epsilon=0.481, l1=2.0, l2=1.0),
+        observer=nominal_observer(),
         reference=drag,
         range_flown=range_flown,
         model=OnboardModel(start.planet, start.vehicle),

@@ -2,7 +2,7 @@
 
 from ...plots.campaign import HISTORIES
 from ..mission import Mission, PublishedValue
-from . import figures, predictor_corrector
+from . import crossings, figures, predictor_corrector
 from .dispersions import atmosphere, table_1, table_1_estimated_angle, table_1_noise
 from .scenario import (
     a8,
@@ -29,6 +29,12 @@ MISSION = Mission(
         "shuttle-quarter": shuttle_quarter,
         "shuttle-as-flown": shuttle_as_flown,
         "predictor-corrector": predictor_corrector.guided,
+        "bank-alone": crossings.bank_alone,
+        "state-drag-tracking": crossings.state_drag_tracking,
+        "observer-drag-tracking": crossings.observer_drag_tracking,
+        "pseudospectral": crossings.pseudospectral,
+        "pseudospectral-with-range": crossings.pseudospectral_with_range,
+        "feedback-linearization": crossings.feedback_linearization,
     },
     dispersions={
         "table-1": table_1,
@@ -43,6 +49,8 @@ MISSION = Mission(
         "guidance.angle_of_attack.gains.observer_pole",
         "guidance.angle_of_attack.gains.bank_deviation",
         "guidance.angle_of_attack.gains.bank_rate",
+        "guidance.bank.law.gains",
+        "guidance.bank.law.observer",
     ),
     tuned_for=("drag_deviation=4e-4", "angle_of_attack_deviation=10deg"),
     modes_faster_than=0.2,

@@ -9,7 +9,7 @@ from ...planning.flight_constraints import Constraint
 from ...planning.flight_problem import AtEnd, FlightProblem, FreeControl
 from ...units import degree
 from ..mission import Mission
-from . import predictor_corrector
+from . import crossings, predictor_corrector
 from .cases import CASES, case
 from .dispersions import air_and_vehicle, everything, initial_errors
 from .scenario import (
@@ -91,6 +91,11 @@ MISSION = Mission(
         "predictor-corrector": predictor_corrector.in_plane,
         "predictor-corrector-limited": predictor_corrector.limited,
         "predictor-corrector-3d": predictor_corrector.in_space,
+        "state-drag-tracking": crossings.state_drag_tracking,
+        "observer-drag-tracking": crossings.observer_drag_tracking,
+        "modulation": crossings.modulation,
+        "shuttle": crossings.shuttle,
+        "feedback-linearization": crossings.feedback_linearization,
     },
     problems={"longest": longest, "shortest": shortest, "footprint": to_both_sides},
     dispersions={
@@ -102,5 +107,9 @@ MISSION = Mission(
         "guidance.bank.regulator.underway",
         "guidance.bank.regulator.at_end",
         "guidance.bank.regulator.control",
+        "guidance.bank.gains",
+        "guidance.bank.observer",
+        "guidance.angle_of_attack.gains",
+        "guidance.gains",
     ),
 )

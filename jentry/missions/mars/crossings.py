@@ -1,0 +1,68 @@
+"""Mars lander under the law of another paper: the planned flight, regulated.
+
+Modulation of the angle of attack and feedback linearization do not fit this vehicle, whose
+coefficients are the same at every angle of attack: the one has nothing to command, and the
+other chooses the size of the lift.
+"""
+
+import dataclasses
+import functools
+
+import jax.numpy as jnp
+
+from ..._programs import kept
+from ...flight.scenario import Scenario
+from ...flight.termination import Termination, VelocityBelow
+from ...guidance.open_loop import BankProfile
+from ...guidance.pseudospectral_tracking import (
+    DeviationWeights,
+    Regulator,
+    StoredGainTracking,
+    plan_gains,
+)
+from ...onboard.longitudinal import LongitudinalModel, LongitudinalReference
+from ...onboard.model import OnboardModel
+from ...onboard.profiles import PolynomialProfile
+from ...planning.longitudinal_flight import as_longitudinal
+from ...planning.reference_flight import ReferenceFlight
+from .drag_tracking import END_VELOCITY, entry, lander, mars, reference
+
+
+def _flown(scenario: Scenario) -> LongitudinalReference:
+    return as_longitudinal(ReferenceFlight.of(scenario))
+
+
+@functools.cache
+def longitudinal_reference() -> LongitudinalReference:
+    """The flight of the planned bank, over the time."""
+    ends = {"velocity": VelocityBelow(velocity=END_VELOCITY)}
+    flown = dataclasses.replace(
+        entry(),
+        guidance=BankProfile(reference().cos_bank),
+        termination=Termination(ends, time_limit=600.0),
+    )
+    return kept(_flown)(flown)
+
+
+def _regulated(**weights) -> Scenario:
+    level = PolynomialProfile(
+        jnp.zeros(1)
+    )  # No coefficient goes with the angle of attack.
+    model = LongitudinalModel(OnboardModel(mars(), lander()), level)
+    regulator = Regulator(model, longitudinal_reference(), **weights)
+    law = StoredGainTracking(regulator, kept(plan_gains)(regulator))
+    return dataclasses.replace(entry(), guidance=law)
+
+
+def pseudospectral() -> Scenario:
+    """Lee, Cho and Yan's regulator, with the weights of the X-33."""
+    return _regulated()
+
+
+def pseudospectral_with_range() -> Scenario:
+    """The same with the downrange as a fourth state, with those of its `with-range`."""
+    return _regulated(
+        underway=DeviationWeights(downrange=1.0),
+        at_end=DeviationWeights(*4 * [3e4]),
+        origin=entry().initial_state,
+    )

@@ -1,0 +1,321 @@
+"""RLV under the laws of other papers, with the attitude of 5 rad/s.
+
+All of them fly at the planned angle of attack, or about it, from where the mission's own
+laws begin, in guidance cycles of the same length and to the same velocity. Bank laws have
+the mission's six reversals. Gains are those of the law's own mission unless it is said.
+"""
+
+import dataclasses
+import functools
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..._programs import kept
+from ...fields import Scalar
+from ...flight.flight import fly
+from ...flight.scenario import Scenario
+from ...flight.termination import Termination, VelocityBelow
+from ...guidance.angle_of_attack import AngleOfAttackProfile
+from ...guidance.composition import compose
+from ...guidance.drag_tracking import (
+    ErrorGains,
+    ObserverDragTracking,
+    ObserverGains,
+    StateFeedbackDragTracking,
+)
+from ...guidance.feedback_linearization import (
+    AttitudeBand,
+    GroundTrackModel,
+    GroundTrackTracking,
+)
+from ...guidance.gated import Gated
+from ...guidance.lateral import VelocityReversals
+from ...guidance.law import AbstractContinuousLaw, Sampled
+from ...guidance.open_loop import BankProfile
+from ...guidance.pseudospectral_tracking import (
+    DeviationWeights,
+    Regulator,
+    StoredGainTracking,
+    plan_gains,
+)
+from ...guidance.shuttle import ShuttleBank
+from ...motion.attitude import IdealAttitude
+from ...motion.dynamics import EquatorialDynamics
+from ...motion.forces import air_data
+from ...motion.index import VelocityIndex
+from ...motion.quantities import energy
+from ...motion.state import EntryState
+from ...onboard.longitudinal import LongitudinalModel, LongitudinalReference
+from ...onboard.model import OnboardModel
+from ...onboard.profiles import (
+    PolynomialProfile,
+    QuinticProfile,
+    QuinticTable,
+    grid,
+    quintic_table,
+)
+from ...onboard.reference import DragReference
+from ...onboard.scheduled_aerodynamics import ScheduledAerodynamics
+from ...onboard.spline import cubic_spline
+from ...planning.ground_track import GroundTrackPlan, plan_ground_track
+from ...planning.longitudinal_flight import as_longitudinal
+from ...planning.reference_flight import ReferenceFlight
+from ...units import degree
+from ..mars.drag_tracking import nominal_gains, nominal_observer
+from ..sx_2.scenario import gains
+from .airframe import vehicle
+from .scenario import (
+    CYCLE,
+    LARGEST_BANK,
+    REVERSALS,
+    earth,
+    entry,
+    gate,
+    model,
+    plan,
+    shuttle_bank,
+    start,
+)
+
+
+FREQUENCY = 5.0
+"""rad/s: of the attitude, as in `r5`"""
+FIRST_BANK = 30.0 * degree
+"""Before guidance begins, as under the mission's bank law"""
+
+
+HIGH_ANGLE = 40.0 * degree
+"""Where the plan begins"""
+
+
+def planned(name: str) -> QuinticProfile:
+    """A quantity of the plan, over the velocity."""
+    table = plan().quantities
+    assert isinstance(table, QuinticTable)
+    return table.profile(name)
+
+
+def reversals() -> VelocityReversals:
+    """Those of the mission."""
+    return VelocityReversals(jnp.array(REVERSALS))
+
+
+def _at_planned_angle(bank: AbstractContinuousLaw) -> Scenario:
+    angle = AngleOfAttackProfile(planned("angle_of_attack"))
+    return entry(compose(angle, Sampled(bank, CYCLE)), FREQUENCY)
+
+
+def bank_alone() -> Scenario:
+    """The mission's bank law without modulation: beside which the others stand."""
+    angle = AngleOfAttackProfile(planned("angle_of_attack"))
+    return entry(compose(angle, shuttle_bank()), FREQUENCY)
+
+
+# Drag tracking.
+
+SLOWER = 4.0
+"""By which the time constants of Yan and He are longer. Their vehicle banks at once; this
+one in 0.6 rad/s, with which their nominal gains leave damping ratios of 0.02, with the
+drag rate, and -0.01, with the observer. This is the least power of two with which both are
+0.3 or more, the bound of the mission's tuning"""
+
+
+def drag_gains() -> ErrorGains:
+    """Of figures 1 to 10 of Yan and He, slower."""
+    gains = nominal_gains()
+    return dataclasses.replace(gains, epsilon0=SLOWER * gains.epsilon0)
+
+
+def drag_observer() -> ObserverGains:
+    """Of figures 6 to 10, slower."""
+    observer = nominal_observer()
+    return dataclasses.replace(observer, epsilon=SLOWER * observer.epsilon)
+
+
+def drag_reference() -> DragReference:
+    """The planned drag, tracked from where the mission's own laws begin."""
+    held = PolynomialProfile(jnp.cos(jnp.array([FIRST_BANK])))
+    return DragReference(VelocityIndex(), planned("drag"), held, gate().drag)
+
+
+def scheduled_model() -> OnboardModel:
+    """What the drag trackers know: the coefficients along the planned angle of attack."""
+    known = vehicle()
+    aerodynamics = ScheduledAerodynamics(known.aerodynamics, planned("angle_of_attack"))
+    return OnboardModel(earth(), dataclasses.replace(known, aerodynamics=aerodynamics))
+
+
+def state_drag_tracking() -> Scenario:
+    """Yan and He's law (14), four times slower than in figures 1 to 5."""
+    law = StateFeedbackDragTracking(
+        drag_gains(), drag_reference(), scheduled_model(), lateral=reversals()
+    )
+    return _at_planned_angle(law)
+
+
+def observer_drag_tracking() -> Scenario:
+    """Yan and He's law (24) with observer (25), four times slower than in their figures."""
+    law = ObserverDragTracking(
+        drag_gains(),
+        drag_observer(),
+        drag_reference(),
+        scheduled_model(),
+        lateral=reversals(),
+    )
+    return _at_planned_angle(law)
+
+
+# Pseudospectral regulation.
+
+_PARTS, _DEGREE = 25, 10
+"""Of the polynomials of the flight over the time"""
+
+
+def in_plane() -> Scenario:
+    """The nominal flight without reversals, flown at once: a reference over the time."""
+    angle = AngleOfAttackProfile(planned("angle_of_attack"))
+    law = compose(angle, ShuttleBank(plan(), gate=gate()))
+    return dataclasses.replace(
+        entry(law, FREQUENCY),
+        planet=earth(),
+        attitude=IdealAttitude(),
+        dynamics=EquatorialDynamics(),
+        constraints={},
+    )
+
+
+def longitudinal_model() -> LongitudinalModel:
+    """What the regulator knows of the motion in the vertical plane."""
+    return LongitudinalModel(model(), planned("angle_of_attack"))
+
+
+def _flown_in_plane(scenario: Scenario) -> LongitudinalReference:
+    return as_longitudinal(ReferenceFlight.of(scenario), _PARTS, _DEGREE)
+
+
+@functools.cache
+def longitudinal_reference() -> LongitudinalReference:
+    """That flight from the start to the last velocity."""
+    return kept(_flown_in_plane)(in_plane())
+
+
+def _regulated(regulator: Regulator) -> Scenario:
+    gains = kept(plan_gains)(regulator)
+    return _at_planned_angle(StoredGainTracking(regulator, gains, reversals()))
+
+
+def pseudospectral() -> Scenario:
+    """Lee, Cho and Yan's regulator, with the weights of the X-33."""
+    return _regulated(Regulator(longitudinal_model(), longitudinal_reference()))
+
+
+def pseudospectral_with_range() -> Scenario:
+    """The same with the downrange as a fourth state, with those of its `with-range`."""
+    underway, at_end = DeviationWeights(downrange=1.0), DeviationWeights(*4 * [3e4])
+    return _regulated(
+        Regulator(
+            longitudinal_model(),
+            longitudinal_reference(),
+            underway,
+            at_end,
+            origin=start(),
+        )
+    )
+
+
+# Feedback linearization.
+
+_EARLIER, _BEYOND = 25.0, 1200.0
+"""The reference begins so many s before guidance, and goes on down to so many m/s: for
+flights with more or less energy there"""
+_EVERY = 2.0
+"""s between the knots of its controls"""
+_INTERVALS = 4000
+"""Of the tables"""
+
+
+class Recorded(eqx.Module):
+    """Where a reference begins, and the attitude that was flown from there on."""
+
+    start: EntryState
+    controls: QuinticTable
+    """angle_of_attack and bank, rad, over the energy in J/kg"""
+
+
+@functools.cache
+def recorded() -> Recorded:
+    """The nominal flight of `bank_alone`, reversals and lag included."""
+    ends = {"velocity": VelocityBelow(velocity=_BEYOND)}
+    longer = dataclasses.replace(bank_alone(), termination=Termination(ends, 4000.0))
+    history = fly(longer, history=_EVERY).history
+    assert history is not None
+    states, controls = history.states, history.controls
+    drag = jax.vmap(lambda s: air_data(earth(), vehicle(), s, HIGH_ANGLE).drag)
+    begins = np.argmax(np.asarray(drag(states)) > float(gate().drag))
+    rows = np.flatnonzero(np.isfinite(np.asarray(history.time)))
+    rows = rows[begins - int(_EARLIER / _EVERY) :]
+    states = jax.tree.map(lambda x: x[rows], states)
+    energies = jnp.asarray(jax.vmap(lambda s: energy(earth(), s))(states))[::-1]
+    bank = jnp.arctan2(controls.sin_bank, controls.cos_bank)[rows][::-1]
+    angle = jnp.asarray(controls.angle_of_attack)[rows][::-1]
+    nodes = grid(energies[-1], energies[0], _INTERVALS)
+    read = {}
+    for name, values in (("angle_of_attack", angle), ("bank", bank)):
+        spline = cubic_spline(energies, values)
+        value, first, second = jax.vmap(spline.with_derivatives)(nodes)
+        read[name] = tuple(jnp.asarray(x) for x in (value, first, second))
+    begun = jax.tree.map(lambda x: x[0], states)
+    return Recorded(begun, quintic_table(nodes, read))
+
+
+def track_model() -> GroundTrackModel:
+    """The motion that is differentiated, under the attitude of that flight."""
+    flown, end = recorded(), longitudinal_reference().end
+    return GroundTrackModel(
+        model(),
+        flown.controls.profile("angle_of_attack"),
+        flown.controls.profile("bank"),
+        energy(earth(), flown.start) - energy(earth(), end.eastward()),
+    )
+
+
+def _planned_track(
+    scenario: Scenario, tracked: GroundTrackModel, last: Scalar
+) -> GroundTrackPlan:
+    return plan_ground_track(scenario, tracked, last, intervals=_INTERVALS)
+
+
+@functools.cache
+def ground_track() -> GroundTrackPlan:
+    """What that attitude gives over the energy."""
+    flown = dataclasses.replace(
+        bank_alone(),
+        planet=earth(),
+        initial_state=recorded().start,
+        attitude=IdealAttitude(),
+        constraints={},
+    )
+    controls = recorded().controls
+    last = controls.start + _INTERVALS * controls.spacing
+    return kept(_planned_track)(flown, track_model(), last)
+
+
+def feedback_linearization() -> Scenario:
+    """Bharadwaj, Rao and Mease's law, with the eigenvalues and the band of the SX-2.
+
+    It does not fit: its command leaves no time to turn, and behind the lag of this bank the
+    flight leaves its reference by hundreds of km of downrange even nominally, and comes
+    back towards the end. With an attitude that is flown at once it ends within 2 km.
+    """
+    law = GroundTrackTracking(
+        track_model(),
+        ground_track().table,
+        gains(),
+        AttitudeBand(5.0 * degree, 5.0 * degree, 45.0 * degree, LARGEST_BANK),
+    )
+    held = PolynomialProfile(jnp.cos(jnp.array([FIRST_BANK])))
+    gated = Gated(law, BankProfile(held, HIGH_ANGLE), gate().drag)
+    return entry(Sampled(gated, CYCLE), FREQUENCY)

@@ -1,0 +1,347 @@
+"""Laws of one paper on the vehicles of others: what they know, and where they end."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from first_sets import assert_first_set, populations
+from helpers import fly_compiled
+from readme import assert_prints, assert_says, rows
+
+from jentry import find_mission, fly, misses, monte_carlo
+from jentry.flight import Outcome
+from jentry.guidance import Gated
+from jentry.guidance.drag_tracking import drag_dynamics
+from jentry.guidance.open_loop import BankProfile
+from jentry.missions.mars import crossings as on_mars
+from jentry.missions.mars.drag_tracking import nominal_gains, nominal_observer
+from jentry.missions.rlv import crossings as on_rlv
+from jentry.missions.sx_2.scenario import gains as gains_of_sx_2
+from jentry.missions.x_33 import airframe, crossings as on_x_33, scenario as x_33
+from jentry.motion import IdealAttitude
+from jentry.motion.index import EnergyIndex
+from jentry.motion.quantities import energy
+from jentry.onboard import Measurement, OnboardModel, PolynomialProfile, measure
+from jentry.planning import ReferenceFlight, as_longitudinal
+
+
+X_33, RLV, MARS = (find_mission(n) for n in ("x-33", "rlv", "mars-drag-tracking"))
+
+
+def same(one, other):
+    return bool(eqx.tree_equal(one, other, typematch=True))
+
+
+# What the laws are given.
+
+
+def test_drag_trackers_of_the_x_33_have_the_gains_of_their_paper():
+    law = on_x_33.observer_drag_tracking().guidance.bank
+    assert same((law.gains, law.observer), (nominal_gains(), nominal_observer()))
+    assert same(on_x_33.state_drag_tracking().guidance.bank.gains, nominal_gains())
+
+
+def least_damping(gains, observer, bandwidth):
+    """Of the error of the drag behind a critically damped bank, by hand."""
+    a, b = gains.a / gains.epsilon0**2, gains.b / gains.epsilon0
+    loop = np.zeros((6, 6))  # x1, x2, the bank's effect and its rate, both estimates
+    loop[0, 1] = loop[1, 2] = loop[2, 3] = loop[4, 5] = 1.0
+    wish = np.array([-a, 0.0, 0.0, 0.0, 0.0, -b])
+    if observer is None:
+        wish = np.array([-a, -b, 0.0, 0.0, 0.0, 0.0])
+        l1, l2 = 2.0, 1.0  # an observer that nobody reads
+    else:
+        l1 = observer.l1 / observer.epsilon
+        l2 = observer.l2 / observer.epsilon**2
+    loop[3] = bandwidth**2 * wish
+    loop[3, 2] -= bandwidth**2
+    loop[3, 3] -= 2.0 * bandwidth
+    loop[4, [0, 4]] += l1, -l1
+    loop[5] += wish
+    loop[5, [0, 4]] += l2, -l2
+    roots = np.linalg.eigvals(loop)
+    return np.min(-roots.real / np.abs(roots))
+
+
+def test_how_much_slower_the_drag_trackers_of_the_rlv_are():
+    """The least power of two with which both are damped by 0.3 behind this bank."""
+    bank = RLV.scenario("r5").attitude.bank_response
+    assert float(bank.damping) == 1.0
+    found = {}
+    for slower in (1.0, 2.0, 4.0):
+        gains, observer = nominal_gains(), nominal_observer()
+        gains = dataclasses.replace(gains, epsilon0=slower * gains.epsilon0)
+        observer = dataclasses.replace(observer, epsilon=slower * observer.epsilon)
+        found[slower] = [
+            least_damping(gains, law, float(bank.frequency)) for law in (None, observer)
+        ]
+    assert found[1.0] == pytest.approx([0.02, -0.01], abs=0.005)
+    assert min(found[2.0]) < 0.3 < min(found[4.0])
+    law = on_rlv.observer_drag_tracking().guidance.bank.law
+    assert on_rlv.SLOWER == 4.0
+    assert same((law.gains, law.observer), (gains, observer))
+
+
+def test_the_model_of_the_drag_trackers_has_the_rate_of_the_schedule():
+    """D' of the reference flight of the X-33 where the angle of attack falls."""
+    table, planet = on_x_33.table(EnergyIndex()), x_33.earth()
+    known = on_x_33.drag_reference()
+    read = jax.vmap(table.with_derivatives)
+    start, end = table.start, table.start + 2000 * table.spacing
+    energies = start + (end - start) * jnp.linspace(0.7, 0.9, 5)
+    there = read(energies)
+    for row, here in enumerate(energies):
+        drag, slope, _ = (float(x) for x in known.drag.with_derivatives(here))
+        altitude = there["altitude"][0][row]
+        potential = planet.gravity.potential(planet.radius + altitude)
+        velocity = jnp.sqrt(2.0 * (here - potential))
+        path, nothing = there["flight_path_angle"][0][row], jnp.zeros(())
+        state = x_33.start(x_33.reference())
+        state = dataclasses.replace(
+            state, altitude=altitude, velocity=velocity, flight_path_angle=path
+        )
+        angle = airframe.ScheduledAngleOfAttack()(velocity)
+        measured = measure(planet, x_33.vehicle(), state, angle)
+        assert float(measured.drag) == pytest.approx(drag, rel=1e-8)
+        expected = -float(velocity) * drag * slope
+        model = on_x_33.observer_drag_tracking().guidance.bank.model
+        found = drag_dynamics(model, measured, nothing)
+        assert float(found.rate) == pytest.approx(expected, rel=1e-6)
+        held = OnboardModel(planet, x_33.vehicle())
+        without = float(drag_dynamics(held, measured, angle).rate)
+        assert abs(without - expected) > 0.1 * abs(expected)
+
+
+@pytest.mark.slow
+def test_feedback_linearization_has_the_gains_and_the_band_of_the_sx_2():
+    band = find_mission("sx-2").scenario("full").guidance.band
+    for law in (
+        on_x_33.feedback_linearization().guidance,
+        on_rlv.feedback_linearization().guidance.law.law,
+    ):
+        assert same(law.gains, gains_of_sx_2())
+        assert float(law.band.deviation) == float(band.deviation)
+        assert float(law.band.largest_bank) == float(band.largest_bank)
+
+
+def test_modulation_has_the_gains_of_the_rlv():
+    law, own = on_x_33.modulation().guidance, RLV.scenario("r5").guidance
+    assert same(law.angle_of_attack.gains, own.angle_of_attack.gains)
+    assert same(law.bank.law.gains, own.bank.law.gains)
+    assert same(law.limits, own.limits) and same(law.cycle, own.cycle)
+
+
+@pytest.mark.slow
+def test_regulators_have_the_weights_of_the_x_33():
+    for name, own in (
+        ("pseudospectral", "tracking"),
+        ("pseudospectral_with_range", "with-range"),
+    ):
+        of_x_33 = X_33.scenario(own).guidance.bank.regulator
+        for law in (
+            getattr(on_rlv, name)().guidance.bank.law,
+            getattr(on_mars, name)().guidance,
+        ):
+            for weights in ("underway", "at_end", "control"):
+                theirs = getattr(of_x_33, weights)
+                assert same(getattr(law.regulator, weights), theirs)
+
+
+@pytest.mark.slow
+def test_the_laws_of_the_rlv_turn_where_those_of_the_mission_do():
+    own = RLV.scenario("r5")
+    for name in ("state-drag-tracking", "observer-drag-tracking", "pseudospectral"):
+        flown = RLV.scenario(name)
+        assert same(flown.guidance.bank.law.lateral, own.guidance.bank.law.lateral)
+        assert same(flown.attitude, own.attitude)
+        assert same(flown.termination, own.termination)
+
+
+def test_a_gated_law_acts_above_its_drag_alone():
+    law = BankProfile(PolynomialProfile([0.25]))
+    gated = Gated(law, BankProfile(PolynomialProfile([0.75])), 2.0)
+    state = x_33.start(x_33.reference())
+    for drag, cosine in ((1.9, 0.75), (2.1, 0.25)):
+        force = jnp.asarray(drag)
+        measured = Measurement(state, force, force, 0.6 + 0.0 * force, 0.6 + 0 * force)
+        told, rate = gated(force, measured, gated.init(measured))
+        assert float(told.cos_bank) == cosine and rate is None
+
+
+# Where they end.
+
+NOMINAL = {
+    "state-drag-tracking": (5.0, 0.1),
+    "observer-drag-tracking": (5.0, 0.1),
+    "feedback-linearization": (50.0, 0.5),
+    "modulation": (210.0, 1.0),
+    "shuttle": (210.0, 5.0),
+}
+"""Largest errors of downrange and of altitude on the X-33, m"""
+
+
+@pytest.mark.parametrize("variant", ["observer-drag-tracking"])
+def test_x_33_ends_where_its_reference_does(variant):
+    scenario = X_33.scenario(variant)
+    flight = fly_compiled(scenario)
+    miss = misses(scenario, flight)
+    downrange, altitude = NOMINAL[variant]
+    assert flight.outcome == Outcome.REACHED
+    assert abs(float(miss.downrange)) < downrange
+    assert abs(float(miss.altitude)) < altitude
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", [v for v in NOMINAL if "observer" not in v])
+def test_x_33_ends_where_its_reference_does_under_the_others(variant):
+    test_x_33_ends_where_its_reference_does(variant)
+
+
+@pytest.mark.slow
+def test_a_flown_flight_is_the_one_over_its_bank():
+    """Of the X-33: read off a flight, and integrated by the planner."""
+    own = x_33.reference()
+    scenario = dataclasses.replace(
+        x_33.open_loop(), termination=x_33.glide().termination
+    )
+    found = as_longitudinal(ReferenceFlight.of(scenario))
+    # One step of 0.1 s over the jump of the bank.
+    assert float(found.ends[-1]) == pytest.approx(float(own.ends[-1]), abs=1e-3)
+    for time in (100.0, 400.0, 700.0):
+        one, other = found.at(jnp.asarray(time)), own.at(jnp.asarray(time))
+        assert float(one.state.altitude) == pytest.approx(
+            float(other.state.altitude), abs=0.1
+        )
+        assert float(one.state.downrange) == pytest.approx(
+            float(other.state.downrange), abs=1.0
+        )
+        assert float(one.lift_to_drag_up) == pytest.approx(
+            float(other.lift_to_drag_up), rel=1e-5
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("variant", ["pseudospectral", "pseudospectral-with-range"])
+def test_the_regulated_lander_ends_where_its_reference_does(variant):
+    scenario = MARS.scenario(variant)
+    flight = fly_compiled(scenario)
+    miss = misses(scenario, flight)
+    assert flight.outcome == Outcome.REACHED
+    assert abs(float(miss.downrange)) < 0.01 and abs(float(miss.altitude)) < 0.01
+
+
+@pytest.mark.slow
+def test_a_slow_bank_is_why_feedback_linearization_does_not_fit_the_rlv():
+    """Off its own reference at the same energy on the way, and at the end; nominal."""
+    scenario, track = RLV.scenario("feedback-linearization"), on_rlv.ground_track()
+    at_once = dataclasses.replace(scenario, attitude=IdealAttitude())
+    away = {}
+    for name, flown in (("lagging", scenario), ("at once", at_once)):
+        flight = eqx.filter_jit(fly)(flown, history=2.0)
+        states = jax.tree.map(lambda x: x[150:], flight.history.states)
+        energies = jax.vmap(lambda s: energy(on_rlv.earth(), s))(states)
+        wanted = jax.vmap(track.table.with_derivatives)(energies)["downrange"][0]
+        off = np.abs(np.asarray(states.longitude - wanted)) * 6371.0
+        off = off[np.isfinite(off)]
+        away[name] = np.max(off), off[-1]
+    assert away["lagging"][0] > 300.0
+    assert away["at once"][1] < 2.5
+
+
+FIRST_SETS = [
+    ("x-33", "observer-drag-tracking", "initial-errors"),
+    ("x-33", "modulation", "air-and-vehicle"),
+    ("rlv", "observer-drag-tracking", "table-1"),
+    ("rlv", "pseudospectral", "table-1"),
+]
+
+
+@pytest.mark.optimized
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("mission", "variant", "reading"), FIRST_SETS, ids=["-".join(x) for x in FIRST_SETS]
+)
+def test_first_set_of_a_population_is_the_saved_one(mission, variant, reading):
+    chosen = find_mission(mission)
+    runs = populations.runs_of(mission, variant)
+    scenario, table = chosen.scenario(variant), chosen.dispersion_table(reading)
+    flown = monte_carlo(scenario, table, jax.random.key(0), runs)
+    assert_first_set(mission, variant, reading, scenario, flown, rel=1e-4)
+
+
+# What the README says.
+
+SAVED = populations.saved()
+
+
+def sets(mission, variant, reading, *headings):
+    return [SAVED[mission, variant, reading, heading] for heading in headings]
+
+
+def test_x_33_in_the_readme():
+    table = rows("| X-33 | initial errors")
+    names = [name.split("`")[1] for name, *_ in table]
+    assert names == list(populations.CROSSINGS["x-33"])
+    for variant, (_, *cells) in zip(names, table, strict=True):
+        cells = iter(cells)
+        for reading in ("initial-errors", "air-and-vehicle"):
+            for axis in ("downrange", "altitude"):
+                what = ("median", "99th percentile", "maximum")
+                headings = [f"{axis} error, {name}, km" for name in what]
+                median, high, most = sets("x-33", variant, reading, *headings)
+                told = [np.mean(median), np.mean(high), np.max(most)]
+                if axis == "downrange":
+                    told.insert(1, np.std(median, ddof=1))
+                assert_prints(next(cells), *told)
+            assert not np.any(sets("x-33", variant, reading, "lost, %"))
+    limits = [f"{x}, maximum, share of the limit" for x in LIMITED]
+
+    def shares(variant):
+        return [np.max(x) for x in sets("x-33", variant, "initial-errors", *limits)]
+
+    trackers = shares("state-drag-tracking")
+    assert_says(
+        "up to 1.03 and 0.88 of the limit with initial errors, `tracking` 1.23 and 1.74",
+        *trackers,
+        *shares("tracking"),
+    )
+    assert_says("at 2.45 times the load", shares("feedback-linearization")[1])
+
+
+LIMITED = "heat_rate", "normal_load_factor"
+
+
+def test_rlv_in_the_readme():
+    table = rows("| RLV | drag error")
+    names = [name.split("`")[1] for name, *_ in table]
+    assert names == ["r5", *populations.CROSSINGS["rlv"]]
+    for variant, (_, drag, downrange, altitude) in zip(names, table, strict=True):
+        found = sets(
+            *("rlv", variant, "table-1"),
+            *("drag deviation, median, g", "drag deviation, maximum, g"),
+            *("altitude error, median, km", "altitude error, maximum, km"),
+            *("downrange std, km", "lost, %"),
+        )
+        spread = [np.std(x, ddof=1) for x in found]
+        mean = [np.mean(x) for x in found]
+        assert_prints(drag, mean[0], spread[0], np.max(found[1]))
+        assert_prints(altitude, mean[2], spread[2], np.max(found[3]))
+        assert_prints(downrange, mean[4], spread[4])
+        assert not np.any(found[5])
+
+
+def test_mars_in_the_readme():
+    table = rows("| Mars lander | downrange error")
+    names = [name.split("`")[1] for name, *_ in table]
+    assert len(names) == 6
+    for variant, (_, *cells) in zip(names, table, strict=True):
+        found = sets(
+            *("mars-drag-tracking", variant, "lift-to-drag-held"),
+            *("downrange error, standard deviation", "downrange error, maximum"),
+            "altitude error, standard deviation",
+        )
+        for cell, values in zip(cells, found, strict=True):
+            assert_prints(cell, np.mean(values), np.std(values, ddof=1))
