@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from helpers import fly_compiled, mars_entry, mars_scenario, with_leaf
 
+from jentry import find_mission
 from jentry.flight import FixedStep, Outcome
 from jentry.missions.cav_h.scenario import stored
 from jentry.motion.index import EnergyIndex
@@ -211,3 +212,10 @@ def test_only_a_bank_profile_is_a_reference():
     flight = ReferenceFlight(stored(), 0.1, times, states, mars_entry())
     with pytest.raises(ValueError, match="flies BezierGuidance, not a BankProfile"):
         plan_drag_reference(flight, EnergyIndex())
+
+
+def test_a_law_with_a_memory_flies_no_reference():
+    """An integral error would stay at its first value at every node."""
+    scenario = find_mission("mars-drag-tracking").scenario("observer-feedback")
+    with pytest.raises(ValueError, match="ObserverDragTracking has a memory"):
+        ReferenceFlight.of(scenario)

@@ -8,7 +8,7 @@ from .._integrate import runge_kutta
 from .._programs import kept
 from .._setup import needs_float64
 from ..fields import Scalar, Vector
-from ..flight.closed_loop import Moving, command, start as begin
+from ..flight.closed_loop import Moving, command
 from ..motion.forces import air_data
 from ..motion.index import TimeIndex
 from ..motion.quantities import ground_track
@@ -27,7 +27,7 @@ from ..onboard.profiles import (
 )
 from .drag_profile import CollocatedProfile
 from .inverse_dynamics import AbstractInverse
-from .reference_flight import ReferenceFlight
+from .reference_flight import ReferenceFlight, no_memory
 
 
 _STEPS = 4000
@@ -201,7 +201,7 @@ def as_longitudinal(
     """
     scenario = flight.scenario
     planet, origin = scenario.planet, scenario.initial_state
-    memory = begin(scenario, flight.interval).moving.memory
+    memory = no_memory(scenario, flight.interval)
 
     def quantities(time: Scalar, state: EntryState) -> dict[str, Scalar]:
         controls, _ = command(scenario, time, Moving(state, None, memory), None)

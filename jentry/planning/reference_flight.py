@@ -144,6 +144,20 @@ def open_loop(
     )
 
 
+def no_memory(scenario: Scenario, interval: float) -> PyTree:
+    """The memory of a law that has none: nothing, or for a composed law a tree of it.
+
+    **Raises:** `ValueError` for a law with a memory, of which a state alone tells nothing.
+    """
+    memory = jax.eval_shape(lambda: begin(scenario, interval).moving.memory)
+    if jax.tree.leaves(memory):
+        raise ValueError(
+            f"{type(scenario.guidance).__name__} has a memory: fly a reference by a law "
+            "without one, such as BankProfile or ControlProfiles"
+        )
+    return memory
+
+
 Quantities = Callable[[Scalar, EntryState], Mapping[str, Scalar]]
 """Numbers by name, as a function of time (s) and state"""
 
@@ -164,7 +178,10 @@ class ReferenceFlight(eqx.Module):
         """Fly a scenario whose law has no memory, such as a bank profile.
 
         It may be composed, with an angle of attack over the velocity.
+
+        **Raises:** `ValueError` for a law with a memory.
         """
+        no_memory(scenario, interval)
         flight = fly(scenario, FixedStep(interval), history=interval)
         history = flight.history
         assert history is not None
@@ -242,8 +259,7 @@ class ReferenceFlight(eqx.Module):
 
         planet = self.scenario.planet
         field = vector_field(self.scenario, None)
-        # Nothing, or a tree of nothing for a composed law.
-        memory = begin(self.scenario, self.interval).moving.memory
+        memory = no_memory(self.scenario, self.interval)
 
         def flow(point):
             time, state = point
