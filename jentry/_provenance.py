@@ -65,14 +65,18 @@ def made_of(function: Callable, leaves: list[Any], structure: Any) -> str:
 
 
 def settings() -> str:
-    """The settings of JAX now, those of its context managers included."""
-    told = {
+    """The settings of JAX now, its devices, and what Equinox does about errors."""
+    devices = f"{jax.default_backend()} {len(jax.devices())}"
+    return f"{devices} {os.environ.get('EQX_ON_ERROR')} {settings_of_jax()}"
+
+
+def settings_of_jax() -> dict[str, Any]:
+    """Those that change a compiled program, by name; with those of context managers."""
+    return {
         name: getattr(jax.config, name, value)
         for name, value in sorted(jax.config.values.items())
         if not any(word in name for word in _OF_NO_PROGRAM)
     }
-    devices = f"{jax.default_backend()} {len(jax.devices())}"
-    return f"{devices} {os.environ.get('EQX_ON_ERROR')} {told}"
 
 
 def provenance(made: str) -> str:
@@ -161,12 +165,21 @@ def _source() -> str:
 
     **Raises:** `Untold` where one has changed since it was imported.
     """
-    kinds = "py", "npz"
-    files = sorted(file for kind in kinds for file in _HERE.rglob(f"*.{kind}"))
+    files = _files()
     for status in (file.stat() for file in files):
         if max(status.st_mtime, status.st_ctime) > _IMPORTED:
             raise Untold
-    return _digest_of_files(tuple(files))
+    return _digest_of_files(files)
+
+
+def code_of_jentry() -> str:
+    """Digest of the files of jentry."""
+    return _digest_of_files(_files())
+
+
+def _files() -> tuple[Path, ...]:
+    kinds = "py", "npz"
+    return tuple(sorted(file for kind in kinds for file in _HERE.rglob(f"*.{kind}")))
 
 
 @functools.cache
