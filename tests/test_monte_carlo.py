@@ -266,7 +266,7 @@ def nothing_flies(monkeypatch):
     def flies(*given):
         raise AssertionError("a flight was flown")
 
-    for name in ("over_runs", "fly_run"):
+    for name in ("over_blocks", "fly_run"):
         monkeypatch.setattr(sys.modules[fly_in_blocks.__module__], name, flies)
 
 

@@ -3,12 +3,14 @@
 Everything that flies many runs goes through `over_runs`, which gives what each of them
 gives, `over_blocks`, which gives it block by block, or `sum_over_runs`, which adds it up.
 Runs are filled up to whole batches on the way in, and the fill is taken off on the way
-out. Between `with machines:` other processes do all of it, see `cluster`.
+out. Within `flying_on(machines)` other processes do all of it, see `cluster`.
 """
 
 import abc
 import contextlib
 import contextvars
+import functools
+import operator
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
@@ -36,12 +38,17 @@ Block = TypeVar("Block")
 
 
 class AbstractMachines(abc.ABC):
-    """Other processes that fly in place of this one, within `with machines:`."""
+    """Other processes that fly in place of this one, within `flying_on(machines)`."""
 
-    count: int
-    """How many there are"""
-    cores: int
-    """That one of them flies on"""
+    @property
+    @abc.abstractmethod
+    def count(self) -> int:
+        """How many there are."""
+
+    @property
+    @abc.abstractmethod
+    def cores(self) -> int:
+        """Cores that one of them flies on."""
 
     @abc.abstractmethod
     def each(
@@ -68,9 +75,7 @@ def flying_on(machines: AbstractMachines) -> Iterator[None]:
 
 def in_blocks(runs: np.ndarray) -> Iterator[np.ndarray]:
     """Indices of runs in parts of constant memory, after each of which the host reports."""
-    machines = _MACHINES.get()
-    cores = len(jax.devices()) if machines is None else machines.cores
-    most = LANES * _CHUNKS * cores
+    most = LANES * _CHUNKS * _count_and_cores()[1]
     for begin in range(0, len(runs), most):
         yield runs[begin : begin + most]
 
@@ -96,9 +101,9 @@ def over_runs(
     given = function, shared, one_device
     if machines is None:
         return _fly(given, runs)
-    parts = (part for part, _ in _parts(machines, runs))
-    flown = _in_order(machines.each(_fly, given, parts))
-    return jax.tree.map(lambda x: x[: _count(runs)], flown)
+    parts = (part for part, _ in _parts(runs))
+    flown = list(_in_order(machines.each(_fly, given, parts)))
+    return jax.tree.map(lambda *x: np.concatenate(x)[: _count(runs)], *flown)
 
 
 def over_blocks(
@@ -132,7 +137,8 @@ def sum_over_runs(
 ) -> Any:
     """Sum of `function(shared, runs, counts)` over the batches of which the runs are made.
 
-    It is added up batch by batch in their order: the same on any number of devices.
+    It is added up batch by batch in their order: the same on any number of devices. The
+    memory that it takes does not grow with the runs.
 
     **Arguments:**
 
@@ -144,28 +150,50 @@ def sum_over_runs(
     machines = _MACHINES.get()
     given = function, shared
     if machines is None:
-        values = _fly_batches(given, (runs, _count(runs)))
+        values = (_fly_batches(given, part) for part in _parts(runs))
     else:
-        values = _in_order(machines.each(_fly_batches, given, _parts(machines, runs)))
-    batches = -(-_count(runs) // LANES)
-    return jax.tree.map(lambda x: jnp.asarray(np.sum(x[:batches], axis=0)), values)
+        values = _in_order(machines.each(_fly_batches, given, _parts(runs)))
+    batches = (batch for value in values for batch in _apart(value))
+    total = functools.reduce(lambda *both: jax.tree.map(np.add, *both), batches)
+    return jax.tree.map(jnp.asarray, total)
 
 
-def _parts(machines: AbstractMachines, runs: PyTree) -> Iterator[tuple[PyTree, int]]:
-    """Runs in parts of one size, and how many of each count: one part for each machine,
-    where a machine can fly them at once."""
+def _count_and_cores() -> tuple[int, int]:
+    """How many machines fly, and on how many cores each."""
+    machines = _MACHINES.get()
+    if machines is None:
+        return 1, len(jax.devices())
+    return machines.count, machines.cores
+
+
+def _parts(runs: PyTree) -> Iterator[tuple[PyTree, int]]:
+    """Runs in parts of one size, and how many of each count: as many for each machine,
+    and none of more than a block."""
+    machines, cores = _count_and_cores()
     batches = -(-_count(runs) // LANES)
-    size = LANES * min(-(-batches // machines.count), _CHUNKS * machines.cores)
+    rounds = -(-batches // (machines * _CHUNKS * cores))
+    size = LANES * -(-batches // (machines * rounds))
+    runs = jax.tree.map(np.asarray, runs)
     for begin in range(0, _count(runs), size):
-        part = jax.tree.map(lambda x: np.asarray(x)[begin : begin + size], runs)
+        part = jax.tree.map(operator.itemgetter(slice(begin, begin + size)), runs)
         yield _filled(part, size), _count(part)
 
 
-def _in_order(values: Iterable[tuple[int, Any]]) -> Any:
-    ordered = sorted(values, key=lambda value: value[0])
-    return jax.tree.map(
-        lambda *parts: np.concatenate(parts), *(value for _, value in ordered)
-    )
+def _in_order(values: Iterable[tuple[int, Any]]) -> Iterator[Any]:
+    """Values in the order of their places, each as soon as it may be."""
+    waiting: dict[int, Any] = {}
+    place = 0
+    for own, value in values:
+        waiting[own] = value
+        while place in waiting:
+            yield waiting.pop(place)
+            place += 1
+
+
+def _apart(values: PyTree) -> Iterator[PyTree]:
+    """Batch by batch what several of them give."""
+    for i in range(_count(values)):
+        yield jax.tree.map(operator.itemgetter(i), values)
 
 
 def _fly(given: tuple[Callable, PyTree, bool], runs: PyTree) -> Any:
@@ -183,7 +211,7 @@ def _fly_batches(given: tuple[Callable, PyTree], part: tuple[PyTree, int]) -> An
     filled = _filled_up(runs, devices)
     counts = jnp.arange(_count(filled)) < counted
     values = _batches(*given, (filled, counts), devices)
-    return jax.tree.map(np.asarray, values)
+    return jax.tree.map(lambda x: np.asarray(x)[: -(-counted // LANES)], values)
 
 
 def filled_up(runs: np.ndarray) -> np.ndarray:
