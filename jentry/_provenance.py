@@ -84,7 +84,7 @@ def provenance(made: str) -> str:
 
     **Raises:** `Untold` where jentry is no longer what its files say.
     """
-    told = [made, settings(), _source(), *_in_memory(), _versions()]
+    told = [made, settings(), code_of_jentry(), *_in_memory(), _versions()]
     return _digest("\n".join(told).encode())
 
 
@@ -160,26 +160,17 @@ def _name(x: Any) -> str:
     return f"{module}:{name}"
 
 
-def _source() -> str:
+def code_of_jentry() -> str:
     """Digest of the files of jentry.
 
     **Raises:** `Untold` where one has changed since it was imported.
     """
-    files = _files()
+    kinds = "py", "npz"
+    files = sorted(file for kind in kinds for file in _HERE.rglob(f"*.{kind}"))
     for status in (file.stat() for file in files):
         if max(status.st_mtime, status.st_ctime) > _IMPORTED:
             raise Untold
-    return _digest_of_files(files)
-
-
-def code_of_jentry() -> str:
-    """Digest of the files of jentry."""
-    return _digest_of_files(_files())
-
-
-def _files() -> tuple[Path, ...]:
-    kinds = "py", "npz"
-    return tuple(sorted(file for kind in kinds for file in _HERE.rglob(f"*.{kind}")))
+    return _digest_of_files(tuple(files))
 
 
 @functools.cache

@@ -30,9 +30,9 @@ def main() -> None:
     """Run the command; errors that a person can act on are one line, without a traceback.
 
     Exit codes: 0 done, 1 whoever read the output has left, 2 wrong input, 3 results that
-    cannot be used, 4 the machine (no space, no permission, no memory, a
-    cluster that is lost), 5 a requirement
-    fails, 6 the runs are not enough to judge one, 130 interrupted.
+    cannot be used, 4 the machine (no space, no permission, no memory, a cluster that is
+    not there or lost), 5 a requirement fails, 6 the runs are not enough to judge one, 130
+    interrupted.
     """
     # Tracing makes many objects and little rubbish: look for it less often.
     gc.set_threshold(100_000)
