@@ -37,7 +37,8 @@ class DaskCluster:
 
     def __enter__(self):
         words = "--host", "127.0.0.1", "--port", "0", "--scheduler-file", self.file
-        self.scheduler = self._started("scheduler", *words, "--no-dashboard")
+        words += "--no-dashboard", "--dashboard-address", "127.0.0.1:0"
+        self.scheduler = self._started("scheduler", *words)
         wait_for(self.file.exists, "the scheduler")
         self.address = json.loads(self.file.read_text())["address"]
         return self

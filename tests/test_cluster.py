@@ -19,6 +19,7 @@ import pytest
 import xarray
 from commands import assert_refused, monte_carlo
 from dask_cluster import ROOT, DaskCluster, kill, wait_for
+from readme import file_of_the_readme
 
 import jentry
 from jentry.campaign import batch, cluster as cluster_module, worker as worker_module
@@ -56,7 +57,9 @@ def small_parts(monkeypatch):
 
 
 def same(one, other):
-    return jax.tree.all(jax.tree.map(np.array_equal, one, other))
+    """In every bit."""
+    bits = lambda x: (np.shape(x), np.asarray(x).dtype, np.asarray(x).tobytes())
+    return jax.tree.all(jax.tree.map(lambda x, y: bits(x) == bits(y), one, other))
 
 
 def test_a_stored_campaign_is_that_of_one_machine(tmp_path, two, small_parts):
@@ -392,27 +395,177 @@ def test_a_worker_without_jentry_is_refused(tmp_path, of_its_own):
             over_runs(with_words, WORDS, {"x": np.ones(3)})
 
 
-def run(*words, cwd, **options):
-    """A process of the command as a user starts it."""
-    environment = {**os.environ, "JENTRY_CACHE": str(CACHE)}
+def started(*words, cwd, **options):
+    """A process of Python as a user starts it, with warnings as errors."""
     return subprocess.Popen(
         [sys.executable, "-W", "error", *map(str, words)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
         cwd=cwd,
-        env=environment,
+        env={**os.environ, "JENTRY_CACHE": str(CACHE)},
         **options,
     )
 
 
-def files_of(lander, folder):
+@pytest.fixture
+def lander(tmp_path):
     """The mission of the README, with its law in a file beside it."""
-    text = lander.read_text()
+    text = file_of_the_readme()
     begin, end = text.index("class LiftAgainstDrag"), text.index("def scenario()")
-    law = text[:begin] + text[begin:end]
-    (folder / "its_law.py").write_text(law.replace("import functools\n", ""))
+    (tmp_path / "its_law.py").write_text(text[:end].replace("import functools\n", ""))
     rest = text[:begin] + "import its_law\n\n" + text[end:]
-    (folder / "my_lander.py").write_text(
-        rest.replace("LiftAgainstDrag(", "its_law.LiftAgainstDrag(")
+    rest = rest.replace("=LiftAgainstDrag(", "=its_law.LiftAgainstDrag(")
+    (tmp_path / "my_lander.py").write_text(rest)
+    return tmp_path
+
+
+FLY = ("-m", "jentry", "monte-carlo", "my_lander.py", "--runs", 1300, "--no-figures")
+FLY += ("--step", 1)
+
+
+@pytest.mark.slow
+def test_the_command_flies_a_mission_of_a_file(lander, two):
+    """On processes that it starts, and on workers that cannot import the law."""
+    said = {}
+    for name, words in {
+        "here": (),
+        "local": ("--cluster", "local:2"),
+        "there": ("--cluster", two.address),
+    }.items():
+        flown = started(*FLY, "--json", "--out", name, *words, cwd=lander)
+        printed, errors = flown.communicate(timeout=300)
+        assert flown.returncode == 0, errors
+        assert not [line for line in errors.splitlines() if " of 1300 runs" not in line]
+        said[name] = json.loads(printed)
+    assert said["here"] == said["local"] == said["there"]
+    here, *others = (jentry.open_campaign(lander / name) for name in said)
+    for other in others:
+        xarray.testing.assert_identical(here, other)
+
+
+SCRIPT = """
+import sys
+import equinox as eqx
+import jax
+import numpy as np
+import jentry
+from its_law import LiftAgainstDrag
+from my_lander import dispersions, scenario
+
+
+class Turned(jentry.AbstractContinuousLaw[None]):
+    bank: jentry.Scalar = jentry.scalar(2.0, unit="rad")
+
+    def init(self, measurement):
+        return None
+
+    def __call__(self, time, measurement, memory):
+        bank = {sign}self.bank
+        return jentry.Controls.from_bank(bank, measurement.trim_angle_of_attack), None
+
+
+if __name__ == "__main__":
+    jentry.setup(1)
+    turned = eqx.tree_at(lambda s: s.guidance, scenario(), Turned(0.5))
+    fly = lambda: jentry.monte_carlo(
+        turned, dispersions(), jax.random.key(0), 200, solver=jentry.FixedStep(1.0)
     )
+    here = fly()
+    with jentry.Cluster(sys.argv[1]):
+        there = fly()
+    for pair in zip(jax.tree.leaves(here), jax.tree.leaves(there), strict=True):
+        assert np.array_equal(*pair)
+    print(np.mean(here.flights.state.latitude))
+"""
+
+
+@pytest.mark.slow
+def test_a_law_of_a_script_and_the_same_changed(lander, two):
+    """The same workers fly the one, then the other; and those that it starts."""
+    latitudes = []
+    for sign, where in (("", two.address), ("-", two.address), ("-", "local:2")):
+        (lander / "script.py").write_text(SCRIPT.replace("{sign}", sign))
+        flown = started("script.py", where, cwd=lander)
+        printed, errors = flown.communicate(timeout=300)
+        assert flown.returncode == 0 and not errors, errors
+        latitudes.append(float(printed))
+    assert latitudes[0] < 0.0 < latitudes[1] == latitudes[2]
+
+
+@pytest.mark.slow
+def test_a_script_that_does_not_look_whether_it_is_the_main_one(lander, two):
+    """Which workers would fly within what they fly."""
+    begin, end = SCRIPT.split('if __name__ == "__main__":')
+    (lander / "script.py").write_text(
+        f"{begin}if True:{end}".replace("{sign}", "").replace(
+            "jentry.setup(1)", "jax.config.update('jax_enable_x64', True)"
+        )
+    )
+    flown = started("-W", "default", "script.py", two.address, cwd=lander)
+    _, errors = flown.communicate(timeout=300)
+    assert flown.returncode == 1
+    assert "ClusterError: a worker runs the script of who asks" in errors
+
+
+def _is_there(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_it_in_one_line(lander):
+    """With the processes that it has started, to which a terminal tells it too."""
+    many = [word if word != 1300 else 200_000 for word in FLY]
+    words = (*many, "--cluster", "local:2", "--out", "out")
+    flown = started(*words, cwd=lander, start_new_session=True)
+    try:
+        stored = lambda: list((lander / "out").glob("runs-*.nc"))
+        wait_for(lambda: stored() or flown.poll() is not None, "the first part")
+        os.killpg(flown.pid, signal.SIGINT)
+        printed, errors = flown.communicate(timeout=60)
+        assert flown.returncode == 130
+        lines = [line for line in errors.splitlines() if " of 200000 runs" not in line]
+        assert lines == ["jentry: interrupted; the same command resumes"]
+        wait_for(lambda: not _is_there(flown.pid), "the end of all processes")
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(flown.pid, signal.SIGKILL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "command_words",
+    [
+        (
+            "compare",
+            "mars-drag-tracking",
+            "--variant",
+            "energy-index",
+            "--variant",
+            "table-3",
+        ),
+        (
+            "tune",
+            "mars-drag-tracking",
+            "--runs",
+            "64",
+            "--steps",
+            "2",
+            "--held-out",
+            "64",
+        ),
+    ],
+)
+def test_other_commands(tmp_path, two, command_words):
+    said = []
+    for name, words in {"here": (), "there": ("--cluster", two.address)}.items():
+        words = *command_words, *words, "--out", name
+        flown = started("-m", "jentry", *words, cwd=tmp_path)
+        printed, errors = flown.communicate(timeout=300)
+        assert flown.returncode == 0, errors
+        said.append(printed.replace(name, "out"))
+    assert said[0] == said[1]

@@ -13,9 +13,11 @@ import os
 import pickle
 import queue
 import re
+import signal
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -105,7 +107,8 @@ def _connected(where: str) -> Iterator["distributed.Client"]:
     with contextlib.ExitStack() as ending:
         ending.enter_context(_without_a_word("distributed"))
         if where.startswith("local"):
-            address = ending.enter_context(_local(_processes(where)))
+            with _no_interrupts():
+                address = ending.enter_context(_local(_processes(where)))
         elif where.endswith(".json"):
             address = _address_in(Path(where))
         else:
@@ -155,9 +158,25 @@ def _local(workers: int) -> "distributed.LocalCluster":
         threads_per_worker=available_cores() // workers,
         processes=True,
         memory_limit=None,
-        dashboard_address=None,
+        dashboard_address="127.0.0.1:0",  # with none it would take the usual port
+        scheduler_kwargs={"dashboard": False},
         silence_logs=logging.CRITICAL,
     )
+
+
+@contextlib.contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Threads that begin within it, and their processes, do not hear of Ctrl-C: of that
+    each would print a traceback, while it is the one who has begun them who ends them."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    resource_tracker.ensure_running()  # whose beginning would lift it
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 class _Workers(AbstractMachines):
