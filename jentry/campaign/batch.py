@@ -75,7 +75,9 @@ def flying_on(machines: AbstractMachines) -> Iterator[None]:
 
 def in_blocks(runs: np.ndarray) -> Iterator[np.ndarray]:
     """Indices of runs in parts of constant memory, after each of which the host reports."""
-    most = LANES * _CHUNKS * _count_and_cores()[1]
+    machines = _MACHINES.get()
+    cores = len(jax.devices()) if machines is None else machines.cores
+    most = LANES * _CHUNKS * cores
     for begin in range(0, len(runs), most):
         yield runs[begin : begin + most]
 
@@ -101,7 +103,7 @@ def over_runs(
     given = function, shared, one_device
     if machines is None:
         return _fly(given, runs)
-    parts = (part for part, _ in _parts(runs))
+    parts = (part for part, _ in _parts(machines, runs))
     flown = list(_in_order(machines.each(_fly, given, parts)))
     return jax.tree.map(lambda *x: np.concatenate(x)[: _count(runs)], *flown)
 
@@ -137,8 +139,8 @@ def sum_over_runs(
 ) -> Any:
     """Sum of `function(shared, runs, counts)` over the batches of which the runs are made.
 
-    It is added up batch by batch in their order: the same on any number of devices. The
-    memory that it takes does not grow with the runs.
+    It is added up batch by batch in their order: the same on any number of devices, and
+    of machines.
 
     **Arguments:**
 
@@ -150,29 +152,22 @@ def sum_over_runs(
     machines = _MACHINES.get()
     given = function, shared
     if machines is None:
-        values = (_fly_batches(given, part) for part in _parts(runs))
+        values = iter([_fly_batches(given, (runs, _count(runs)))])
     else:
-        values = _in_order(machines.each(_fly_batches, given, _parts(runs)))
+        parts = _parts(machines, runs)
+        values = _in_order(machines.each(_fly_batches, given, parts))
     batches = (batch for value in values for batch in _apart(value))
     total = functools.reduce(lambda *both: jax.tree.map(np.add, *both), batches)
     return jax.tree.map(jnp.asarray, total)
 
 
-def _count_and_cores() -> tuple[int, int]:
-    """How many machines fly, and on how many cores each."""
-    machines = _MACHINES.get()
-    if machines is None:
-        return 1, len(jax.devices())
-    return machines.count, machines.cores
-
-
-def _parts(runs: PyTree) -> Iterator[tuple[PyTree, int]]:
+def _parts(machines: AbstractMachines, runs: PyTree) -> Iterator[tuple[PyTree, int]]:
     """Runs in parts of one size, and how many of each count: as many for each machine,
     and none of more than a block."""
-    machines, cores = _count_and_cores()
+    count, cores = machines.count, machines.cores
     batches = -(-_count(runs) // LANES)
-    rounds = -(-batches // (machines * _CHUNKS * cores))
-    size = LANES * -(-batches // (machines * rounds))
+    rounds = -(-batches // (count * _CHUNKS * cores))
+    size = LANES * -(-batches // (count * rounds))
     runs = jax.tree.map(np.asarray, runs)
     for begin in range(0, _count(runs), size):
         part = jax.tree.map(operator.itemgetter(slice(begin, begin + size)), runs)
