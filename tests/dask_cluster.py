@@ -30,9 +30,9 @@ class DaskCluster:
     def __init__(self, folder: Path, cache: Path):
         self.file = folder / "scheduler.json"
         self._folder = folder
-        self._environment = {**os.environ, "JENTRY_CACHE": str(cache)}
-        # What the tests have of their own goes along with the work.
-        self._environment.pop("PYTHONPATH", None)
+        # The same jentry as here; what the tests have of their own goes along.
+        ours = {"JENTRY_CACHE": str(cache), "PYTHONPATH": str(ROOT)}
+        self._environment = {**os.environ, **ours}
         self._processes: list[subprocess.Popen] = []
 
     def __enter__(self):

@@ -48,6 +48,7 @@ def test_a_sum_is_without_the_fill(count):
 
 def test_blocks_are_all_of_the_runs_in_order(monkeypatch):
     monkeypatch.setattr(batch, "_CHUNKS", 1)
+    monkeypatch.setattr(batch, "_BLOCKS", 1)
     runs = np.arange(7, 7 + 3 * LANES * len(jax.devices()) + 1)
     blocks = list(in_blocks(runs))
     assert [len(b) for b in blocks][-1] == 1 and len(blocks) == 4
@@ -84,6 +85,7 @@ class Backwards(batch.AbstractMachines):
 def test_other_machines_give_the_same_bits(monkeypatch, count, machines):
     """In parts of one size, one for each machine or as many, in whatever order."""
     monkeypatch.setattr(batch, "_CHUNKS", 1)
+    monkeypatch.setattr(batch, "_BLOCKS", 1)
     runs, shared = given(count), (jnp.asarray(3.0), "a part of the program")
     here = over_runs(scaled, shared, runs), sum_over_runs(of_batch, jnp.pi, runs)
     others = Backwards(machines, 2)
@@ -107,6 +109,7 @@ def test_other_machines_give_the_same_bits(monkeypatch, count, machines):
 def test_a_sum_is_added_up_in_the_order_of_the_runs(monkeypatch):
     """Numbers so far apart that any other order would round otherwise."""
     monkeypatch.setattr(batch, "_CHUNKS", 1)
+    monkeypatch.setattr(batch, "_BLOCKS", 1)
     x = np.repeat([1.0, 1e16, 1.0, -1e16, 1.0], LANES) / LANES
     runs = {"x": x, "i": np.arange(len(x))}
     expected = 0.0
@@ -122,6 +125,7 @@ def test_a_sum_is_added_up_in_the_order_of_the_runs(monkeypatch):
 
 def test_blocks_from_other_machines_come_with_their_names(monkeypatch):
     monkeypatch.setattr(batch, "_CHUNKS", 1)
+    monkeypatch.setattr(batch, "_BLOCKS", 1)
     names = ["first", "second", "third"]
     blocks = [
         (name, given(count)) for name, count in zip(names, (3, 70, 5), strict=True)
@@ -140,6 +144,7 @@ def test_blocks_from_other_machines_come_with_their_names(monkeypatch):
 @pytest.mark.optimized
 def test_a_campaign_whose_blocks_come_in_any_order(monkeypatch, key):
     monkeypatch.setattr(batch, "_CHUNKS", 1)
+    monkeypatch.setattr(batch, "_BLOCKS", 1)
     fly = lambda: monte_carlo(
         cheap.scenario(), cheap.dispersions(), key, 2 * LANES + 3, solver=cheap.SOLVER
     )

@@ -54,6 +54,7 @@ def of_its_own(tmp_path):
 @pytest.fixture
 def small_parts(monkeypatch):
     monkeypatch.setattr(batch, "_CHUNKS", 1)
+    monkeypatch.setattr(batch, "_BLOCKS", 1)
 
 
 def same(one, other):

@@ -34,6 +34,9 @@ than the others, where a flight reads several numbers out of one array of its ow
 _CHUNKS = 8
 """Of lanes, for each core, between two reports to the host."""
 
+_BLOCKS = 4
+"""Of a part that another machine flies: to store it takes as long, however large it is."""
+
 Block = TypeVar("Block")
 
 
@@ -76,8 +79,10 @@ def flying_on(machines: AbstractMachines) -> Iterator[None]:
 def in_blocks(runs: np.ndarray) -> Iterator[np.ndarray]:
     """Indices of runs in parts of constant memory, after each of which the host reports."""
     machines = _MACHINES.get()
-    cores = len(jax.devices()) if machines is None else machines.cores
-    most = LANES * _CHUNKS * cores
+    if machines is None:
+        most = LANES * _CHUNKS * len(jax.devices())
+    else:
+        most = LANES * _CHUNKS * _BLOCKS * machines.cores
     for begin in range(0, len(runs), most):
         yield runs[begin : begin + most]
 
@@ -166,7 +171,7 @@ def _parts(machines: AbstractMachines, runs: PyTree) -> Iterator[tuple[PyTree, i
     and none of more than a block."""
     count, cores = machines.count, machines.cores
     batches = -(-_count(runs) // LANES)
-    rounds = -(-batches // (count * _CHUNKS * cores))
+    rounds = -(-batches // (count * _CHUNKS * _BLOCKS * cores))
     size = LANES * -(-batches // (count * rounds))
     runs = jax.tree.map(np.asarray, runs)
     for begin in range(0, _count(runs), size):

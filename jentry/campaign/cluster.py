@@ -210,7 +210,8 @@ class _Workers(AbstractMachines):
         if self._client.status != "running":  # it would wait for the scheduler
             raise self._lost()
         try:
-            return list(self._client.nthreads().values())
+            threads: Any = self._client.nthreads()
+            return list(threads.values())
         except OSError as error:
             raise self._lost() from error
 
