@@ -17,7 +17,7 @@ import numpy as np
 import optax
 import pytest
 import xarray
-from commands import assert_refused, monte_carlo
+from commands import Arrived, assert_refused, intercepted, monte_carlo
 from dask_cluster import ROOT, DaskCluster, kill, wait_for
 from readme import file_of_the_readme
 
@@ -135,6 +135,28 @@ def test_local_clusters_that_there_are_not(command, where):
     ):
         jentry.Cluster(where)
     assert_refused(monte_carlo(command, "--cluster", where), "one on this machine")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("monte-carlo", "cheap", "--runs", 3),
+        ("compare", "cheap", "--variant", "right", "--variant", "steep"),
+        ("tune", "cheap", "--gains", "guidance.bank_angle"),
+    ],
+)
+def test_the_commands_fly_there(command, monkeypatch, words):
+    seen = intercepted(monkeypatch, "jentry.campaign.cluster", "Cluster")
+    with pytest.raises(Arrived):
+        command(*words, "--step", 1, "--cluster", "tcp://10.0.0.1:8786")
+    assert seen["given"] == ("tcp://10.0.0.1:8786",)
+
+
+def test_stored_campaigns_are_compared_without_a_cluster(command, tmp_path):
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+    words = "one", "other", "--cluster", "local:1"
+    assert_refused(command("compare", *words), "leave out --variant")
 
 
 @pytest.mark.parametrize(
