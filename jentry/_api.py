@@ -16,6 +16,8 @@ from .campaign import (
     AbstractSampler as AbstractSampler,
     Campaign as Campaign,
     CampaignError as CampaignError,
+    Cluster as Cluster,
+    ClusterError as ClusterError,
     Constant as Constant,
     CorrelatedNormal as CorrelatedNormal,
     Discrete as Discrete,

@@ -65,14 +65,18 @@ def made_of(function: Callable, leaves: list[Any], structure: Any) -> str:
 
 
 def settings() -> str:
-    """The settings of JAX now, those of its context managers included."""
-    told = {
+    """The settings of JAX now, its devices, and what Equinox does about errors."""
+    devices = f"{jax.default_backend()} {len(jax.devices())}"
+    return f"{devices} {os.environ.get('EQX_ON_ERROR')} {settings_of_jax()}"
+
+
+def settings_of_jax() -> dict[str, Any]:
+    """Those that change a compiled program, by name; with those of context managers."""
+    return {
         name: getattr(jax.config, name, value)
         for name, value in sorted(jax.config.values.items())
         if not any(word in name for word in _OF_NO_PROGRAM)
     }
-    devices = f"{jax.default_backend()} {len(jax.devices())}"
-    return f"{devices} {os.environ.get('EQX_ON_ERROR')} {told}"
 
 
 def provenance(made: str) -> str:
@@ -80,7 +84,7 @@ def provenance(made: str) -> str:
 
     **Raises:** `Untold` where jentry is no longer what its files say.
     """
-    told = [made, settings(), _source(), *_in_memory(), _versions()]
+    told = [made, settings(), code_of_jentry(), *_in_memory(), _versions()]
     return _digest("\n".join(told).encode())
 
 
@@ -156,7 +160,7 @@ def _name(x: Any) -> str:
     return f"{module}:{name}"
 
 
-def _source() -> str:
+def code_of_jentry() -> str:
     """Digest of the files of jentry.
 
     **Raises:** `Untold` where one has changed since it was imported.

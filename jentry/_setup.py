@@ -216,7 +216,7 @@ def _jax_has_begun() -> bool:
 
 def _failure_where_new(flags: str, remember: bool) -> str | None:
     """Why these flags do not work here; none where they do, or once did."""
-    told = [flags, _SELF_TEST, version("jax"), version("jaxlib"), _processor()]
+    told = [flags, _SELF_TEST, version("jax"), version("jaxlib"), processor()]
     digest = hashlib.sha256("\n".join(told).encode()).hexdigest()
     passed = cache_directory() / "self-tests" / digest
     if passed.exists():
@@ -229,7 +229,7 @@ def _failure_where_new(flags: str, remember: bool) -> str | None:
     return failure
 
 
-def _processor() -> str:
+def processor() -> str:
     """What kind of processor this is, as far as the system says."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()

@@ -36,3 +36,11 @@ def assert_says(text, *values):
     """A passage of the README, line breaks aside, and its numbers."""
     assert text in " ".join(README.split()), text
     assert_prints(text, *values)
+
+
+def file_of_the_readme():
+    """The mission of a user's own."""
+    section = README[README.index("## A mission of your own") :]
+    return section[
+        section.index("```python\n") + 10 : section.index("```\n\n    jentry")
+    ]

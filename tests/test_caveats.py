@@ -78,4 +78,4 @@ def test_blocks_are_flown_without_a_word(low):
     blocks = fly_in_blocks(
         low, cheap.dispersions(), jax.random.key(0), 20, solver=cheap.SOLVER
     )
-    assert sum(len(block.runs) for block in blocks) == 20
+    assert sum(len(block.runs) for _, block in blocks) == 20

@@ -185,6 +185,7 @@ ARRIVE = {
         "most-runs",
         "slice",
         "sampler",
+        "cluster",
     }
     | REPORT,
     "report": {"runs", "mission", "figures", "no-figures", "figures-only"} | REPORT,
@@ -192,13 +193,13 @@ ARRIVE = {
     "inspect": {"by", "smallest", "worst", "run", "history", "mission", "workers"}
     | {"gradient", "no-gradient"},
     "compare": {"variant", "config", "runs", "seed", "dispersions", "set", "step"}
-    | {"out", "quiet", "workers", "fast", "no-fast"},
+    | {"out", "quiet", "workers", "fast", "no-fast", "cluster"},
     "tune": RUN
     | {"gains", "runs", "steps", "loss", "of", "out", "optimizer", "learning-rate"}
     | {"bounds", "smooth", "no-smooth", "fresh-draws", "no-fresh-draws", "patience"}
     | {"held-out", "seed", "workers", "dispersions", "fast", "no-fast"}
     | {"scale", "differences", "smooth-reversals", "no-smooth-reversals"}
-    | {"least-damping", "faster-than"},
+    | {"least-damping", "faster-than", "cluster"},
     "linearize": RUN | {"over", "points", "out", "faster-than"},
     "optimize": RUN | FREE | {"maximize", "minimize"},
     "footprint": RUN | FREE | {"directions"},

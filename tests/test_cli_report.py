@@ -159,7 +159,7 @@ def test_figures_are_drawn_again_without_flying(command, tmp_path, monkeypatch):
     def never(*args, **kwargs):
         raise AssertionError("it flies")
 
-    monkeypatch.setattr("jentry.campaign.campaign.over_runs", never)
+    monkeypatch.setattr("jentry.campaign.campaign.over_blocks", never)
     monkeypatch.setattr("jentry.cli.figures.monte_carlo", never)
     code, printed, _ = command("report", out, "--figures-only", "--format", "svg,pdf")
     assert code == 0 and printed == f"figures: {figures}\n"

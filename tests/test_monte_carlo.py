@@ -136,15 +136,15 @@ def test_runs_are_flown_in_the_order_that_is_asked_for(many):
 @pytest.mark.parametrize("chunks", [1, 2])
 def test_runs_are_the_same_in_any_chunking(many, chunks, monkeypatch):
     monkeypatch.setattr(batch, "_CHUNKS", chunks)
-    blocks = list(
-        fly_in_blocks(
-            cheap.scenario(),
-            cheap.dispersions(),
-            jax.random.key(3),
-            MANY,
-            solver=cheap.SOLVER,
-        )
+    flown = fly_in_blocks(
+        cheap.scenario(),
+        cheap.dispersions(),
+        jax.random.key(3),
+        MANY,
+        solver=cheap.SOLVER,
     )
+    places, blocks = zip(*flown, strict=True)
+    assert list(places) == list(range(len(blocks)))
     sizes = [len(block.runs) for block in blocks]
     assert max(sizes) == chunks * LANES and sum(sizes) == MANY
     assert_same(jax.tree.map(lambda *x: np.concatenate(x), *blocks), many)
@@ -266,7 +266,7 @@ def nothing_flies(monkeypatch):
     def flies(*given):
         raise AssertionError("a flight was flown")
 
-    for name in ("over_runs", "fly_run"):
+    for name in ("over_blocks", "fly_run"):
         monkeypatch.setattr(sys.modules[fly_in_blocks.__module__], name, flies)
 
 

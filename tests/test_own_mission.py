@@ -14,6 +14,7 @@ import own_mission
 import pytest
 import xarray
 from helpers import fly_compiled
+from readme import README, file_of_the_readme
 
 import jentry
 from jentry.addresses import leaves_by_address
@@ -22,8 +23,6 @@ from jentry.addresses import leaves_by_address
 HERE = Path(__file__).parent
 
 OWN = HERE / "own_mission.py"
-
-README = (HERE.parent / "README.md").read_text()
 
 
 @pytest.fixture
@@ -301,13 +300,6 @@ def test_packages_that_do_not_fit_are_named_and_do_not_spoil_the_others(
 
 
 # The file of the README.
-
-
-def file_of_the_readme():
-    section = README[README.index("## A mission of your own") :]
-    return section[
-        section.index("```python\n") + 10 : section.index("```\n\n    jentry")
-    ]
 
 
 @pytest.fixture

@@ -311,7 +311,7 @@ def test_file_put_in_place_with_its_old_date(tmp_path, monkeypatch):
     (tmp_path / "a.py").write_text("x = 1")
     os.utime(tmp_path / "a.py", (0, 0))
     with pytest.raises(_provenance.Untold):
-        _provenance._source()
+        _provenance.code_of_jentry()
 
 
 def test_what_equinox_does_of_errors_counts(ours, monkeypatch):
@@ -345,7 +345,7 @@ def test_every_file_counts(tmp_path, monkeypatch):
             old.unlink()
         (tmp_path / name).write_text(text)
         _provenance._digest_of_files.cache_clear()
-        digests.add(_provenance._source())
+        digests.add(_provenance.code_of_jentry())
     _provenance._digest_of_files.cache_clear()
     assert len(digests) == 3
 

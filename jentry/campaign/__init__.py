@@ -1,6 +1,7 @@
 """Floor 6: dispersions, Monte Carlo, storage."""
 
 from .campaign import Campaign as Campaign, monte_carlo as monte_carlo
+from .cluster import Cluster as Cluster
 from .correlations import correlated_normals as correlated_normals
 from .dispersions import (
     Dispersion as Dispersion,
@@ -21,7 +22,7 @@ from .distributions import (
     TruncatedNormal as TruncatedNormal,
     Uniform as Uniform,
 )
-from .errors import CampaignError as CampaignError
+from .errors import CampaignError as CampaignError, ClusterError as ClusterError
 from .merging import merge_campaigns as merge_campaigns
 from .results import dataset as dataset
 from .samplers import (

@@ -1,12 +1,18 @@
 """The batch runner: flights side by side, a cache-full at a time, on all devices.
 
 Everything that flies many runs goes through `over_runs`, which gives what each of them
-gives, or `sum_over_runs`, which adds it up. Runs are filled up to whole batches on the
-way in, and the fill is taken off on the way out.
+gives, `over_blocks`, which gives it block by block, or `sum_over_runs`, which adds it up.
+Runs are filled up to whole batches on the way in, and the fill is taken off on the way
+out. Within `flying_on(machines)` other processes do all of it, see `cluster`.
 """
 
-from collections.abc import Callable, Iterator
-from typing import Any
+import abc
+import contextlib
+import contextvars
+import functools
+import operator
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -28,10 +34,55 @@ than the others, where a flight reads several numbers out of one array of its ow
 _CHUNKS = 8
 """Of lanes, for each core, between two reports to the host."""
 
+_BLOCKS = 4
+"""Of a part that another machine flies: to store it takes as long, however large it is."""
+
+Block = TypeVar("Block")
+
+
+class AbstractMachines(abc.ABC):
+    """Other processes that fly in place of this one, within `flying_on(machines)`."""
+
+    @property
+    @abc.abstractmethod
+    def count(self) -> int:
+        """How many there are."""
+
+    @property
+    @abc.abstractmethod
+    def cores(self) -> int:
+        """Cores that one of them flies on."""
+
+    @abc.abstractmethod
+    def each(
+        self, work: Callable[[Any, Any], Any], shared: PyTree, parts: Iterable[PyTree]
+    ) -> Iterator[tuple[int, Any]]:
+        """Place and value of `work(shared, part)` for each part, as they come."""
+
+
+_MACHINES: contextvars.ContextVar[AbstractMachines | None]
+_MACHINES = contextvars.ContextVar("_MACHINES", default=None)
+
+
+@contextlib.contextmanager
+def flying_on(machines: AbstractMachines) -> Iterator[None]:
+    """Have other processes do the work of the batch runner."""
+    if _MACHINES.get() is not None:
+        raise RuntimeError("one cluster flies already: leave it before another begins")
+    token = _MACHINES.set(machines)
+    try:
+        yield
+    finally:
+        _MACHINES.reset(token)
+
 
 def in_blocks(runs: np.ndarray) -> Iterator[np.ndarray]:
     """Indices of runs in parts of constant memory, after each of which the host reports."""
-    most = LANES * _CHUNKS * len(jax.devices())
+    machines = _MACHINES.get()
+    if machines is None:
+        most = LANES * _CHUNKS * len(jax.devices())
+    else:
+        most = LANES * _CHUNKS * _BLOCKS * machines.cores
     for begin in range(0, len(runs), most):
         yield runs[begin : begin + most]
 
@@ -53,16 +104,48 @@ def over_runs(
     - `runs`: a pytree of arrays of shape (runs, ...).
     - `one_device`: for a function that cannot be compiled for several.
     """
-    devices = 1 if one_device else len(jax.devices())
-    count = _count(runs)
-    flown = _mapped(function, shared, _filled_up(runs, devices), devices)
-    return jax.tree.map(lambda x: np.asarray(x)[:count], flown)
+    machines = _MACHINES.get()
+    given = function, shared, one_device
+    if machines is None:
+        return _fly(given, runs)
+    parts = (part for part, _ in _parts(machines, runs))
+    flown = list(_in_order(machines.each(_fly, given, parts)))
+    return jax.tree.map(lambda *x: np.concatenate(x)[: _count(runs)], *flown)
+
+
+def over_blocks(
+    function: Callable[[Any, Any], Any],
+    shared: PyTree,
+    blocks: Iterable[tuple[Block, PyTree]],
+) -> Iterator[tuple[Block, Any]]:
+    """Values of `over_runs` for each block of runs, with what the block is called.
+
+    They come in the order of the blocks; from other machines as they are done.
+    """
+    machines = _MACHINES.get()
+    given = function, shared, False
+    if machines is None:
+        for block, runs in blocks:
+            yield block, _fly(given, runs)
+        return
+    called: dict[int, Block] = {}
+
+    def parts() -> Iterator[PyTree]:
+        for place, (block, runs) in enumerate(blocks):
+            called[place] = block
+            yield runs
+
+    for place, flown in machines.each(_fly, given, parts()):
+        yield called.pop(place), flown
 
 
 def sum_over_runs(
     function: Callable[[Any, Any, Any], Any], shared: PyTree, runs: PyTree
 ) -> Any:
     """Sum of `function(shared, runs, counts)` over the batches of which the runs are made.
+
+    It is added up batch by batch in their order: the same on any number of devices, and
+    of machines.
 
     **Arguments:**
 
@@ -71,10 +154,64 @@ def sum_over_runs(
       level.
     - `shared`, `runs`: as for `over_runs`.
     """
+    machines = _MACHINES.get()
+    given = function, shared
+    if machines is None:
+        values = iter([_fly_batches(given, (runs, _count(runs)))])
+    else:
+        parts = _parts(machines, runs)
+        values = _in_order(machines.each(_fly_batches, given, parts))
+    batches = (batch for value in values for batch in _apart(value))
+    total = functools.reduce(lambda *both: jax.tree.map(np.add, *both), batches)
+    return jax.tree.map(jnp.asarray, total)
+
+
+def _parts(machines: AbstractMachines, runs: PyTree) -> Iterator[tuple[PyTree, int]]:
+    """Runs in parts of one size, and how many of each count: as many for each machine,
+    and none of more than a block."""
+    count, cores = machines.count, machines.cores
+    batches = -(-_count(runs) // LANES)
+    rounds = -(-batches // (count * _CHUNKS * _BLOCKS * cores))
+    size = LANES * -(-batches // (count * rounds))
+    runs = jax.tree.map(np.asarray, runs)
+    for begin in range(0, _count(runs), size):
+        part = jax.tree.map(operator.itemgetter(slice(begin, begin + size)), runs)
+        yield _filled(part, size), _count(part)
+
+
+def _in_order(values: Iterable[tuple[int, Any]]) -> Iterator[Any]:
+    """Values in the order of their places, each as soon as it may be."""
+    waiting: dict[int, Any] = {}
+    place = 0
+    for own, value in values:
+        waiting[own] = value
+        while place in waiting:
+            yield waiting.pop(place)
+            place += 1
+
+
+def _apart(values: PyTree) -> Iterator[PyTree]:
+    """Batch by batch what several of them give."""
+    for i in range(_count(values)):
+        yield jax.tree.map(operator.itemgetter(i), values)
+
+
+def _fly(given: tuple[Callable, PyTree, bool], runs: PyTree) -> Any:
+    """Here, as `over_runs` says."""
+    function, shared, one_device = given
+    devices = 1 if one_device else len(jax.devices())
+    flown = _mapped(function, shared, _filled_up(runs, devices), devices)
+    return jax.tree.map(lambda x: np.asarray(x)[: _count(runs)], flown)
+
+
+def _fly_batches(given: tuple[Callable, PyTree], part: tuple[PyTree, int]) -> Any:
+    """Here, what each batch gives, of runs of which the first so many count."""
+    runs, counted = part
     devices = len(jax.devices())
     filled = _filled_up(runs, devices)
-    counts = jnp.arange(_count(filled)) < _count(runs)
-    return _summed(function, shared, (filled, counts), devices)
+    counts = jnp.arange(_count(filled)) < counted
+    values = _batches(*given, (filled, counts), devices)
+    return jax.tree.map(lambda x: np.asarray(x)[: -(-counted // LANES)], values)
 
 
 def filled_up(runs: np.ndarray) -> np.ndarray:
@@ -87,11 +224,18 @@ def _count(runs: PyTree) -> int:
 
 
 def _filled_up(runs: PyTree, devices: int) -> PyTree:
-    padded = -_count(runs) % (LANES * devices)
+    whole = LANES * devices
+    size = -(-_count(runs) // whole) * whole
+    return jax.tree.map(jnp.asarray, _filled(runs, size))
+
+
+def _filled(runs: PyTree, size: int) -> PyTree:
+    """Runs and so many times the last one that there are as many as are wanted."""
+    missing = size - _count(runs)
 
     def filled(values):
         values = np.asarray(values)
-        return jnp.asarray(np.concatenate([values, np.repeat(values[-1:], padded, 0)]))
+        return np.concatenate([values, np.repeat(values[-1:], missing, 0)])
 
     return jax.tree.map(filled, runs)
 
@@ -105,21 +249,12 @@ def _mapped(function, shared, runs, devices: int):
 
 
 @kept
-def _summed(function, shared, runs, devices: int):
+def _batches(function, shared, runs, devices: int):
     def on_one_device(shared, runs):
         batches = jax.tree.map(lambda x: x.reshape(-1, LANES, *x.shape[1:]), runs)
+        return lax.map(lambda batch: function(shared, *batch), batches)
 
-        def add(total, batch):
-            return jax.tree.map(jnp.add, total, function(shared, *batch)), None
-
-        first = jax.tree.map(lambda x: x[0], batches)
-        shapes = jax.eval_shape(lambda: function(shared, *first))
-        nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-        total, _ = lax.scan(add, nothing, batches)
-        return jax.tree.map(lambda x: x[None], total)
-
-    parts = _on_devices(on_one_device, shared, runs, devices)
-    return jax.tree.map(lambda x: jnp.sum(x, axis=0), parts)
+    return _on_devices(on_one_device, shared, runs, devices)
 
 
 def _on_devices(function, shared, runs, devices: int):

@@ -25,7 +25,7 @@ from ..flight.miss import Misses, misses
 from ..flight.scenario import Scenario, check_values, checked, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
-from .batch import filled_up, in_blocks, over_runs
+from .batch import filled_up, in_blocks, over_blocks
 from .dispersions import (
     Dispersion,
     check_dispersions,
@@ -151,7 +151,8 @@ def monte_carlo(
         history=history,
         sampler=sampler,
     )
-    campaign = jax.tree.map(lambda *parts: np.concatenate(parts), *blocks)
+    ordered = [block for _, block in sorted(blocks, key=lambda block: block[0])]
+    campaign = jax.tree.map(lambda *parts: np.concatenate(parts), *ordered)
     warn_of(campaign.flights.caveats)
     return campaign
 
@@ -166,10 +167,11 @@ def fly_in_blocks(
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
     sampler: AbstractSampler | None = None,
-) -> Iterator[Campaign]:
-    """Fly a campaign as `monte_carlo` does, part by part in the order of the runs.
+) -> Iterator[tuple[int, Campaign]]:
+    """Fly a campaign as `monte_carlo` does, part by part, each with its place.
 
-    The memory that it takes does not grow with the runs.
+    The memory that it takes does not grow with the runs. The parts come in the order of
+    the runs; from a `Cluster` as they are done.
     """
     scenario = checked(scenario)
     Plan.of(scenario, solver, history)  # refuses a step or an interval
@@ -306,13 +308,17 @@ def _check_runs(
 
 
 def _blocks(scenario, dispersions, key, indices, given, solver, history, sampler):
-    for runs in in_blocks(indices):
-        if given is None:
-            inputs = _drawn(scenario, dispersions, key, runs, sampler)
-        else:
-            inputs = {address: values[runs] for address, values in given.items()}
-        flown = over_runs(_fly_one, (scenario, solver, history), inputs)
-        yield Campaign(runs, inputs, *flown)
+    def drawn():
+        for place, runs in enumerate(in_blocks(indices)):
+            if given is None:
+                inputs = _drawn(scenario, dispersions, key, runs, sampler)
+            else:
+                inputs = {address: values[runs] for address, values in given.items()}
+            yield (place, runs, inputs), inputs
+
+    flown = over_blocks(_fly_one, (scenario, solver, history), drawn())
+    for (place, runs, inputs), found in flown:
+        yield place, Campaign(runs, inputs, *found)
 
 
 def _fly_one(

@@ -84,7 +84,7 @@ def run_campaign(
     scenario = checked(scenario)
     key = None if inputs is not None else key_of(seed)
 
-    def blocks_of(runs: int | np.ndarray) -> Iterator[Campaign]:
+    def blocks_of(runs: int | np.ndarray) -> Iterator[tuple[int, Campaign]]:
         return fly_in_blocks(
             scenario,
             dispersions,
@@ -114,7 +114,7 @@ def run_campaign(
         done = int(np.sum(stored))
         report(done)
         for missing in _unbroken(mine[~stored]):
-            for block in blocks_of(missing):
+            for _, block in blocks_of(missing):
                 _write_part(out, scenario, block, description, campaign)
                 done += len(block.runs)
                 report(done)

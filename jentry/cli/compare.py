@@ -6,7 +6,18 @@ from typing import Annotated
 import typer
 
 from .ending import rounding_off
-from .options import Dispersions, Fast, Quiet, Set, Step, Workers, app, set_up
+from .options import (
+    ClusterAt,
+    Dispersions,
+    Fast,
+    Quiet,
+    Set,
+    Step,
+    Workers,
+    app,
+    flying_at,
+    set_up,
+)
 
 
 @app.command("compare")
@@ -54,6 +65,7 @@ def command(
     ] = None,
     quiet: Quiet = False,
     workers: Workers = None,
+    cluster: ClusterAt = None,
     fast: Fast = False,
 ) -> None:
     """Compare campaigns run by run: what one law, gain set or variant changes."""
@@ -70,7 +82,7 @@ def command(
     asked = [*(variant or ()), *(config or ())]
     if len(what) == 1 and not Path(what[0]).is_dir():
         folder = out
-        with rounding_off("the same command resumes") as look:
+        with rounding_off("the same command resumes") as look, flying_at(cluster):
             entries, folder = fly_entries(
                 what[0],
                 variant or [],
@@ -85,10 +97,11 @@ def command(
                 look,
             )
     else:
-        if asked or dispersions or set_ or step is not None or seed is not None:
+        given = (step, seed, cluster)
+        if asked or dispersions or set_ or any(x is not None for x in given):
             raise ValueError(
                 "stored campaigns are compared as they are: leave out --variant, "
-                "--config, --dispersions, --set, --step and --seed"
+                "--config, --dispersions, --set, --step, --seed and --cluster"
             )
         if runs is not None and runs < 2:
             raise ValueError(f"--runs is {runs}: a comparison takes 2 or more")

@@ -30,8 +30,9 @@ def main() -> None:
     """Run the command; errors that a person can act on are one line, without a traceback.
 
     Exit codes: 0 done, 1 whoever read the output has left, 2 wrong input, 3 results that
-    cannot be used, 4 the machine (no space, no permission, no memory), 5 a requirement
-    fails, 6 the runs are not enough to judge one, 130 interrupted.
+    cannot be used, 4 the machine (no space, no permission, no memory, a cluster that is
+    not there or lost), 5 a requirement fails, 6 the runs are not enough to judge one, 130
+    interrupted.
     """
     # Tracing makes many objects and little rubbish: look for it less often.
     gc.set_threshold(100_000)
@@ -71,8 +72,10 @@ def _explained(error: Exception) -> tuple[int, str]:
             return 4, less
         case RuntimeError() if "RESOURCE_EXHAUSTED" in str(error):
             return 4, less
-    from ..campaign.errors import CampaignError
+    from ..campaign.errors import CampaignError, ClusterError
 
     if isinstance(error, CampaignError):
         return 3, str(error)
+    if isinstance(error, ClusterError):
+        return 4, f"{error}; what is stored is kept, and the same command resumes"
     raise error

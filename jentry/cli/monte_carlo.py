@@ -7,6 +7,7 @@ import typer
 
 from .ending import rounding_off
 from .options import (
+    ClusterAt,
     Config,
     Dispersions,
     Fast,
@@ -27,6 +28,7 @@ from .options import (
     chosen_scenario,
     dispersion_table,
     first_given,
+    flying_at,
     import_meanwhile,
     set_up,
 )
@@ -48,6 +50,7 @@ def command(
         ),
     ] = None,
     workers: Workers = None,
+    cluster: ClusterAt = None,
     variant: Variant = None,
     dispersions: Dispersions = None,
     sampler: Sampler = Sampling.PLAIN,
@@ -186,6 +189,7 @@ def command(
         resumed as look,
         reported(to_fly, quiet) as told,
         histories,
+        flying_at(cluster),
     ):
 
         def report(stored: int) -> None:

@@ -1,5 +1,6 @@
 """The command line's application, and the options that several commands share."""
 
+import contextlib
 import enum
 import importlib
 import threading
@@ -82,6 +83,15 @@ Sampler = Annotated[
     ),
 ]
 Workers = Annotated[int | None, typer.Option(help="Cores to use; all if not given.")]
+ClusterAt = Annotated[
+    str | None,
+    typer.Option(
+        "--cluster",
+        metavar="WHERE",
+        help="Fly on the workers of Dask: the address of a scheduler, tcp://HOST:8786, a "
+        "scheduler file, FILE.json, or local:2 for two processes of this machine.",
+    ),
+]
 Addresses = Annotated[
     list[str] | None,
     typer.Option(
@@ -165,6 +175,15 @@ def set_up(workers: int | None = None, fast: bool = False) -> None:
     if workers is not None and workers > _MOST_WORKERS:
         raise ValueError(f"workers is {workers}: it must be {_MOST_WORKERS} at most")
     setup(workers, fast=fast)
+
+
+def flying_at(cluster: str | None):
+    """Within it, batches of flights are flown by a cluster; by this process for none."""
+    if cluster is None:
+        return contextlib.nullcontext()
+    from ..campaign.cluster import Cluster
+
+    return Cluster(cluster)
 
 
 def import_meanwhile(*modules: str) -> None:

@@ -10,6 +10,7 @@ import typer
 from .ending import rounding_off
 from .options import (
     Addresses,
+    ClusterAt,
     Config,
     Dispersions,
     Fast,
@@ -23,6 +24,7 @@ from .options import (
     dispersion_table,
     expanded,
     first_given,
+    flying_at,
     set_up,
 )
 
@@ -125,6 +127,7 @@ def command(
     held_out: Annotated[int, typer.Option(help="Other draws to judge by.")] = 5000,
     seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
     workers: Workers = None,
+    cluster: ClusterAt = None,
     variant: Variant = None,
     dispersions: Dispersions = None,
     set_: Set = None,
@@ -195,7 +198,7 @@ def command(
         "learning_rate": learning_rate,
         **{f"code of {file}": is_ for file, is_ in chosen.code.items()},
     }
-    with rounding_off("the same command resumes") as look:
+    with rounding_off("the same command resumes") as look, flying_at(cluster):
 
         def report(course: list, best: int) -> None:
             report_step(course, best)

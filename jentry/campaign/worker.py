@@ -1,0 +1,190 @@
+"""What a worker of a cluster does: it gets ready as the process that asks, and flies."""
+
+import functools
+import hashlib
+import importlib.metadata
+import os
+import pickle
+import platform
+import threading
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+from jaxtyping import PyTree
+
+from .._provenance import Untold, code_of_jentry, settings_of_jax
+from .._setup import fast_options_are_on, processor, setup
+from .carried import Carried, dumped, loaded, receive
+from .description import first_difference
+from .errors import ClusterError
+
+
+_VERSIONS = "jax", "jaxlib", "numpy", "equinox", "diffrax", "optimistix", "lineax"
+"""Packages by which numbers are made"""
+
+_OF_EACH = "jax_num_cpu_devices", "jax_platform", "jax_default_device", "jax_pjrt"
+"""Beginnings of the settings of JAX that change no number, and that each process has"""
+
+_NO_NUMBER = "device_count", "dump"
+"""In the names of flags of XLA that change no number"""
+
+
+def terms() -> dict[str, Any]:
+    """What has to be the same in two processes for their numbers to be the same.
+
+    **Raises:** `ClusterError` where the files of jentry are no longer what was imported.
+    """
+    try:
+        code = code_of_jentry()
+    except Untold:
+        raise ClusterError(
+            "files of jentry have changed since this process has imported them: start "
+            "it again"
+        ) from None
+    flags = os.environ.get("XLA_FLAGS", "").split()
+    return {
+        "python": ".".join(platform.python_version_tuple()[:2]),
+        **_versions(),
+        "code of jentry": code,
+        "XLA_FLAGS": sorted(f for f in flags if not any(n in f for n in _NO_NUMBER)),
+        "fast": fast_options_are_on(),
+        "setting": {
+            name: value
+            for name, value in settings_of_jax().items()
+            if not name.startswith(_OF_EACH)
+        },
+    }
+
+
+@functools.cache
+def _versions() -> dict[str, str]:
+    return {name: importlib.metadata.version(name) for name in _VERSIONS}
+
+
+class Flown(NamedTuple):
+    """A part that a worker has flown."""
+
+    value: Carried
+    worker: str
+    processor: str
+    """Digest of what kind it is"""
+
+
+class Work(NamedTuple):
+    """What all parts have in common."""
+
+    digest: str
+    structure: Carried
+    numbers: Carried
+
+
+class Structures:
+    """Structures in bytes, each packed once.
+
+    Workers know them again by their digests, with all that is compiled for them: functions
+    that come a second time would be other functions.
+    """
+
+    def __init__(self):
+        self._packed: dict[Hashable, tuple[str, Carried]] = {}
+
+    def packed(self, tree: PyTree) -> Work:
+        """Structure and numbers of a pytree."""
+        numbers, structure = eqx.partition(tree, eqx.is_array)
+        leaves, form = jax.tree.flatten(structure)
+        known = form, tuple(leaves)
+        if known not in self._packed:
+            carried = dumped(structure)
+            self._packed[known] = carried.digest, carried
+        return Work(*self._packed[known], dumped(numbers))
+
+
+class _Call:
+    """A call that is made where it is unpickled."""
+
+    def __init__(self, function: Callable, *given: Any):
+        self._made = function, given
+
+    def __reduce__(self) -> tuple[Callable, tuple]:
+        return self._made
+
+
+def task(known: dict[str, Any], work: Work, part: PyTree) -> bytes:
+    """A part to be flown, by `pickle.loads`: it gives what is `Flown`.
+
+    (Dask has its scheduler unpickle what workers call, which need not know jentry.)
+    """
+    return pickle.dumps(_Call(fly_here, known, pickle.dumps((work, dumped(part)))))
+
+
+_ALONE = threading.Lock()
+"""Of the threads of a worker: each part is flown on all of them"""
+
+_UNPACKED: dict[str, Any] = {}
+_MOST_UNPACKED = 16
+
+
+def fly_here(known: dict[str, Any], given: bytes) -> Flown:
+    """Fly a part, in a worker, where that is on the same terms as who asks."""
+    from distributed import get_worker
+
+    worker = get_worker()
+    with _ALONE:
+        _get_ready(worker.state.nthreads, known, worker.address)
+        value = _value(*pickle.loads(given))
+        return Flown(value, worker.address, kind_of_processor())
+
+
+def am_worker() -> bool:
+    """Whether this process flies for another one."""
+    return bool(_READY)
+
+
+def _value(work: Work, part: Carried) -> Carried:
+    digest, structure, numbers = work
+    others = [receive(carried.sources) for carried in (structure, numbers, part)]
+    if any(others) or len(_UNPACKED) >= _MOST_UNPACKED:
+        _UNPACKED.clear()
+    if digest not in _UNPACKED:
+        _UNPACKED[digest] = loaded(structure)
+    function, shared = eqx.combine(loaded(numbers), _UNPACKED[digest])
+    return dumped(function(shared, loaded(part)))
+
+
+@functools.cache
+def kind_of_processor() -> str:
+    """Digest of what kind of processor this is."""
+    return hashlib.sha256(processor().encode()).hexdigest()
+
+
+_READY: dict[str, Any] = {}
+"""The terms on which this worker flies now"""
+
+
+def _get_ready(threads: int, known: dict[str, Any], address: str) -> None:
+    """Set this process up as the one that asks. Refuses where it cannot be had."""
+    if known == _READY:
+        return
+    try:
+        setup(threads, fast=known["fast"])
+        different = _difference(known)
+    except (ValueError, RuntimeError, AttributeError) as error:
+        different = str(error)
+    if different:
+        raise ClusterError(
+            f"the worker {address} cannot give the numbers of this machine: {different}. "
+            "Start it again, with the same jentry, packages and environment"
+        )
+    _READY.clear()
+    _READY.update(known)
+
+
+def _difference(known: dict[str, Any]) -> str | None:
+    """By what this process differs, once it has the settings of the one that asks."""
+    ours = terms()
+    for name, value in known["setting"].items():
+        if ours["setting"].get(name) != value:
+            jax.config.update(name, value)
+    return first_difference(terms(), known)

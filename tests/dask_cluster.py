@@ -1,0 +1,81 @@
+"""A scheduler of Dask and its workers, each a process of its own, for tests."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import distributed
+
+
+ROOT = Path(__file__).parents[1]
+_LIMIT = 120.0
+"""s, after which what is waited for does not come"""
+
+
+def wait_for(condition: Callable[[], object], what: str) -> None:
+    limit = time.monotonic() + _LIMIT
+    while not condition():
+        assert time.monotonic() < limit, f"{what} does not come"
+        time.sleep(0.02)
+
+
+class DaskCluster:
+    """Started within `with`, and killed at its end with all that it has started."""
+
+    def __init__(self, folder: Path, cache: Path):
+        self.file = folder / "scheduler.json"
+        self._folder = folder
+        # The same jentry as here; what the tests have of their own goes along.
+        ours = {"JENTRY_CACHE": str(cache), "PYTHONPATH": str(ROOT)}
+        self._environment = {**os.environ, **ours}
+        self._processes: list[subprocess.Popen] = []
+
+    def __enter__(self):
+        words = "--host", "127.0.0.1", "--port", "0", "--scheduler-file", self.file
+        words += "--no-dashboard", "--dashboard-address", "127.0.0.1:0"
+        self.scheduler = self._started("scheduler", *words)
+        wait_for(self.file.exists, "the scheduler")
+        self.address = json.loads(self.file.read_text())["address"]
+        return self
+
+    def __exit__(self, *reason):
+        for process in self._processes:
+            process.kill()
+        for process in self._processes:
+            process.wait()
+
+    def worker(self, threads: int = 1, **environment: str) -> subprocess.Popen:
+        """One more, that is there when this returns."""
+        before = self.workers()
+        words = self.address, "--nthreads", threads, "--no-nanny", "--no-dashboard"
+        process = self._started("worker", *words, **environment)
+        wait_for(lambda: self.workers() > before, "the worker")
+        return process
+
+    def workers(self) -> int:
+        """How many there are."""
+        with distributed.Client(self.address, set_as_default=False) as client:
+            return len(client.nthreads())
+
+    def _started(self, what: str, *words, **environment: str) -> subprocess.Popen:
+        log = self._folder / f"{len(self._processes)}-{what}.txt"
+        with log.open("w") as output:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "dask", what, *map(str, words)],
+                stdout=output,
+                stderr=output,
+                cwd=self._folder,
+                env={**self._environment, **environment},
+            )
+        self._processes.append(process)
+        return process
+
+
+def kill(process: subprocess.Popen) -> None:
+    process.send_signal(signal.SIGKILL)
+    process.wait()

@@ -1,0 +1,594 @@
+"""Campaigns and gradients on real clusters of Dask: the same bits, whoever is lost."""
+
+import contextlib
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import cheap
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+import xarray
+from commands import Arrived, assert_refused, intercepted, monte_carlo
+from dask_cluster import ROOT, DaskCluster, kill, wait_for
+from readme import file_of_the_readme
+
+import jentry
+from jentry.campaign import batch, cluster as cluster_module, worker as worker_module
+from jentry.campaign.batch import LANES, over_runs, sum_over_runs
+from jentry.missions import find_mission
+
+
+# What is compared is bits, and workers compile as users do.
+pytestmark = pytest.mark.optimized
+
+CACHE = ROOT / ".pytest_cache" / "cluster"
+RUNS = 5 * LANES + 3
+WORDS = jnp.asarray(1.0), "a part of the program"
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """A scheduler with two workers, one of them with two threads."""
+    with DaskCluster(tmp_path_factory.mktemp("two"), CACHE) as cluster:
+        cluster.worker(1)
+        cluster.worker(2)
+        yield cluster
+
+
+@pytest.fixture
+def of_its_own(tmp_path):
+    """A scheduler that may be killed."""
+    with DaskCluster(tmp_path, CACHE) as cluster:
+        yield cluster
+
+
+@pytest.fixture
+def small_parts(monkeypatch):
+    monkeypatch.setattr(batch, "_CHUNKS", 1)
+    monkeypatch.setattr(batch, "_BLOCKS", 1)
+
+
+def same(one, other):
+    """In every bit."""
+    bits = lambda x: (np.shape(x), np.asarray(x).dtype, np.asarray(x).tobytes())
+    return jax.tree.all(jax.tree.map(lambda x, y: bits(x) == bits(y), one, other))
+
+
+def test_a_stored_campaign_is_that_of_one_machine(tmp_path, two, small_parts):
+    """By a scheduler file; its law is of these tests, which no worker can import."""
+    cheap.campaign(tmp_path / "here", RUNS)
+    reports = []
+    with jentry.Cluster(str(two.file)):
+        cheap.campaign(tmp_path / "there", RUNS, report=reports.append)
+    here, there = (jentry.open_campaign(tmp_path / name) for name in ("here", "there"))
+    xarray.testing.assert_identical(here, there)
+    # Of 128 runs, the last of 67: in whatever order they are done.
+    assert reports[0] == 0 and reports[-1] == RUNS
+    assert sorted(np.diff(reports)) == [67, 128, 128]
+
+
+def with_words(shared, run):
+    """Of what the worker is set to, and of what these tests alone have."""
+    factor, word = shared
+    raises = jax.config.values["jax_numpy_rank_promotion"] == "raise"
+    assert word == "a part of the program"
+    return factor * run["x"], jnp.asarray(raises), jnp.asarray(len(jax.devices()))
+
+
+def of_batch(factor, runs, counts):
+    return jnp.sum(jnp.where(counts, jnp.sin(factor * runs["x"]), 0.0)), jnp.sum(counts)
+
+
+def test_values_and_sums_are_those_of_one_machine(two, small_parts):
+    """By an address, with the settings of this process, on the threads of each worker."""
+    runs = {"x": np.linspace(1.0, 2.0, RUNS)}
+    shared = (jnp.asarray(3.0), "a part of the program")
+    here = over_runs(with_words, shared, runs), sum_over_runs(of_batch, 7.0, runs)
+    with jentry.Cluster(two.address):
+        there = over_runs(with_words, shared, runs), sum_over_runs(of_batch, 7.0, runs)
+    assert same(here[0][0], there[0][0]) and same(here[1], there[1])
+    assert there[0][1].all()
+    assert set(there[0][2]) <= {1, 2}
+    assert int(there[1][1]) == RUNS
+
+
+class Wrong(Exception):
+    """Of these tests"""
+
+
+def that_fails(message, run):
+    raise message
+
+
+def test_an_error_of_a_flight_is_itself(two):
+    """Also one that could be taken for that of a connection."""
+    runs = {"x": np.ones(3)}
+    with jentry.Cluster(two.address):
+        for error in (
+            ValueError("no flight"),
+            OSError("no file"),
+            TimeoutError("late"),
+        ):
+            with pytest.raises(type(error), match=str(error)):
+                over_runs(that_fails, error, runs)
+        with pytest.raises(jentry.ClusterError, match="has no my_package: install"):
+            over_runs(that_fails, ModuleNotFoundError(name="my_package"), runs)
+        # It goes on.
+        assert same(over_runs(with_words, WORDS, runs)[0], np.ones(3))
+
+
+@pytest.mark.parametrize(
+    "where", ["local", "local:0", "local:999", "local:two", "localhost:2"]
+)
+def test_local_clusters_that_there_are_not(command, where):
+    with pytest.raises(
+        ValueError, match=f"'{where}': one on this machine is local:1 to"
+    ):
+        jentry.Cluster(where)
+    assert_refused(monte_carlo(command, "--cluster", where), "one on this machine")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("monte-carlo", "cheap", "--runs", 3),
+        ("compare", "cheap", "--variant", "right", "--variant", "steep"),
+        ("tune", "cheap", "--gains", "guidance.bank_angle"),
+    ],
+)
+def test_the_commands_fly_there(command, monkeypatch, words):
+    seen = intercepted(monkeypatch, "jentry.campaign.cluster", "Cluster")
+    with pytest.raises(Arrived):
+        command(*words, "--step", 1, "--cluster", "tcp://10.0.0.1:8786")
+    assert seen["given"] == ("tcp://10.0.0.1:8786",)
+
+
+def test_stored_campaigns_are_compared_without_a_cluster(command, tmp_path):
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+    words = "one", "other", "--cluster", "local:1"
+    assert_refused(command("compare", *words), "leave out --variant")
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        ("tcp://127.0.0.1:9", "there is no scheduler at tcp://127.0.0.1:9: "),
+        ("nowhere", "there is no scheduler at nowhere: missing port"),
+        ("post://1.2.3.4:5", "there is no scheduler at post://1.2.3.4:5: "),
+        ("none.json", "none.json is no scheduler file"),
+        ("other.json", "other.json is no scheduler file"),
+        ("text.json", "text.json is no scheduler file"),
+    ],
+)
+def test_schedulers_that_there_are_not(command, monkeypatch, where, message):
+    monkeypatch.setattr(cluster_module, "_ANSWER", 0.3)
+    Path("other.json").write_text('{"workers": {}}')
+    Path("text.json").write_text("tcp://127.0.0.1:8786")
+    with pytest.raises(jentry.ClusterError, match=message):
+        with jentry.Cluster(where):
+            pass
+    refused = monte_carlo(command, "--cluster", where)
+    assert_refused(refused, message, code=4)
+    assert "the same command resumes" in refused[2]
+
+
+def test_without_dask_it_is_said_what_to_install(command, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    refused = monte_carlo(command, "--cluster", "tcp://127.0.0.1:9")
+    assert_refused(refused, "python -m pip install 'jentry[cluster]'", code=4)
+
+
+@pytest.mark.parametrize(
+    ("differs", "message"),
+    [
+        ({"code of jentry": "0" * 64}, "code of jentry differs"),
+        ({"jax": "0.1"}, r"jax is \d.* there and 0.1 now"),
+        ({"XLA_FLAGS": ["--xla_of_mine"]}, "XLA_FLAGS differs"),
+    ],
+)
+def test_a_worker_on_other_terms_is_refused(two, monkeypatch, differs, message):
+    ours = worker_module.terms()
+    monkeypatch.setattr(cluster_module, "terms", lambda: ours | differs)
+    whole = (
+        f"worker tcp://127.0.0.1:.* cannot give the numbers of this .*{message}.*same"
+    )
+    with jentry.Cluster(two.address), pytest.raises(jentry.ClusterError, match=whole):
+        over_runs(with_words, WORDS, {"x": np.ones(3)})
+
+
+def test_settings_are_those_of_who_asks(two):
+    """Each time: workers are for several, who may have others."""
+    for wanted in ("raise", "allow", "raise"):
+        with jax.numpy_rank_promotion(wanted), jentry.Cluster(two.address):
+            raises = over_runs(with_words, WORDS, {"x": np.ones(3)})[1]
+            assert raises.all() == (wanted == "raise")
+
+
+def test_changed_files_of_jentry_are_refused(two, monkeypatch):
+    monkeypatch.setattr("jentry._provenance._IMPORTED", 0.0)
+    with (
+        jentry.Cluster(two.address),
+        pytest.raises(jentry.ClusterError, match="changed"),
+    ):
+        over_runs(with_words, WORDS, {"x": np.ones(3)})
+
+
+def test_another_processor_is_said_once(two, monkeypatch):
+    monkeypatch.setattr(cluster_module, "kind_of_processor", lambda: "another")
+    with jentry.Cluster(two.address):
+        with pytest.warns(UserWarning, match="has another processor than this machine"):
+            over_runs(with_words, WORDS, {"x": np.ones(3)})
+        over_runs(with_words, WORDS, {"x": np.ones(3)})
+
+
+def test_a_class_that_no_worker_finds_is_refused(two):
+    """It would be another class there, without its fields."""
+
+    class Hidden(eqx.Module):
+        factor: jax.Array
+
+    with (
+        jentry.Cluster(two.address),
+        pytest.raises(ValueError, match="Hidden is defined"),
+    ):
+        over_runs(with_words, (Hidden(jnp.ones(())), ""), {"x": np.ones(3)})
+
+
+def test_one_cluster_at_a_time(two):
+    with jentry.Cluster(two.address):
+        with pytest.raises(RuntimeError, match="one cluster flies already"):
+            with jentry.Cluster(two.address):
+                pass
+        assert over_runs(with_words, WORDS, {"x": np.ones(3)})[1].all()
+
+
+@pytest.mark.slow
+def test_a_campaign_of_a_mission(two, key):
+    mission = find_mission("mars-drag-tracking")
+    fly = lambda: jentry.monte_carlo(
+        mission.scenario(), mission.dispersion_table(), key, 2500, history=20.0
+    )
+    here = fly()
+    with jentry.Cluster(two.address):
+        there = fly()
+    assert same(here, there)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flights", [100, 300])
+def test_tuning_takes_the_same_course(two, flights):
+    mission = find_mission("mars-drag-tracking")
+
+    def tuned():
+        return jentry.tune(
+            mission.scenario(),
+            lambda s: (s.guidance.gains, s.guidance.observer),
+            jentry.MeanSquare(lambda misses: misses.downrange / jentry.km),
+            optax.adam(0.1),
+            jentry.Draws(
+                mission.dispersion_table(), jax.random.key(0), flights, held_out=200
+            ),
+            budget=jentry.tuning.Budget(3),
+        )
+
+    here = tuned()
+    with jentry.Cluster(two.address):
+        there = tuned()
+    assert same(eqx.filter(here, eqx.is_array), eqx.filter(there, eqx.is_array))
+    assert same(
+        eqx.filter(here.scenario, eqx.is_array),
+        eqx.filter(there.scenario, eqx.is_array),
+    )
+
+
+MANY = 40 * LANES + 3
+
+
+@pytest.fixture
+def whole(tmp_path, small_parts):
+    """A campaign of many parts, of one machine."""
+    cheap.campaign(tmp_path / "whole", MANY)
+    return jentry.open_campaign(tmp_path / "whole")
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_costs_its_part(
+    tmp_path, of_its_own, whole, monkeypatch
+):
+    killed, _ = of_its_own.worker(1), of_its_own.worker(1)
+    out = tmp_path / "there"
+    reports, tasks = [], []
+    made = worker_module.task
+    monkeypatch.setattr(
+        cluster_module, "task", lambda *given: tasks.append(1) or made(*given)
+    )
+
+    def report(stored):
+        reports.append(stored)
+        if len(reports) == 6:
+            kill(killed)
+
+    with jentry.Cluster(of_its_own.address):
+        cheap.campaign(out, MANY, report=report)
+        assert of_its_own.workers() == 1
+    assert sorted(np.diff(reports)) == [3] + 40 * [LANES]
+    assert len(tasks) == 41  # what is lost, Dask gives to another one
+    xarray.testing.assert_identical(jentry.open_campaign(out), whole)
+
+
+@pytest.mark.slow
+def test_a_worker_that_comes_later_flies_too(tmp_path, of_its_own, whole):
+    """Also the first one, for which it waits; and once more where all have been lost."""
+    first = of_its_own.worker(1)
+    out = tmp_path / "there"
+
+    def report(stored):
+        if stored == 5 * LANES:
+            kill(first)
+            of_its_own.worker(1)
+
+    with jentry.Cluster(of_its_own.address):
+        cheap.campaign(out, MANY, report=report)
+    xarray.testing.assert_identical(jentry.open_campaign(out), whole)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_lost(tmp_path, of_its_own, whole, two):
+    """In one sentence; what is stored is resumed, by another cluster or without one."""
+    of_its_own.worker(1)
+    of_its_own.worker(1)
+    out = tmp_path / "there"
+
+    def report(stored):
+        if stored >= 6 * LANES:
+            kill(of_its_own.scheduler)
+
+    with pytest.raises(
+        jentry.ClusterError, match="^the scheduler at tcp://.* is lost$"
+    ):
+        with jentry.Cluster(of_its_own.address):
+            cheap.campaign(out, MANY, report=report)
+    reports = []
+    with jentry.Cluster(two.address):
+        cheap.campaign(out, 20 * LANES, report=reports.append)
+    assert reports[0] >= 6 * LANES and reports[-1] == 20 * LANES
+    cheap.campaign(out, MANY)
+    xarray.testing.assert_identical(jentry.open_campaign(out), whole)
+
+
+@pytest.mark.slow
+def test_no_workers(of_its_own):
+    with pytest.raises(jentry.ClusterError, match="has no workers after 0.5 s: start"):
+        with jentry.Cluster(of_its_own.address, patience=0.5):
+            pass
+    worker = of_its_own.worker(1)
+    with jentry.Cluster(of_its_own.address, patience=0.5):
+        kill(worker)
+        with pytest.raises(jentry.ClusterError, match="has lost all of its workers"):
+            over_runs(with_words, WORDS, {"x": np.ones(3)})
+
+
+@pytest.mark.slow
+def test_a_part_that_kills_its_workers(of_its_own):
+    for _ in range(4):
+        of_its_own.worker(1)
+    with jentry.Cluster(of_its_own.address):
+        with pytest.raises(
+            jentry.ClusterError, match="workers of .* with the same part"
+        ):
+            over_runs(that_kills, WORDS, {"x": np.ones(3)})
+
+
+def that_kills(shared, run):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+@pytest.mark.slow
+def test_a_worker_with_other_code_is_refused(tmp_path, of_its_own):
+    """Whose jentry differs by a comment."""
+    other = tmp_path / "other"
+    shutil.copytree(Path(jentry.__file__).parent, other / "jentry")
+    with (other / "jentry" / "units.py").open("a") as file:
+        file.write("# Another one\n")
+    of_its_own.worker(1, PYTHONPATH=str(other))
+    with jentry.Cluster(of_its_own.address):
+        with pytest.raises(jentry.ClusterError, match="code of jentry differs"):
+            over_runs(with_words, WORDS, {"x": np.ones(3)})
+
+
+@pytest.mark.slow
+def test_a_worker_without_jentry_is_refused(tmp_path, of_its_own):
+    (tmp_path / "none").mkdir()
+    (tmp_path / "none" / "jentry.py").write_text(
+        "raise ModuleNotFoundError(name='jentry')"
+    )
+    of_its_own.worker(1, PYTHONPATH=str(tmp_path / "none"))
+    with jentry.Cluster(of_its_own.address):
+        with pytest.raises(jentry.ClusterError, match="has no jentry: install there"):
+            over_runs(with_words, WORDS, {"x": np.ones(3)})
+
+
+def started(*words, cwd, **options):
+    """A process of Python as a user starts it, with warnings as errors."""
+    return subprocess.Popen(
+        [sys.executable, "-W", "error", *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=cwd,
+        env={**os.environ, "JENTRY_CACHE": str(CACHE)},
+        **options,
+    )
+
+
+@pytest.fixture
+def lander(tmp_path):
+    """The mission of the README, with its law in a file beside it."""
+    text = file_of_the_readme()
+    begin, end = text.index("class LiftAgainstDrag"), text.index("def scenario()")
+    (tmp_path / "its_law.py").write_text(text[:end].replace("import functools\n", ""))
+    rest = text[:begin] + "import its_law\n\n" + text[end:]
+    rest = rest.replace("=LiftAgainstDrag(", "=its_law.LiftAgainstDrag(")
+    (tmp_path / "my_lander.py").write_text(rest)
+    return tmp_path
+
+
+FLY = ("-m", "jentry", "monte-carlo", "my_lander.py", "--runs", 1300, "--no-figures")
+FLY += ("--step", 1)
+
+
+@pytest.mark.slow
+def test_the_command_flies_a_mission_of_a_file(lander, two):
+    """On processes that it starts, and on workers that cannot import the law."""
+    said = {}
+    for name, words in {
+        "here": (),
+        "local": ("--cluster", "local:2"),
+        "there": ("--cluster", two.address),
+    }.items():
+        flown = started(*FLY, "--json", "--out", name, *words, cwd=lander)
+        printed, errors = flown.communicate(timeout=300)
+        assert flown.returncode == 0, errors
+        assert not [line for line in errors.splitlines() if " of 1300 runs" not in line]
+        said[name] = json.loads(printed)
+    assert said["here"] == said["local"] == said["there"]
+    here, *others = (jentry.open_campaign(lander / name) for name in said)
+    for other in others:
+        xarray.testing.assert_identical(here, other)
+
+
+SCRIPT = """
+import sys
+import equinox as eqx
+import jax
+import numpy as np
+import jentry
+from its_law import LiftAgainstDrag
+from my_lander import dispersions, scenario
+
+
+class Turned(jentry.AbstractContinuousLaw[None]):
+    bank: jentry.Scalar = jentry.scalar(2.0, unit="rad")
+
+    def init(self, measurement):
+        return None
+
+    def __call__(self, time, measurement, memory):
+        bank = {sign}self.bank
+        return jentry.Controls.from_bank(bank, measurement.trim_angle_of_attack), None
+
+
+if __name__ == "__main__":
+    jentry.setup(1)
+    turned = eqx.tree_at(lambda s: s.guidance, scenario(), Turned(0.5))
+    fly = lambda: jentry.monte_carlo(
+        turned, dispersions(), jax.random.key(0), 200, solver=jentry.FixedStep(1.0)
+    )
+    here = fly()
+    with jentry.Cluster(sys.argv[1]):
+        there = fly()
+    for pair in zip(jax.tree.leaves(here), jax.tree.leaves(there), strict=True):
+        assert np.array_equal(*pair)
+    print(np.mean(here.flights.state.latitude))
+"""
+
+
+@pytest.mark.slow
+def test_a_law_of_a_script_and_the_same_changed(lander, two):
+    """The same workers fly the one, then the other; and those that it starts."""
+    latitudes = []
+    for sign, where in (("", two.address), ("-", two.address), ("-", "local:2")):
+        (lander / "script.py").write_text(SCRIPT.replace("{sign}", sign))
+        flown = started("script.py", where, cwd=lander)
+        printed, errors = flown.communicate(timeout=300)
+        assert flown.returncode == 0 and not errors, errors
+        latitudes.append(float(printed))
+    assert latitudes[0] < 0.0 < latitudes[1] == latitudes[2]
+
+
+@pytest.mark.slow
+def test_a_script_that_does_not_look_whether_it_is_the_main_one(lander, two):
+    """Which workers would fly within what they fly."""
+    begin, end = SCRIPT.split('if __name__ == "__main__":')
+    (lander / "script.py").write_text(
+        f"{begin}if True:{end}".replace("{sign}", "").replace(
+            "jentry.setup(1)", "jax.config.update('jax_enable_x64', True)"
+        )
+    )
+    flown = started("-W", "default", "script.py", two.address, cwd=lander)
+    _, errors = flown.communicate(timeout=300)
+    assert flown.returncode == 1
+    assert "ClusterError: a worker runs the script of who asks" in errors
+
+
+def _is_there(group: int) -> bool:
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_it_in_one_line(lander):
+    """With the processes that it has started, to which a terminal tells it too."""
+    many = [word if word != 1300 else 200_000 for word in FLY]
+    words = (*many, "--cluster", "local:2", "--out", "out")
+    flown = started(*words, cwd=lander, start_new_session=True)
+    try:
+        stored = lambda: list((lander / "out").glob("runs-*.nc"))
+        wait_for(lambda: stored() or flown.poll() is not None, "the first part")
+        os.killpg(flown.pid, signal.SIGINT)
+        printed, errors = flown.communicate(timeout=60)
+        assert flown.returncode == 130
+        lines = [line for line in errors.splitlines() if " of 200000 runs" not in line]
+        assert lines == ["jentry: interrupted; the same command resumes"]
+        wait_for(lambda: not _is_there(flown.pid), "the end of all processes")
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(flown.pid, signal.SIGKILL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "command_words",
+    [
+        (
+            "compare",
+            "mars-drag-tracking",
+            "--variant",
+            "energy-index",
+            "--variant",
+            "table-3",
+        ),
+        (
+            "tune",
+            "mars-drag-tracking",
+            "--runs",
+            "64",
+            "--steps",
+            "2",
+            "--held-out",
+            "64",
+        ),
+    ],
+)
+def test_other_commands(tmp_path, two, command_words):
+    said = []
+    for name, words in {"here": (), "there": ("--cluster", two.address)}.items():
+        words = *command_words, *words, "--out", name
+        flown = started("-m", "jentry", *words, cwd=tmp_path)
+        printed, errors = flown.communicate(timeout=300)
+        assert flown.returncode == 0, errors
+        said.append(printed.replace(name, "out"))
+    assert said[0] == said[1]
