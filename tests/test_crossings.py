@@ -208,15 +208,15 @@ def test_a_flown_flight_is_the_one_over_its_bank():
         x_33.open_loop(), termination=x_33.glide().termination
     )
     found = as_longitudinal(ReferenceFlight.of(scenario))
-    # One step of 0.1 s over the jump of the bank.
-    assert float(found.ends[-1]) == pytest.approx(float(own.ends[-1]), abs=1e-3)
+    # To the last of its steps of 0.1 s; one of them goes over the jump of the bank.
+    assert 0.0 <= float(own.ends[-1] - found.ends[-1]) < 0.1
     for time in (100.0, 400.0, 700.0):
         one, other = found.at(jnp.asarray(time)), own.at(jnp.asarray(time))
         assert float(one.state.altitude) == pytest.approx(
             float(other.state.altitude), abs=0.1
         )
         assert float(one.state.downrange) == pytest.approx(
-            float(other.state.downrange), abs=1.0
+            float(other.state.downrange), abs=2.0
         )
         assert float(one.lift_to_drag_up) == pytest.approx(
             float(other.lift_to_drag_up), rel=1e-5

@@ -193,6 +193,8 @@ def as_longitudinal(
 ) -> LongitudinalReference:
     """A flight in the vertical plane as a reference over the time since its start.
 
+    It ends with the last whole interval of the flight.
+
     **Arguments:**
 
     - `flight`: under a law without memory, which is flown at once.

@@ -253,7 +253,8 @@ def recorded() -> Recorded:
     history = fly(longer, history=_EVERY).history
     assert history is not None
     states, controls = history.states, history.controls
-    drag = jax.vmap(lambda s: air_data(earth(), vehicle(), s, HIGH_ANGLE).drag)
+    high = jnp.asarray(HIGH_ANGLE)
+    drag = jax.vmap(lambda s: air_data(earth(), vehicle(), s, high).drag)
     begins = np.argmax(np.asarray(drag(states)) > float(gate().drag))
     rows = np.flatnonzero(np.isfinite(np.asarray(history.time)))
     rows = rows[begins - int(_EARLIER / _EVERY) :]
