@@ -9,7 +9,6 @@ import importlib.util
 import sys
 import traceback
 from collections.abc import Callable, Collection, Iterator, Mapping
-from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -64,6 +63,11 @@ def mission_in_file(path: Path) -> Mission:
     found = _own(module.MISSION, f"MISSION of {path}", code, sources)
     _FOUND[path] = found
     return found
+
+
+EntryPoint = Any
+"""Of `importlib.metadata`, or of its backport, which stands in for it once somebody has
+imported that, as Dask does"""
 
 
 def packaged_missions() -> dict[str, list[EntryPoint]]:
