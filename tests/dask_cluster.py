@@ -1,5 +1,6 @@
 """A scheduler of Dask and its workers, each a process of its own, for tests."""
 
+import contextlib
 import json
 import os
 import signal
@@ -38,12 +39,22 @@ class DaskCluster:
     def __enter__(self):
         words = "--host", "127.0.0.1", "--port", "0", "--scheduler-file", self.file
         words += "--no-dashboard", "--dashboard-address", "127.0.0.1:0"
-        self.scheduler = self._started("scheduler", *words)
-        wait_for(self.file.exists, "the scheduler")
-        self.address = json.loads(self.file.read_text())["address"]
+        with contextlib.ExitStack() as ending:
+            ending.callback(self._end)
+            self.scheduler = self._started("scheduler", *words)
+            wait_for(self._is_told, "the scheduler")
+            self.address = json.loads(self.file.read_text())["address"]
+            self._ending = ending.pop_all()
         return self
 
     def __exit__(self, *reason):
+        self._ending.close()
+
+    def _is_told(self) -> bool:
+        """Whether the whole of its file is there."""
+        return self.file.exists() and self.file.read_text().endswith("}")
+
+    def _end(self) -> None:
         for process in self._processes:
             process.kill()
         for process in self._processes:
