@@ -143,8 +143,9 @@ import sys
 import jax
 before = dict(jax.config.values)
 import jentry
-jentry.fly, jentry.monte_carlo, jentry.find_mission
+jentry.fly, jentry.monte_carlo, jentry.find_mission, jentry.Cluster
 heavy = {"pint", "matplotlib", "xarray", "pandas", "typer", "h5netcdf", "netCDF4"}
+heavy |= {"dask", "distributed"}  # cloudpickle JAX imports where it is there
 loaded = sorted(heavy & set(sys.modules))
 assert not loaded, f"import jentry pulls in {loaded}"
 from jax._src import xla_bridge
