@@ -420,7 +420,10 @@ all_laws = {
     "Bézier": lambda reference: stored().guidance,
     "ground track": ground_track_law,
     "replanning": replanning_law,
-    "gated": lambda reference: Gated(state_feedback(reference), bank_profile(), 1.0),
+    # Which of its commands is flown hangs on the sensed drag: held through a cycle.
+    "gated": lambda reference: Sampled(
+        Gated(state_feedback(reference), bank_profile(), 1.0), 1.0
+    ),
     "control profiles": control_profiles,
     "pseudospectral": pseudospectral_law,
     "stored gains": stored_gain_law,

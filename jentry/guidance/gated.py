@@ -19,7 +19,8 @@ class Gated(AbstractContinuousLaw[Memory]):
 
     The memory of the law stays as it is where the drag is below. For laws that have no
     gate of their own, such as those over the energy, which hardly falls before there is
-    drag.
+    drag. Which of the two commands is flown hangs on the sensed drag: under an ideal
+    attitude it has to be held, `Sampled(Gated(...), period)`.
     """
 
     law: AbstractContinuousLaw[Memory]
