@@ -39,4 +39,10 @@ if __name__ == "__main__":
         FOLDER.glob("*.ipynb")
     )
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(execute, paths))
+        runs = {path: pool.submit(execute, path) for path in paths}
+    failures = {path.name: run.exception() for path, run in runs.items()}
+    for name, failure in failures.items():
+        if failure is not None:
+            print(f"{name}: {failure}", file=sys.stderr)
+    if any(failures.values()):
+        sys.exit(1)
