@@ -192,7 +192,8 @@ def _in_memory() -> Iterator[str]:
     **Raises:** `Untold` where something of somebody else's has taken a place.
     """
     seen: Seen = {}
-    for name, module in sorted(sys.modules.items()):
+    loaded = sys.modules.copy()  # in one go: other threads import meanwhile
+    for name, module in sorted(loaded.items()):
         package, *inside = name.split(".")
         if package != _OURS or inside[:1] in (["cli"], ["plots"], ["_provenance"]):
             continue

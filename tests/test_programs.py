@@ -1,6 +1,7 @@
 """Programs that are kept: found again by what they are made of, and by nothing less."""
 
 import functools
+import gc
 import os
 import subprocess
 import sys
@@ -180,6 +181,26 @@ def test_method_replaced_in_memory(ours, monkeypatch):
         _provenance.provenance("a program")
     monkeypatch.undo()
     assert made != _provenance.provenance("another")
+
+
+def test_a_module_comes_in_from_another_thread(monkeypatch):
+    """Python may turn to another thread, which imports, wherever it collects garbage."""
+    count = len(sys.modules)
+
+    def imports(phase, _):
+        name = f"come_in_{len(sys.modules)}"
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+
+    thresholds = gc.get_threshold()
+    gc.callbacks.append(imports)
+    try:
+        gc.set_threshold(1)
+        made = _provenance.provenance("a program")
+    finally:
+        gc.set_threshold(*thresholds)
+        gc.callbacks.remove(imports)
+    assert len(sys.modules) > count
+    assert made == _provenance.provenance("a program")
 
 
 def doubled(function):

@@ -165,7 +165,7 @@ def _digests(sources: Mapping[Path, bytes], root: Path) -> dict[str, str]:
 
 def _forget(sources: Collection[Path]) -> None:
     """Have files that may have changed imported again, and not as they were before."""
-    for name, module in list(sys.modules.items()):
+    for name, module in sys.modules.copy().items():
         file = getattr(module, "__file__", None)
         if file is not None and Path(file) in sources:
             del sys.modules[name]
