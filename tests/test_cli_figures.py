@@ -4,13 +4,15 @@ import threading
 
 import numpy as np
 import pytest
-from helpers import mars_scenario
+from helpers import bank_profile, mars_scenario
 
 from jentry.campaign import monte_carlo
 from jentry.campaign.dispersions import Dispersion, key_of
 from jentry.campaign.distributions import Uniform
-from jentry.cli.figures import Histories, histories_of
+from jentry.cli.figures import Histories, histories_of, interval_of
 from jentry.flight import FixedStep
+from jentry.flight.cycle import Plan
+from jentry.guidance import Sampled
 
 
 def test_they_begin_when_they_are_told_and_once():
@@ -98,3 +100,28 @@ def test_a_campaign_that_is_refused_flies_none(command, monkeypatch):
     assert code == 0, said
     code, _, said = command(*first, "--seed", 1)
     assert code == 3 and "seed is 0 there and 1 now" in said
+
+
+@pytest.mark.parametrize(
+    ("period", "step", "interval"),
+    [
+        (None, 0.1, 0.5),
+        (None, 0.3, 0.6),  # two steps
+        (None, 1.0, 1.0),  # one step, which is longer than half a second
+        (0.1, 0.05, 0.5),
+        (2.0, 0.1, 0.5),
+        (2.0, 2.0, 2.0),
+        (3.0, 1.0, 1.0),
+        (0.7, 0.1, 0.7),  # seven steps: of a half of it there would be shorter ones
+    ],
+)
+def test_histories_are_kept_at_whole_steps_of_the_flights(period, step, interval):
+    law = bank_profile()
+    scenario = mars_scenario(law if period is None else Sampled(law, period))
+    solver = FixedStep(step)
+    assert interval_of(scenario, solver) == pytest.approx(interval, rel=1e-12)
+    flown, kept = [
+        Plan.of(scenario, solver, h) for h in (None, interval_of(scenario, solver))
+    ]
+    assert kept.step == pytest.approx(flown.step, rel=1e-12)
+    assert kept.step == pytest.approx(step, rel=1e-12)

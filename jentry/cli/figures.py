@@ -19,10 +19,10 @@ from ..campaign.dispersions import Dispersion, key_of
 from ..campaign.errors import CampaignError
 from ..campaign.results import dataset
 from ..campaign.samplers import AbstractSampler
-from ..flight.cycle import varies
+from ..flight.cycle import Plan, varies
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
-from ..guidance.law import AbstractLaw, AbstractSampledLaw
+from ..guidance.law import AbstractSampledLaw
 from ..missions.mission import Mission
 
 
@@ -195,20 +195,25 @@ def stored_histories(folder: Path, campaign: str) -> "xarray.Dataset | None":
     return flown
 
 
-def interval_of(law: AbstractLaw) -> float:
-    """At which a history can be kept, s: about `_INTERVAL`, in step with the cycle."""
+def interval_of(scenario: Scenario, solver: AbstractSolver) -> float:
+    """At which a history can be kept, s: about `_INTERVAL`, in step with the cycle.
+
+    It is of whole steps: with others the flights would not be those of the campaign.
+    """
+    plan, law = Plan.of(scenario, solver, None), scenario.guidance
     if not isinstance(law, AbstractSampledLaw):
-        return _INTERVAL
+        return plan.step * max(1, round(_INTERVAL / plan.step))
     period = law.cycle.period
     if varies(law):
         return period
     if period > _INTERVAL:
-        return period / math.ceil(period / _INTERVAL - 1e-9)
+        steps, most = round(period / plan.step), math.ceil(period / _INTERVAL - 1e-9)
+        return period / max(n for n in range(1, most + 1) if steps % n == 0)
     return period * max(1, round(_INTERVAL / period))
 
 
 def _fly(scenario: Scenario, inputs, solver: AbstractSolver):
-    interval = interval_of(scenario.guidance)
+    interval = interval_of(scenario, solver)
     campaign = monte_carlo(
         scenario,
         runs=len(next(iter(inputs.values()))),

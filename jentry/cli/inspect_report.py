@@ -14,8 +14,6 @@ from ..campaign.campaign import monte_carlo
 from ..campaign.outputs import unit_size
 from ..campaign.results import OutputNamed, dataset
 from ..campaign.store import write_campaign
-from ..flight.closed_loop import guidance_period
-from ..flight.cycle import Plan, varies
 from ..flight.scenario import Scenario
 from ..flight.solver import FixedStep
 from ..flight.termination import Outcome
@@ -25,15 +23,13 @@ from ..plots.one_flight import draw_flight
 from ..statistics.intervals import CONFIDENCE, Interval
 from ..statistics.ranking import WorstRun, inputs_of
 from ..units import at_edge, edge_unit
+from .figures import interval_of
 from .tables import in_digits, new_console, print_in_pieces
 
 
 if TYPE_CHECKING:
     import xarray
 
-
-_INTERVAL = 0.5
-"""s, about"""
 
 FOLDER = "inspect"
 """Below that of the campaign"""
@@ -163,7 +159,8 @@ def fly_again(
         )
     else:
         console.print(f"run {run} flown again: every stored number, to the last bit")
-    interval = _interval(scenario, solver, kept) if history is None else history
+    usual = interval_of(scenario, solver) if kept is None else kept
+    interval = usual if history is None else history
     flown = monte_carlo(
         scenario, runs=[run], inputs=inputs, solver=solver, history=interval
     )
@@ -184,20 +181,6 @@ def fly_again(
     (drawn,) = save_figures({path.stem: draw_flight(scenario, flight, title)}, target)
     console.print(f"written: {path}")
     console.print(f"figure: {drawn}")
-
-
-def _interval(scenario: Scenario, solver: FixedStep, history: float | None) -> float:
-    """Interval of a history (s) with which the flight takes the steps of the campaign."""
-    law = scenario.guidance
-    step = Plan.of(scenario, solver, history).step
-    period = guidance_period(scenario)
-    if period is None:
-        return step * max(1, round(_INTERVAL / step))
-    if varies(law) or period <= _INTERVAL:
-        return period
-    steps = round(period / step)
-    whole = (k for k in range(1, steps + 1) if steps % k == 0 and k * step >= _INTERVAL)
-    return step * next(whole, steps)
 
 
 def _different(stored: "xarray.Dataset", flown: "xarray.Dataset") -> dict[str, float]:

@@ -12,6 +12,7 @@ from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
+from .._batching import any_lane
 from .._setup import needs_float64
 from .._warnings import ResultWarning
 from ..fields import Count, Flag, Scalar
@@ -158,10 +159,23 @@ def _running(lane: Lane) -> Flag:
 
 
 def _observe(scenario: Scenario, plan: Plan, lane: Lane) -> History:
-    """One entry of the history; NaN where the flight had ended."""
-    flying = lane.on_schedule
+    """One entry of the history; NaN where the flight had ended.
+
+    Of a horizon of many times the flights it looks at no more than these.
+    """
+    shapes = eqx.filter_eval_shape(_observed, scenario, plan, lane)
+    ended = jax.tree.map(lambda x: jnp.full(x.shape, jnp.nan, x.dtype), shapes)
+    return lax.cond(
+        any_lane(lane.on_schedule),
+        lambda: _observed(scenario, plan, lane),
+        lambda: ended,
+    )
+
+
+@eqx.filter_jit
+def _observed(scenario: Scenario, plan: Plan, lane: Lane) -> History:
     # Entries past the end are not states of a flight: observe the start in their place.
-    first = scenario.initial_state
+    flying, first = lane.on_schedule, scenario.initial_state
     state = jax.tree.map(lambda a, b: jnp.where(flying, a, b), lane.state, first)
     lane = eqx.tree_at(lambda lane: lane.moving.state, lane, state)
     lane = plan.decided(scenario, lane)
