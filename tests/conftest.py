@@ -1,5 +1,8 @@
 """Settings and fixtures that every test shares."""
 
+import contextlib
+import ctypes
+import gc
 import os
 import sys
 from pathlib import Path
@@ -63,12 +66,21 @@ def in_memory() -> float:
     return pages * os.sysconf("SC_PAGE_SIZE")
 
 
+def give_back() -> None:
+    """Have the C library, if it is glibc, give back what is free: else all that follow
+    would be beyond what is allowed as well, and would find nothing compiled."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
 @pytest.fixture(autouse=True)
 def forgetting(request):
     """What slow tests have traced and compiled would fill the memory, gigabytes in all."""
     yield
     if request.node.get_closest_marker("slow") and in_memory() > _MOST:
         jax.clear_caches()
+        gc.collect()
+        give_back()
 
 
 @pytest.fixture
