@@ -1,5 +1,6 @@
 """The flights of the figures, beside the campaign."""
 
+import dataclasses
 import threading
 
 import numpy as np
@@ -103,21 +104,32 @@ def test_a_campaign_that_is_refused_flies_none(command, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("period", "step", "interval"),
+    ("period", "step", "time_limit", "interval"),
     [
-        (None, 0.1, 0.5),
-        (None, 0.3, 0.6),  # two steps
-        (None, 1.0, 1.0),  # one step, which is longer than half a second
-        (0.1, 0.05, 0.5),
-        (2.0, 0.1, 0.5),
-        (2.0, 2.0, 2.0),
-        (3.0, 1.0, 1.0),
-        (0.7, 0.1, 0.7),  # seven steps: of a half of it there would be shorter ones
+        (None, 0.1, 600.0, 0.5),
+        (None, 0.3, 600.0, 0.6),  # two steps
+        (None, 1.0, 600.0, 1.0),  # one step, which is longer than half a second
+        (None, 0.1, 6000.0, 1.5),  # 4000 entries
+        (0.1, 0.05, 600.0, 0.5),
+        (0.1, 0.05, 4000.0, 1.0),
+        (2.0, 0.1, 600.0, 0.5),
+        (2.0, 2.0, 600.0, 2.0),
+        (3.0, 1.0, 600.0, 1.0),
+        (
+            0.7,
+            0.1,
+            600.0,
+            0.7,
+        ),  # seven steps: of a half of it there would be shorter ones
     ],
 )
-def test_histories_are_kept_at_whole_steps_of_the_flights(period, step, interval):
+def test_histories_are_kept_at_whole_steps_of_the_flights(
+    period, step, time_limit, interval
+):
     law = bank_profile()
     scenario = mars_scenario(law if period is None else Sampled(law, period))
+    termination = dataclasses.replace(scenario.termination, time_limit=time_limit)
+    scenario = dataclasses.replace(scenario, termination=termination)
     solver = FixedStep(step)
     assert interval_of(scenario, solver) == pytest.approx(interval, rel=1e-12)
     flown, kept = [

@@ -41,6 +41,10 @@ _DIGEST = "campaign_digest"
 _INTERVAL = 0.5
 """s; the longest guidance cycle of a law whose cycle varies"""
 
+_MOST_ENTRIES = 4000
+"""Of a history up to the time limit of its flight, for which all memory is taken at the
+start: some 100 MB for a batch"""
+
 _TRAJECTORIES = 4 * LANES - 1
 """Runs whose trajectories make the bands, if the campaign has not kept them. With the
 nominal flight they are whole batches."""
@@ -198,18 +202,20 @@ def stored_histories(folder: Path, campaign: str) -> "xarray.Dataset | None":
 def interval_of(scenario: Scenario, solver: AbstractSolver) -> float:
     """At which a history can be kept, s: about `_INTERVAL`, in step with the cycle.
 
-    It is of whole steps: with others the flights would not be those of the campaign.
+    Longer where a flight may have more than `_MOST_ENTRIES`. It is of whole steps: with
+    others the flights would not be those of the campaign.
     """
     plan, law = Plan.of(scenario, solver, None), scenario.guidance
+    about = max(_INTERVAL, scenario.termination.time_limit / _MOST_ENTRIES)
     if not isinstance(law, AbstractSampledLaw):
-        return plan.step * max(1, round(_INTERVAL / plan.step))
+        return plan.step * max(1, round(about / plan.step))
     period = law.cycle.period
     if varies(law):
         return period
-    if period > _INTERVAL:
-        steps, most = round(period / plan.step), math.ceil(period / _INTERVAL - 1e-9)
+    if period > about:
+        steps, most = round(period / plan.step), math.ceil(period / about - 1e-9)
         return period / max(n for n in range(1, most + 1) if steps % n == 0)
-    return period * max(1, round(_INTERVAL / period))
+    return period * max(1, round(about / period))
 
 
 def _fly(scenario: Scenario, inputs, solver: AbstractSolver):
