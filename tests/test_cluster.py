@@ -7,6 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import cheap
@@ -212,6 +213,34 @@ def test_settings_are_those_of_who_asks(two):
         with jax.numpy_rank_promotion(wanted), jentry.Cluster(two.address):
             raises = over_runs(with_words, WORDS, {"x": np.ones(3)})[1]
             assert raises.all() == (wanted == "raise")
+
+
+def test_a_worker_gets_ready_as_who_asks(monkeypatch):
+    """With so many threads and with the options, or not at all."""
+    seen = []
+    setup = lambda *given, **options: seen.append((given, options))
+    monkeypatch.setattr(worker_module, "setup", setup)
+    known = worker_module.terms() | {"fast": True}
+    with pytest.raises(jentry.ClusterError, match="fast is False there and True now"):
+        worker_module._get_ready(3, known, "tcp://here")
+    assert seen == [((3,), {"fast": True})]
+
+
+def test_the_time_without_workers_begins_anew(two, monkeypatch):
+    """Looks at a cluster with so many workers at so many seconds."""
+    with jentry.Cluster(two.address, patience=5.0):
+        machines = batch._MACHINES.get()
+        for now, workers in ((1, 0), (5, 0), (6, 1), (99, 0), (103, 0)):
+            clock = types.SimpleNamespace(monotonic=lambda now=now: float(now))
+            monkeypatch.setattr(cluster_module, "time", clock)
+            there = lambda self, workers=workers: workers * [1]
+            monkeypatch.setattr(type(machines), "_threads", there)
+            machines._look()
+        clock = types.SimpleNamespace(monotonic=lambda: 105.0)
+        monkeypatch.setattr(cluster_module, "time", clock)
+        with pytest.raises(jentry.ClusterError, match="none for 5 s"):
+            machines._look()
+        monkeypatch.undo()
 
 
 def test_changed_files_of_jentry_are_refused(two, monkeypatch):
