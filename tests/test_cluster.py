@@ -1,6 +1,7 @@
 """Campaigns and gradients on real clusters of Dask: the same bits, whoever is lost."""
 
 import contextlib
+import importlib
 import json
 import os
 import shutil
@@ -23,7 +24,12 @@ from dask_cluster import ROOT, DaskCluster, kill, wait_for
 from readme import file_of_the_readme
 
 import jentry
-from jentry.campaign import batch, cluster as cluster_module, worker as worker_module
+from jentry.campaign import (
+    batch,
+    carried,
+    cluster as cluster_module,
+    worker as worker_module,
+)
 from jentry.campaign.batch import LANES, over_runs, sum_over_runs
 from jentry.missions import find_mission
 
@@ -258,6 +264,27 @@ def test_another_processor_is_said_once(two, monkeypatch):
         with pytest.warns(UserWarning, match="has another processor than this machine"):
             over_runs(with_words, WORDS, {"x": np.ones(3)})
         over_runs(with_words, WORDS, {"x": np.ones(3)})
+
+
+@pytest.fixture
+def nothing_sent(monkeypatch):
+    """As in a worker that begins, and this process as it was afterwards."""
+    monkeypatch.setattr(carried, "_SENT", {})
+    monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
+    before = set(sys.modules)
+    yield
+    for name in set(sys.modules) - before:
+        del sys.modules[name]
+
+
+def test_what_imports_a_changed_module_is_imported_again(nothing_sent):
+    source = lambda name, text: {name: carried.Source(text, f"{name}.py", False)}
+    whole = source("sent_whole", "from sent_part import VALUE\n")
+    for value in (1, 2):
+        sent = whole | source("sent_part", f"VALUE = {value}\n")
+        assert carried.receive(sent)
+        assert importlib.import_module("sent_whole").VALUE == value
+        assert not carried.receive(sent)
 
 
 def test_a_class_that_no_worker_finds_is_refused(two):
