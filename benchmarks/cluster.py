@@ -13,6 +13,7 @@ fly. Other work on the machine makes the times longer; their ratios bear that be
 
 import argparse
 import contextlib
+import logging
 import os
 import statistics
 import tempfile
@@ -141,6 +142,7 @@ def main() -> None:
         processes=True,
         memory_limit=None,
         dashboard_address="127.0.0.1:0",
+        silence_logs=logging.CRITICAL,
     ) as workers:
         address = workers.scheduler_address
         fly()
