@@ -12,6 +12,7 @@ import types
 from pathlib import Path
 
 import cheap
+import distributed
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -247,6 +248,34 @@ def test_the_time_without_workers_begins_anew(two, monkeypatch):
         with pytest.raises(jentry.ClusterError, match="none for 5 s"):
             machines._look()
         monkeypatch.undo()
+
+
+class Late(distributed.Future):
+    """A value that is lost with its worker, and flown again by another one."""
+
+    def __init__(self):
+        self.waits = []
+
+    def __del__(self):
+        pass
+
+    @property
+    def status(self):
+        return "pending"
+
+    def result(self, timeout=None):
+        self.waits.append(timeout)
+        if len(self.waits) < 3:
+            raise TimeoutError
+        here = worker_module.kind_of_processor()
+        return worker_module.Flown(carried.dumped(7.0), "tcp://here", here)
+
+
+def test_a_value_that_is_lost_is_waited_for(two):
+    with jentry.Cluster(two.address, patience=5.0):
+        late = Late()
+        assert batch._MACHINES.get()._value(late) == 7.0
+        assert late.waits == 3 * [5.0]
 
 
 def test_changed_files_of_jentry_are_refused(two, monkeypatch):
