@@ -200,9 +200,11 @@ def test_flights_that_there_are_not():
             ValueError, match=f"asks for a cosine of the bank of {words}"
         ):
             plan_bank_over_velocity(wish, ends)
-    upwards = LongitudinalState(60e3, 4600.0, -60.0 * degree)
-    with pytest.raises(ValueError, match="its velocity must fall all the time"):
-        fly_longitudinal(x_33.model(), x_33.cos_bank(), upwards, 760.0)
+    # It falls faster and faster, or climbs until the velocity no longer falls.
+    for angle in (-60.0, 30.0):
+        start = LongitudinalState(60e3, 4600.0, angle * degree)
+        with pytest.raises(ValueError, match="its velocity must fall all the time"):
+            fly_longitudinal(x_33.model(), x_33.cos_bank(), start, 760.0)
     with pytest.raises(ValueError, match=r"downrange has shape \(2, 3\)"):
         LongitudinalReference(
             jnp.arange(3.0), *3 * [jnp.ones((2, 4))], jnp.ones((2, 3)), jnp.ones((2, 4))
