@@ -301,6 +301,8 @@ def test_alternatives_that_are_refused():
         ValueError, match="paper's has no output downrange; nearest: down"
     ):
         alternatives_of(made, ["downrange"])
+    with pytest.raises(ValueError, match="no output is to be compared"):
+        alternatives_of(made, [])
     bare = campaign(np.zeros(5))
     assert [x.name for x in alternatives_of({"a": bare, "b": bare}).outputs] == [
         "downrange_error"

@@ -202,7 +202,9 @@ def alternatives_of(
     results = {
         name: x.drop_dims("time", errors="ignore") for name, x in campaigns.items()
     }
-    chosen = usual_outputs(results) if outputs is None else list(outputs)
+    chosen = usual_outputs(results) if outputs is None else list(dict.fromkeys(outputs))
+    if not chosen:
+        raise ValueError("no output is to be compared: name one, or leave outputs out")
     for name, output in itertools.product(results, chosen):
         _require(results, name, output)
     first, *others = results
