@@ -250,6 +250,16 @@ def test_the_time_without_workers_begins_anew(two, monkeypatch):
         monkeypatch.undo()
 
 
+def test_a_scheduler_that_is_lost_while_it_is_asked(two, monkeypatch):
+    def gone():
+        raise OSError("the connection is closed")
+
+    with jentry.Cluster(two.address):
+        monkeypatch.setattr(batch._MACHINES.get()._client, "nthreads", gone)
+        with pytest.raises(jentry.ClusterError, match="the scheduler at .* is lost"):
+            over_runs(with_words, WORDS, {"x": np.ones(3)})
+
+
 class Late(distributed.Future):
     """A value that is lost with its worker, and flown again by another one."""
 

@@ -86,6 +86,15 @@ def test_how_much_slower_the_drag_trackers_of_the_rlv_are():
     assert same((law.gains, law.observer), (gains, observer))
 
 
+def test_drag_trackers_of_the_rlv_begin_as_its_own_law():
+    """From the same drag on, with the same bank before."""
+    own = RLV.scenario("r5").guidance.bank.law
+    known = on_rlv.observer_drag_tracking().guidance.bank.law.reference
+    assert float(known.gate) == float(own.gate.drag)
+    cosine = float(known.cos_bank(jnp.asarray(7300.0)))
+    assert cosine == pytest.approx(np.cos(float(own.first_bank)), rel=1e-14)
+
+
 def test_the_model_of_the_drag_trackers_has_the_rate_of_the_schedule():
     """D' of the reference flight of the X-33 where the angle of attack falls."""
     table, planet = on_x_33.table(EnergyIndex()), x_33.earth()
