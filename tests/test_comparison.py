@@ -275,7 +275,7 @@ def test_what_all_have_is_compared():
     assert found.differences["tuned", "other"] == both
 
 
-def test_other_draws_are_told_and_a_law_that_loses_all():
+def test_other_draws_are_told_and_a_law_that_loses_all(capsys):
     made, *_ = laws()
     mass = np.random.default_rng(9).normal(size=20)
     made["tuned"] = campaign(np.ones(20), mass)
@@ -289,6 +289,22 @@ def test_other_draws_are_told_and_a_law_that_loses_all():
     assert "takes two finite flights" in found.untold["paper's", "other"]
     levels = found.rows[2].levels["downrange_error"]
     assert levels.percentiles[50.0] == np.inf
+    (untold,) = json.loads(found.as_json())["without_differences"]
+    assert (untold["first"], untold["second"]) == ("paper's", "other")
+    print_alternatives(found)
+    printed = capsys.readouterr().out
+    assert "3 alternatives NOT on the same draws (tuned: vehicle.mass was" in printed
+    assert rows(printed)["other"][:3] == ["301", "301", "no end"]
+    assert "other less paper's is not told: a comparison takes two finite" in printed
+
+
+def test_what_is_left_out_is_printed(capsys):
+    made, *_ = laws()
+    made["tuned"] = made["tuned"].isel(run=slice(200))
+    print_alternatives(alternatives_of(made))
+    printed = capsys.readouterr().out
+    assert "202 runs that not all of them have are left out" in printed
+    assert "10 left out: not finite, or without an end" in printed
 
 
 def test_alternatives_that_are_refused():
