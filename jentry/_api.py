@@ -162,6 +162,7 @@ from .statistics import (
     Requirement as Requirement,
     Summary as Summary,
     Verdict as Verdict,
+    alternatives_of as alternatives_of,
     compared as compared,
     judged as judged,
     rank_correlations as rank_correlations,

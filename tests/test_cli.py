@@ -193,7 +193,8 @@ ARRIVE = {
     "inspect": {"by", "smallest", "worst", "run", "history", "mission", "workers"}
     | {"gradient", "no-gradient"},
     "compare": {"variant", "config", "runs", "seed", "dispersions", "set", "step"}
-    | {"out", "quiet", "workers", "fast", "no-fast", "cluster"},
+    | {"out", "quiet", "workers", "fast", "no-fast", "cluster"}
+    | {"outputs", "percentiles", "all-pairs", "json"},
     "tune": RUN
     | {"gains", "runs", "steps", "loss", "of", "out", "optimizer", "learning-rate"}
     | {"bounds", "smooth", "no-smooth", "fresh-draws", "no-fresh-draws", "patience"}

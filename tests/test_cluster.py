@@ -1,15 +1,18 @@
 """Campaigns and gradients on real clusters of Dask: the same bits, whoever is lost."""
 
 import contextlib
+import importlib
 import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
+import types
 from pathlib import Path
 
 import cheap
+import distributed
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,7 +25,12 @@ from dask_cluster import ROOT, DaskCluster, kill, wait_for
 from readme import file_of_the_readme
 
 import jentry
-from jentry.campaign import batch, cluster as cluster_module, worker as worker_module
+from jentry.campaign import (
+    batch,
+    carried,
+    cluster as cluster_module,
+    worker as worker_module,
+)
 from jentry.campaign.batch import LANES, over_runs, sum_over_runs
 from jentry.missions import find_mission
 
@@ -214,6 +222,72 @@ def test_settings_are_those_of_who_asks(two):
             assert raises.all() == (wanted == "raise")
 
 
+def test_a_worker_gets_ready_as_who_asks(monkeypatch):
+    """With so many threads and with the options, or not at all."""
+    seen = []
+    setup = lambda *given, **options: seen.append((given, options))
+    monkeypatch.setattr(worker_module, "setup", setup)
+    known = worker_module.terms() | {"fast": True}
+    with pytest.raises(jentry.ClusterError, match="fast is False there and True now"):
+        worker_module._get_ready(3, known, "tcp://here")
+    assert seen == [((3,), {"fast": True})]
+
+
+def test_the_time_without_workers_begins_anew(two, monkeypatch):
+    """Looks at a cluster with so many workers at so many seconds."""
+    with jentry.Cluster(two.address, patience=5.0):
+        machines = batch._MACHINES.get()
+        for now, workers in ((1, 0), (5, 0), (6, 1), (99, 0), (103, 0)):
+            clock = types.SimpleNamespace(monotonic=lambda now=now: float(now))
+            monkeypatch.setattr(cluster_module, "time", clock)
+            there = lambda self, workers=workers: workers * [1]
+            monkeypatch.setattr(type(machines), "_threads", there)
+            machines._look()
+        clock = types.SimpleNamespace(monotonic=lambda: 105.0)
+        monkeypatch.setattr(cluster_module, "time", clock)
+        with pytest.raises(jentry.ClusterError, match="none for 5 s"):
+            machines._look()
+        monkeypatch.undo()
+
+
+def test_a_scheduler_that_is_lost_while_it_is_asked(two, monkeypatch):
+    def gone():
+        raise OSError("the connection is closed")
+
+    with jentry.Cluster(two.address):
+        monkeypatch.setattr(batch._MACHINES.get()._client, "nthreads", gone)
+        with pytest.raises(jentry.ClusterError, match="the scheduler at .* is lost"):
+            over_runs(with_words, WORDS, {"x": np.ones(3)})
+
+
+class Late(distributed.Future):
+    """A value that is lost with its worker, and flown again by another one."""
+
+    def __init__(self):
+        self.waits = []
+
+    def __del__(self):
+        pass
+
+    @property
+    def status(self):
+        return "pending"
+
+    def result(self, timeout=None):
+        self.waits.append(timeout)
+        if len(self.waits) < 3:
+            raise TimeoutError
+        here = worker_module.kind_of_processor()
+        return worker_module.Flown(carried.dumped(7.0), "tcp://here", here)
+
+
+def test_a_value_that_is_lost_is_waited_for(two):
+    with jentry.Cluster(two.address, patience=5.0):
+        late = Late()
+        assert batch._MACHINES.get()._value(late) == 7.0
+        assert late.waits == 3 * [5.0]
+
+
 def test_changed_files_of_jentry_are_refused(two, monkeypatch):
     monkeypatch.setattr("jentry._provenance._IMPORTED", 0.0)
     with (
@@ -229,6 +303,27 @@ def test_another_processor_is_said_once(two, monkeypatch):
         with pytest.warns(UserWarning, match="has another processor than this machine"):
             over_runs(with_words, WORDS, {"x": np.ones(3)})
         over_runs(with_words, WORDS, {"x": np.ones(3)})
+
+
+@pytest.fixture
+def nothing_sent(monkeypatch):
+    """As in a worker that begins, and this process as it was afterwards."""
+    monkeypatch.setattr(carried, "_SENT", {})
+    monkeypatch.setattr(sys, "meta_path", list(sys.meta_path))
+    before = set(sys.modules)
+    yield
+    for name in set(sys.modules) - before:
+        del sys.modules[name]
+
+
+def test_what_imports_a_changed_module_is_imported_again(nothing_sent):
+    source = lambda name, text: {name: carried.Source(text, f"{name}.py", False)}
+    whole = source("sent_whole", "from sent_part import VALUE\n")
+    for value in (1, 2):
+        sent = whole | source("sent_part", f"VALUE = {value}\n")
+        assert carried.receive(sent)
+        assert importlib.import_module("sent_whole").VALUE == value
+        assert not carried.receive(sent)
 
 
 def test_a_class_that_no_worker_finds_is_refused(two):

@@ -15,13 +15,14 @@ from jentry import find_mission, fly, misses, monte_carlo
 from jentry.flight import Outcome
 from jentry.guidance import Gated
 from jentry.guidance.drag_tracking import drag_dynamics
+from jentry.guidance.law import AbstractContinuousLaw, Tracked
 from jentry.guidance.open_loop import BankProfile
 from jentry.missions.mars import crossings as on_mars
 from jentry.missions.mars.drag_tracking import nominal_gains, nominal_observer
 from jentry.missions.rlv import crossings as on_rlv
 from jentry.missions.sx_2.scenario import gains as gains_of_sx_2
 from jentry.missions.x_33 import airframe, crossings as on_x_33, scenario as x_33
-from jentry.motion import IdealAttitude
+from jentry.motion import Controls, IdealAttitude
 from jentry.motion.index import EnergyIndex
 from jentry.motion.quantities import energy
 from jentry.onboard import Measurement, OnboardModel, PolynomialProfile, measure
@@ -83,6 +84,15 @@ def test_how_much_slower_the_drag_trackers_of_the_rlv_are():
     law = on_rlv.observer_drag_tracking().guidance.bank.law
     assert on_rlv.SLOWER == 4.0
     assert same((law.gains, law.observer), (gains, observer))
+
+
+def test_drag_trackers_of_the_rlv_begin_as_its_own_law():
+    """From the same drag on, with the same bank before."""
+    own = RLV.scenario("r5").guidance.bank.law
+    known = on_rlv.observer_drag_tracking().guidance.bank.law.reference
+    assert float(known.gate) == float(own.gate.drag)
+    cosine = float(known.cos_bank(jnp.asarray(7300.0)))
+    assert cosine == pytest.approx(np.cos(float(own.first_bank)), rel=1e-14)
 
 
 def test_the_model_of_the_drag_trackers_has_the_rate_of_the_schedule():
@@ -169,6 +179,33 @@ def test_a_gated_law_acts_above_its_drag_alone():
         measured = Measurement(state, force, force, 0.6 + 0.0 * force, 0.6 + 0 * force)
         told, rate = gated(force, measured, gated.init(measured))
         assert float(told.cos_bank) == cosine and rate is None
+
+
+class Counting(AbstractContinuousLaw[jax.Array]):
+    """Remembers how long it has acted."""
+
+    def init(self, measurement):
+        return jnp.zeros(())
+
+    def __call__(self, time, measurement, memory):
+        bank = Controls.from_bank(memory, measurement.trim_angle_of_attack)
+        return bank, jnp.ones(())
+
+    def tracked(self, time, measurement, held):
+        return Tracked(((time,),), ("bank_angle",))
+
+
+def test_a_gated_law_forgets_nothing_and_learns_nothing_below():
+    gated = Gated(Counting(), BankProfile(PolynomialProfile([0.75])), 2.0)
+    state, time = x_33.start(x_33.reference()), jnp.asarray(3.0)
+    for drag, expected in ((1.9, 0.0), (2.1, 1.0)):
+        force = jnp.asarray(drag)
+        measured = Measurement(state, force, force, 0.6 + 0.0 * force, 0.6 + 0 * force)
+        assert float(gated.init(measured)) == 0.0
+        _, rate = gated(time, measured, jnp.asarray(0.5))
+        assert float(rate) == expected
+        told = gated.tracked(time, measured, None)
+        assert told is not None and float(told.errors[0][0]) == 3.0
 
 
 # Where they end.

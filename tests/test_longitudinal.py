@@ -3,6 +3,8 @@
 Expected: equations (1) to (5) and (10) of the paper with r_E / r, in a few lines of numpy.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -187,22 +189,22 @@ def test_joined_profiles():
 
 
 def test_flights_that_there_are_not():
-    """More lift than there is, and a start from which the velocity does not fall."""
+    """More lift than there is, a drag that no altitude has, and a velocity that rises."""
     inverse = x_33.inverse(exact=True)
     ends = jnp.array([760.0, 4570.0, 7450.0])
-    with pytest.raises(ValueError, match="asks for a cosine of the bank of"):
-        plan_bank_over_velocity(
-            type(inverse)(
-                inverse.planet,
-                inverse.vehicle,
-                inverse.angle_of_attack,
-                x_33.plan(1.0).drag,
-            ),
-            ends,
-        )
-    upwards = LongitudinalState(60e3, 4600.0, -60.0 * degree)
-    with pytest.raises(ValueError, match="its velocity must fall all the time"):
-        fly_longitudinal(x_33.model(), x_33.cos_bank(), upwards, 760.0)
+    planned = x_33.plan(1.0).drag
+    none = dataclasses.replace(planned, values=-planned.values)
+    for drag, words in ((planned, ""), (none, "nan: there is no such flight")):
+        wish = dataclasses.replace(inverse, drag=drag)
+        with pytest.raises(
+            ValueError, match=f"asks for a cosine of the bank of {words}"
+        ):
+            plan_bank_over_velocity(wish, ends)
+    # It falls faster and faster, or climbs until the velocity no longer falls.
+    for angle in (-60.0, 30.0):
+        start = LongitudinalState(60e3, 4600.0, angle * degree)
+        with pytest.raises(ValueError, match="its velocity must fall all the time"):
+            fly_longitudinal(x_33.model(), x_33.cos_bank(), start, 760.0)
     with pytest.raises(ValueError, match=r"downrange has shape \(2, 3\)"):
         LongitudinalReference(
             jnp.arange(3.0), *3 * [jnp.ones((2, 4))], jnp.ones((2, 3)), jnp.ones((2, 4))

@@ -15,6 +15,7 @@ from helpers import fly_compiled, truths
 from readme import README, assert_prints, assert_says, rows
 
 from jentry.campaign import monte_carlo
+from jentry.campaign.batch import _BLOCKS, _CHUNKS, LANES
 from jentry.campaign.dispersions import key_of
 from jentry.campaign.populations import Population
 from jentry.cli.overrides import apply_values, in_si, read_overrides
@@ -326,6 +327,26 @@ def test_ratios_of_the_times():
     milliseconds = float(gradient[1].removesuffix("ms"))
     _, loss = re.findall(r"\d+(?:\.\d+)?", gradient[2])
     assert_prints(gradient[2], milliseconds / float(loss), float(loss))
+
+
+def test_from_when_a_second_machine_pays():
+    """It halves the time of flight, and costs what its workers take before and after."""
+    table = rows("| 10 000 runs of `mars-drag-tracking`, stored")
+    median = {name: float(cell.split()[0]) for name, cell, _ in table}
+    before = sum(
+        median[name]
+        for name in (
+            "start of its processes",
+            "their end",
+            "what they import and load",
+        )
+    )
+    assert_says("from some 23 s of flying", 2.0 * before)
+    runs = 2.0 * before * 10_000 / median["one process with two cores"]
+    thousands = f"pays from {runs / 1e3:.0f} 000 runs of this mission if its workers"
+    assert thousands in " ".join(README.split())
+    assert_says("from two parts, 8192 runs", 2 * LANES * _CHUNKS * _BLOCKS * 2)
+    assert_says("2048 runs for each core of a worker", LANES * _CHUNKS * _BLOCKS)
 
 
 # What is said of the scenarios.

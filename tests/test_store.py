@@ -17,7 +17,7 @@ import xarray
 from helpers import fly_compiled
 
 from jentry.addresses import replace_leaves
-from jentry.campaign import CampaignError, batch, open_campaign, run_campaign
+from jentry.campaign import CampaignError, batch, open_campaign, run_campaign, store
 from jentry.campaign.batch import LANES
 from jentry.campaign.parts import MANIFEST
 from jentry.campaign.store import write_flight
@@ -190,6 +190,11 @@ def test_two_gaps_are_flown_and_nothing_else(tmp_path, whole, small_parts):
     assert parts(tmp_path) == [first, second, third, last]
     assert {name: written(tmp_path / name) for name in stays} == stays
     xarray.testing.assert_identical(open_campaign(tmp_path), whole)
+
+
+def test_one_stored_run_parts_what_is_missing_beside_it():
+    missing = store._unbroken(np.array([0, 2, 3, 7]))
+    assert [block.tolist() for block in missing] == [[0], [2, 3], [7]]
 
 
 @pytest.fixture(scope="module")

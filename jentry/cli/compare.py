@@ -56,28 +56,61 @@ def command(
     dispersions: Dispersions = None,
     set_: Set = None,
     step: Step = None,
+    outputs: Annotated[
+        str | None,
+        typer.Option(
+            help="What is compared, with commas, such as downrange_error,peak_heat_rate; "
+            "in the table miss distance and errors if not given, and all outputs in the "
+            "differences."
+        ),
+    ] = None,
+    percentiles: Annotated[
+        str | None,
+        typer.Option(
+            help="Percentiles of the table, with commas; 50, 95 and 99 if not given."
+        ),
+    ] = None,
+    all_pairs: Annotated[
+        bool,
+        typer.Option(
+            "--all-pairs",
+            help="Differences of each from each, not from the first alone.",
+        ),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of what is flown and of the figure; results/MISSION-compared if "
-            "not given, and no figure of stored campaigns."
+            help="Folder of what is flown, of the numbers and of the figure; "
+            "results/MISSION-compared if not given, and no files of stored campaigns."
         ),
     ] = None,
+    json: Annotated[
+        bool,
+        typer.Option("--json", help="Print all of it as JSON, and nothing else."),
+    ] = False,
     quiet: Quiet = False,
     workers: Workers = None,
     cluster: ClusterAt = None,
     fast: Fast = False,
 ) -> None:
-    """Compare campaigns run by run: what one law, gain set or variant changes."""
+    """Compare campaigns run by run: what one law, gain set or variant changes.
+
+    One table has a row for each; the differences are those from the first.
+    """
     set_up(workers, fast)
     from ..campaign.store import open_campaign
-    from ..statistics.comparison import compared
+    from ..statistics.alternatives import PERCENTILES, alternatives_of
     from .compare_report import (
-        draw,
         fly_entries,
-        print_comparison,
+        print_alternatives,
         stored_entries,
+        write_files,
     )
+    from .report_choices import chosen_percentiles, refuse_both
+
+    refuse_both(json, quiet)
+    percentages = chosen_percentiles(percentiles, PERCENTILES)
+    names = None if outputs is None else [name.strip() for name in outputs.split(",")]
 
     asked = [*(variant or ()), *(config or ())]
     if len(what) == 1 and not Path(what[0]).is_dir():
@@ -109,12 +142,12 @@ def command(
     campaigns = {
         name: open_campaign(path, limit) for name, (path, limit) in entries.items()
     }
-    (one, reference), *others = campaigns.items()
-    for name, results in others:
-        found = compared(reference, results)
-        if not quiet:
-            print_comparison(one, name, found)
-    if folder is not None:
-        figure = draw(folder, campaigns)
-        if not quiet:
-            typer.echo(f"figure: {figure}")
+    found = alternatives_of(campaigns, names, percentages, all_pairs=all_pairs)
+    # Before anything is printed, which somebody may cut off.
+    paths = [] if folder is None else write_files(folder, campaigns, found)
+    if json:
+        typer.echo(found.as_json(), nl=False)
+    elif not quiet:
+        print_alternatives(found)
+        if paths:
+            typer.echo(f"written: {', '.join(map(str, paths))}")

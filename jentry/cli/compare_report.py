@@ -4,11 +4,15 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..campaign.outputs import MISS_DISTANCE, is_error
+import numpy as np
+
+from .._files import write_whole
 from ..campaign.store import run_campaign
 from ..flight.solver import FixedStep
+from ..flight.termination import Outcome
 from ..plots import save_figures
 from ..plots.comparison import draw_comparison
+from ..statistics.alternatives import Alternatives
 from ..statistics.comparison import PERCENTILE, Comparison
 from ..statistics.intervals import CONFIDENCE, Interval
 from .options import chosen_scenario, dispersion_table, first_given
@@ -102,7 +106,61 @@ def fly_entries(
     return {name: (folder / name, runs) for name in names}, folder
 
 
-def print_comparison(first: str, second: str, found: Comparison) -> None:
+def print_alternatives(found: Alternatives) -> None:
+    """One table with a row for each campaign, how they failed, and the differences."""
+    _print_rows(found)
+    for (one, other), comparison in found.differences.items():
+        _print_comparison(one, other, comparison)
+    console = new_console()
+    for (one, other), why in found.untold.items():
+        console.print(f"{other} less {one} is not told: {why}")
+
+
+def _print_rows(found: Alternatives) -> None:
+    console = new_console()
+    heads, rows = ["", "runs", "failures"], []
+    for output in found.outputs:
+        unit = [] if output.shown_unit == "1" else [output.shown_unit]
+        top = [*output.words.split(), *unit]
+        levels = found.rows[0].levels[output.name]
+        for what in (*(f"{p:.10g} %" for p in levels.percentiles), "maximum"):
+            heads.append("\n".join([*top, what]))
+    for row in found.rows:
+        cells = [row.name, str(row.runs), str(row.failures)]
+        for output in found.outputs:
+            levels = row.levels[output.name]
+            cells += [
+                _LOST if np.isinf(p) else in_digits(p / output.shown_size)
+                for p in levels.percentiles.values()
+            ]
+            cells.append(in_digits(levels.maximum / output.shown_size))
+        rows.append(cells)
+    how = (
+        f"on the same draws: {found.why}"
+        if found.same_draws
+        else f"NOT on the same draws ({found.why})"
+    )
+    title = f"{len(rows)} alternatives {how}"
+    print_in_pieces(console, title, heads, rows, repeated=3)
+    if found.beyond:
+        console.print(f"{found.beyond} runs that not all of them have are left out")
+    for row in found.rows:
+        for outcome, runs in row.outcomes.items():
+            if outcome is not Outcome.REACHED:
+                console.print(f"{row.name}: {runs} of {row.runs} {outcome.message}")
+    lost = [f"{row.not_finite} of {row.name}" for row in found.rows if row.not_finite]
+    if lost:
+        console.print(
+            f"not finite, or without an end: {', '.join(lost)}; in the percentiles they "
+            f"count as larger than any number, and {_LOST!r} is a percentile among them; "
+            "maxima are of the others"
+        )
+
+
+_LOST = "no end"
+
+
+def _print_comparison(first: str, second: str, found: Comparison) -> None:
     """The differences of the second from the first, with their intervals."""
     console = new_console()
     heads = [
@@ -154,21 +212,14 @@ def _share(share: Interval) -> str:
     return f"{value} % [{low}, {high}]"
 
 
-def draw(folder: Path, campaigns: "Mapping[str, xarray.Dataset]") -> Path:
-    """Draw the miss distance and the errors that all campaigns have."""
-    every = [set(map(str, results.data_vars)) for results in campaigns.values()]
-    common = set.intersection(*every)
-    order = list(map(str, next(iter(campaigns.values())).data_vars))
-    errors = [name for name in order if name in common and is_error(name)]
-    names = [MISS_DISTANCE] if MISS_DISTANCE in common else []
-    names += [name for name in errors if _spreads(campaigns, name)]
-    if not names:
-        raise ValueError("the campaigns have no error in common to draw")
+def write_files(
+    folder: Path, campaigns: "Mapping[str, xarray.Dataset]", found: Alternatives
+) -> list[Path]:
+    """Write all numbers as JSON and the rows as csv, and draw what the table has."""
+    names = [output.name for output in found.outputs]
     figure = draw_comparison(campaigns, names)
     folder.mkdir(parents=True, exist_ok=True)
-    return save_figures({"comparison": figure}, folder)[0]
-
-
-def _spreads(campaigns: "Mapping[str, xarray.Dataset]", name: str) -> bool:
-    """Whether an error is more than rounding in one of the campaigns."""
-    return any(float(abs(x[name]).max()) > 1e-6 for x in campaigns.values())
+    paths = [folder / f"comparison.{kind}" for kind in ("json", "csv")]
+    for path, text in zip(paths, (found.as_json(), found.as_csv()), strict=True):
+        write_whole(path, text.encode())
+    return [*paths, *save_figures({"comparison": figure}, folder)]

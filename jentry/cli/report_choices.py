@@ -47,10 +47,12 @@ def chosen_slice(given: str) -> tuple[int, int]:
     return part
 
 
-def chosen_percentiles(given: str | None) -> Sequence[float]:
-    """Percentiles as they are given, in rising order, each once."""
+def chosen_percentiles(
+    given: str | None, usual: Sequence[float] = PERCENTILES
+) -> Sequence[float]:
+    """Percentiles as they are given, in rising order, each once; the usual ones if not."""
     if given is None:
-        return PERCENTILES
+        return usual
     try:
         found = [float(text) for text in given.split(",")]
     except ValueError:

@@ -51,7 +51,7 @@ def print_in_pieces(
     """
     rows = list(rows)
     widths = [
-        3 + max(map(len, (head, *(row[i] for row in rows))))
+        3 + max(map(len, (*head.split("\n"), *(row[i] for row in rows))))
         for i, head in enumerate(heads)
     ]
     first = list(range(repeated))

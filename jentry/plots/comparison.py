@@ -19,12 +19,20 @@ if TYPE_CHECKING:
 
 _PANELS = 3
 """Of a row"""
+_WIDTH, _HEIGHT = 4.2, 3.4
+"""Inches of a panel"""
+_LINE, _HANDLE, _LETTER = 0.2, 0.5, 0.075
+"""Inches of the legend: height of a line, width beside its words, and of a letter"""
+_DASHES = "-", "--", ":"
+"""Of the lines, when the colours are used up"""
 
 
 def draw_comparison(
     campaigns: "Mapping[str, xarray.Dataset]", names: Sequence[str], title: str = ""
 ) -> "matplotlib.figure.Figure":
-    """Share of the flights below each value of an output, campaigns over one another.
+    """Share of the runs below each value of an output, campaigns over one another.
+
+    A run without a finite flight is below none, so that its campaign does not reach 100 %.
 
     **Arguments:**
 
@@ -32,20 +40,36 @@ def draw_comparison(
     - `names`: outputs that all of them have. Of what is an error the magnitude is drawn.
     """
     flown = {name: finite_flights(results) for name, results in campaigns.items()}
+    runs = {name: results.sizes["run"] for name, results in campaigns.items()}
+    told = {name: _told(name, x.sizes["run"], runs[name]) for name, x in flown.items()}
     names = list(names)[:_PANELS]
+    width = _WIDTH * len(names)
+    columns = int(width / (_HANDLE + _LETTER * max(map(len, told.values())))) or 1
+    columns = min(columns, len(told))
+    height = _HEIGHT + _LINE * -(-len(told) // columns)
     with in_style():
-        figure, panels = panelled(4.2 * len(names), 3.6, len(names), title)
+        figure, panels = panelled(width, height, len(names), title)
         for axes, name in zip(panels, names, strict=True):
-            _draw_shares(axes, {words: runs[name] for words, runs in flown.items()})
+            outputs = {told[each]: x[name] for each, x in flown.items()}
+            _draw_shares(axes, outputs, list(runs.values()))
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+        figure.legend(handles, labels, loc="outside upper center", ncols=columns)
     return figure
 
 
+def _told(name: str, finite: int, runs: int) -> str:
+    """What the legend calls a campaign."""
+    return (
+        f"{name}, {runs} runs" if finite == runs else f"{name}, {finite} of {runs} runs"
+    )
+
+
 def _draw_shares(
-    axes: "matplotlib.axes.Axes", outputs: "Mapping[str, xarray.DataArray]"
+    axes: "matplotlib.axes.Axes",
+    outputs: "Mapping[str, xarray.DataArray]",
+    runs: Sequence[int],
 ) -> None:
-    """Share of the flights below each value of one output, in one unit for all."""
+    """Share of all runs below each value of one output, in one unit for all."""
     import xarray
 
     magnitude = is_error(str(next(iter(outputs.values())).name))
@@ -53,19 +77,21 @@ def _draw_shares(
         list(outputs.values()), dim="run", combine_attrs="override", join="outer"
     )
     drawn = scaled(joined)
-    for colour, (words, output) in zip(
-        itertools.cycle(ENDS), outputs.items(), strict=False
+    looks = itertools.cycle(itertools.product(_DASHES, ENDS))
+    for (dashes, colour), (words, output), all_runs in zip(
+        looks, outputs.items(), runs, strict=False
     ):
         values = output.values / drawn.size
         values = np.sort(np.abs(values) if magnitude else values)
         # A step at each of the runs, from none of them on.
-        shares = 100.0 * np.arange(1, values.size + 1) / values.size
+        values = np.concatenate([values[:1], values])
         axes.step(
-            np.insert(values, 0, values[:1]),
-            np.insert(shares, 0, 0.0),
+            values,
+            100.0 * np.arange(values.size) / all_runs,
             where="post",
             color=colour,
-            label=f"{words}, {values.size} runs",
+            ls=dashes,
+            label=words,
         )
     label = drawn.label
     if magnitude:
@@ -73,6 +99,6 @@ def _draw_shares(
         label = f"|{what}|{bracket}{unit}"
         axes.set_xlim(left=0.0)
     axes.set_xlabel(label)
-    axes.set_ylabel("Flights below (%)")
+    axes.set_ylabel("Runs below (%)")
     axes.set_ylim(0.0, 100.0)
     axes.axhline(95.0, color=MUTED, lw=0.8, ls=(0, (2, 2)))

@@ -6,6 +6,11 @@ from .acceptance import (
     Verdict as Verdict,
     judged as judged,
 )
+from .alternatives import (
+    Alternative as Alternative,
+    Alternatives as Alternatives,
+    alternatives_of as alternatives_of,
+)
 from .comparison import Comparison as Comparison, compared as compared
 from .ranking import rank_correlations as rank_correlations, worst_runs as worst_runs
 from .summary import Summary as Summary, summarize as summarize

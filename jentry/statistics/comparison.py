@@ -2,7 +2,8 @@
 
 import dataclasses
 import json
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,12 +23,27 @@ PERCENTILE = 95.0
 """That is compared, beside mean and standard deviation"""
 
 
+class TooFewFlights(ValueError):
+    """There are no two finite flights to compare."""
+
+
+def words(name: str) -> str:
+    """What people call an output that is compared; the magnitude between bars."""
+    return f"|{in_words(name)}|" if is_error(name) else in_words(name)
+
+
+def quantity(name: str) -> str:
+    """An output that is compared in files, where names stay as they are."""
+    return f"|{name}|" if is_error(name) else name
+
+
 @dataclasses.dataclass(frozen=True)
 class Difference:
     """One output of the second campaign less that of the first; SI."""
 
     name: str
     """Of the output; of what is an error the magnitude is compared"""
+    unit: str
     shown_unit: str
     shown_size: float
     first: float
@@ -44,8 +60,20 @@ class Difference:
     @property
     def words(self) -> str:
         """What people call it; the magnitude between bars."""
-        words = in_words(self.name)
-        return f"|{words}|" if is_error(self.name) else words
+        return words(self.name)
+
+    def plain(self) -> dict[str, Any]:
+        """As plain values, SI."""
+        return {
+            "quantity": quantity(self.name),
+            "unit": self.unit,
+            "first_mean": self.first,
+            "second_mean": self.second,
+            "mean": self.mean._asdict(),
+            "standard_deviation": self.standard_deviation._asdict(),
+            f"percentile_{PERCENTILE:.10g}": self.percentile._asdict(),
+            "smaller": None if self.smaller is None else self.smaller._asdict(),
+        }
 
 
 @dataclasses.dataclass(frozen=True)
@@ -68,8 +96,25 @@ class Comparison:
     spread: bool
     """Whether a sampler has spread the runs of one of them: the intervals are too wide"""
 
+    def plain(self) -> dict[str, Any]:
+        """As plain values, SI."""
+        return {
+            "paired": self.paired,
+            "why": self.why,
+            "runs": self.runs,
+            "left_out": self.left_out,
+            "beyond": self.beyond,
+            "spread_by_a_sampler": self.spread,
+            "of_one_alone": self.only_one,
+            "outputs": [each.plain() for each in self.differences],
+        }
 
-def compared(first: "xarray.Dataset", second: "xarray.Dataset") -> Comparison:
+
+def compared(
+    first: "xarray.Dataset",
+    second: "xarray.Dataset",
+    outputs: Sequence[str] | None = None,
+) -> Comparison:
     """The outputs of one campaign beside those of another.
 
     Where run i of one has the same inputs as run i of the other, to the last bit, the
@@ -78,10 +123,15 @@ def compared(first: "xarray.Dataset", second: "xarray.Dataset") -> Comparison:
     Intervals are percentiles of a bootstrap that draws pairs, or, without pairs, the runs
     of each campaign by themselves.
 
-    **Raises:** `ValueError` for campaigns of which one has no two finite flights.
+    **Arguments:**
+
+    - `outputs`: which of those that both have; all if not given.
+
+    **Raises:** `TooFewFlights`, a `ValueError`, for campaigns of which one has no two
+    finite flights.
     """
     first, second = (x.drop_dims("time", errors="ignore") for x in (first, second))
-    paired, why = _are_pairs(first, second)
+    paired, why = are_pairs(first, second)
     flown = [finite_flights(first), finite_flights(second)]
     if paired:
         count = min(first.sizes["run"], second.sizes["run"])
@@ -93,12 +143,17 @@ def compared(first: "xarray.Dataset", second: "xarray.Dataset") -> Comparison:
         left_out = sum(x.sizes["run"] for x in (first, second))
         left_out -= sum(x.sizes["run"] for x in flown)
     if min(x.sizes["run"] for x in flown) < 2:
-        raise ValueError(
+        raise TooFewFlights(
             "a comparison takes two finite flights of each campaign, or two pairs: there "
             f"are {flown[0].sizes['run']} and {flown[1].sizes['run']}"
         )
     names = [
-        [n for n in map(str, x.data_vars) if is_output(n) and n not in END_STATE]
+        [
+            n
+            for n in map(str, x.data_vars)
+            if is_output(n)
+            and (n not in END_STATE if outputs is None else n in outputs)
+        ]
         for x in flown
     ]
     both = [name for name in names[0] if name in names[1]]
@@ -117,7 +172,8 @@ def compared(first: "xarray.Dataset", second: "xarray.Dataset") -> Comparison:
     )
 
 
-def _are_pairs(first: "xarray.Dataset", second: "xarray.Dataset") -> tuple[bool, str]:
+def are_pairs(first: "xarray.Dataset", second: "xarray.Dataset") -> tuple[bool, str]:
+    """Whether run i of both has the same draws, and why or why not."""
     inputs = [
         {str(n) for n, x in runs.data_vars.items() if "." in str(n)}
         for runs in (first, second)
@@ -148,8 +204,8 @@ def _difference(
     if is_error(name):
         values = [np.abs(x) for x in values]
     one, other = values
-    unit, size = edge_unit(first[name].attrs.get("units", "1"), np.concatenate(values))
-    unit = first[name].attrs.get("shown_units", unit)
+    unit = first[name].attrs.get("units", "1")
+    shown_unit, size = edge_unit(unit, np.concatenate(values))
     drawn = _resampled(one, other, paired)
     here = _statistics(other[None]) - _statistics(one[None])
     tails = 50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)
@@ -160,7 +216,8 @@ def _difference(
     ]
     return Difference(
         name=name,
-        shown_unit=unit,
+        unit=unit,
+        shown_unit=first[name].attrs.get("shown_units", shown_unit),
         shown_size=size,
         first=float(one.mean()),
         second=float(other.mean()),

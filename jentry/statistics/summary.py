@@ -150,7 +150,7 @@ class Summary:
             "miss_ellipse": None if self.ellipse is None else self.ellipse.plain(),
             "requirements": [verdict.plain() for verdict in self.verdicts],
         }
-        return json.dumps(_without_nan(contents), indent=2, allow_nan=False) + "\n"
+        return json.dumps(without_nan(contents), indent=2, allow_nan=False) + "\n"
 
     def as_csv(self) -> str:
         """The statistics: a line for each of an output, with its interval, SI."""
@@ -292,12 +292,12 @@ def _statistics(
     return found
 
 
-def _without_nan(value: Any) -> Any:
+def without_nan(value: Any) -> Any:
     """Plain values in which a number that is not finite is None."""
     if isinstance(value, dict):
-        return {key: _without_nan(inner) for key, inner in value.items()}
+        return {key: without_nan(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_nan(inner) for inner in value]
+        return [without_nan(inner) for inner in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
