@@ -2,10 +2,10 @@
 
     python benchmarks/drag_noise.py --sets 3
 
-Of `quick-noise`, in its guidance cycles of 0.1 s and in shorter and longer ones. The drag
-that a flight would have with its angle of attack on the reference, less that of the
-reference, is what a law has to take off: the disturbance w. A linear law adds to it its own
-answer g to all samples so far, of disturbance and noise: at sample k the drag error is
+Of `quick-noise`, in its guidance cycles of 0.05 s and in longer ones. The drag a flight
+would have with its angle of attack on the reference, less that of the reference, is what a
+law has to take off: the disturbance w. A linear law adds to it its own answer g to all
+samples so far, of disturbance and noise: at sample k the drag error is
 
     e[k] = w[k] - sum over j >= 1 of g[j] (w[k - j] + n[k - j]),  n white.
 

@@ -266,10 +266,10 @@ def hard_noise() -> Scenario:
 
 
 def quick_noise() -> Scenario:
-    """The same noise of a sample, in cycles of 0.1 s, with gains for it.
+    """The same noise of a sample, of which there are four times as many: cycles of 0.05 s.
 
-    Frequency and pole are 1.0 and 4.0 rad/s at all times, near the best in the linear model
-    of `benchmarks/drag_noise.py`; the bank is fed back as tuned for `hard`.
+    Frequency and pole are 1.0 and 4.0 rad/s at all times, by the linear model of
+    `benchmarks/drag_noise.py`; the bank is fed back about as tuned for `hard`.
     """
     gains = ModulationGains(
         frequency=2600.0,
