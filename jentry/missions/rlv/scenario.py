@@ -268,8 +268,8 @@ def hard_noise() -> Scenario:
 def quick_noise() -> Scenario:
     """The same noise of a sample, of which there are four times as many: cycles of 0.05 s.
 
-    Frequency and pole are 1.0 and 4.0 rad/s at all times, by the linear model of
-    `benchmarks/drag_noise.py`; the bank is fed back about as tuned for `hard`.
+    Frequency and pole are 1.0 and 4.0 rad/s at all times, chosen in the linear model
+    of `benchmarks/drag_noise.py`; the bank is fed back about as tuned for `hard`.
     """
     gains = ModulationGains(
         frequency=2600.0,
@@ -279,7 +279,8 @@ def quick_noise() -> Scenario:
         bank_rate=-0.026,
         scheduled_at=3.0,
     )
-    return _noisy(modulated(3.0, gains, AttitudeLag(3.0, 0.9), increment=20.5 * degree))
+    lag = AttitudeLag(3.0, 0.9)
+    return _noisy(modulated(3.0, gains, lag, 0.05, 20.5 * degree))
 
 
 def _noisy(scenario: Scenario) -> Scenario:
