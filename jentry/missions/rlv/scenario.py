@@ -56,6 +56,7 @@ JUDGED_BELOW = 7000.0
 REVERSALS = 7000.0, 6000.0, 5000.0, 4000.0, 3000.0, 2000.0
 """m/s"""
 LARGEST_BANK = 80.0 * degree
+BANK_INCREMENT = 12.0 * degree
 
 _RADIUS = 6371.0 * km
 
@@ -136,9 +137,9 @@ def shuttle_bank(period: float = CYCLE) -> Sampled:
     return Sampled(ShuttleBank(plan(), gate=gate(), lateral=lateral), period)
 
 
-def limits() -> BankLimits:
-    """Of what the angle of attack may ask of the bank: 12 degrees more or less."""
-    return BankLimits(12.0 * degree, LARGEST_BANK)
+def limits(increment: float = BANK_INCREMENT) -> BankLimits:
+    """Of what the angle of attack may ask of the bank: so much more or less, rad."""
+    return BankLimits(increment, LARGEST_BANK)
 
 
 def start() -> EntryState:
@@ -192,6 +193,7 @@ def modulated(
     gains: ModulationGains,
     lag: AttitudeLag | None = None,
     period: float = CYCLE,
+    increment: float = BANK_INCREMENT,
 ) -> Scenario:
     """The paper's law, with an attitude of a bandwidth (rad/s)."""
     law = DynamicalModulation(
@@ -202,7 +204,8 @@ def modulated(
         gate=gate(),
         cycle=FixedCycle(period),
     )
-    return entry(compose(law, shuttle_bank(period), limits()), frequency)
+    bank = shuttle_bank(period)
+    return entry(compose(law, bank, limits(increment)), frequency)
 
 
 def r5() -> Scenario:
@@ -259,5 +262,27 @@ def hard() -> Scenario:
 
 def hard_noise() -> Scenario:
     """The same with noise of the sensed drag and lift, 2e-4 of the gravity."""
+    return _noisy(hard())
+
+
+def quick_noise() -> Scenario:
+    """The same noise of a sample, of which there are four times as many: cycles of 0.05 s.
+
+    Frequency and pole are 1.0 and 4.0 rad/s at all times, chosen in the linear model
+    of `benchmarks/drag_noise.py`; the bank is fed back about as tuned for `hard`.
+    """
+    gains = ModulationGains(
+        frequency=2600.0,
+        damping=0.75,
+        observer_pole=10500.0,
+        bank_deviation=7.3,
+        bank_rate=-0.026,
+        scheduled_at=3.0,
+    )
+    lag = AttitudeLag(3.0, 0.9)
+    return _noisy(modulated(3.0, gains, lag, 0.05, 20.5 * degree))
+
+
+def _noisy(scenario: Scenario) -> Scenario:
     sensed = Accelerometers(noise=2e-4 * standard_gravity)
-    return dataclasses.replace(hard(), accelerometers=sensed)
+    return dataclasses.replace(scenario, accelerometers=sensed)
