@@ -8,8 +8,18 @@ from ...guidance.lateral import PredictedCrossrange
 from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector
 from ...motion.index import VelocityIndex
 from ...onboard.profiles import QuinticTable
+from ...onboard.turning import BankTurning
 from ...units import degree, km
-from .scenario import END_VELOCITY, LARGEST_BANK, entry, model, plan, start
+from .scenario import (
+    END_VELOCITY,
+    LARGEST_BANK,
+    TURN_ACCELERATION,
+    TURN_RATE,
+    entry,
+    model,
+    plan,
+    start,
+)
 
 
 RANGE = 7400.0 * km
@@ -36,6 +46,7 @@ def guided() -> Scenario:
         altitude=0.0,
         lateral=PredictedCrossrange(factor=5.0),
         angle_of_attack=table.profile("angle_of_attack"),
+        turning=BankTurning(TURN_RATE, TURN_ACCELERATION),
         index=VelocityIndex(),
         in_space=False,
         step=5.0,

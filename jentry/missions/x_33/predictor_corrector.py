@@ -62,7 +62,9 @@ def limited() -> Scenario:
     A steep entry that is kept from heat and load pulls up and comes down too far away: this
     is what the corridor costs.
     """
-    return _guided(glide(), limits=PathLimits(0.1), largest_bank=120.0 * degree)
+    guided = _guided(glide(), limits=PathLimits(0.1), largest_bank=120.0 * degree)
+    law = dataclasses.replace(guided.guidance, foresees_limits=True)
+    return eqx.tree_at(lambda s: s.guidance, guided, law)
 
 
 def in_space() -> Scenario:
