@@ -490,15 +490,23 @@ def test_the_next_reversal_is_where_it_leaves_its_share(factor, rate):
     """Under a constant push to the side; beyond the destination."""
     kept, reversed_now = (error_of(t, rate=rate) for t in (200.0, 0.0))
     assert kept < 0.0 < reversed_now
-    logic = PredictedCrossrange(factor=factor)
+    logic = PredictedCrossrange(factor=factor, foresees=True)
     side = logic.init(seen(ORIGIN))
-    assert np.isinf(logic.reverses_in(side))
+    assert np.isinf(logic.reverses_at(side))
     side = logic.update(TIME, seen(ORIGIN), side, towards(kept, reversed_now))
     expected = brentq(
         lambda t: error_of(t, rate=rate) + kept / factor, 0.0, 200.0, xtol=1e-9
     )
     assert float(side.sign) == 1.0
-    assert float(logic.reverses_in(side)) == pytest.approx(expected, abs=1e-6)
+    at = float(TIME) + expected
+    assert float(logic.reverses_at(side)) == pytest.approx(at, abs=1e-6)
+    # At a decision before it nothing is done; at one after it, it has been.
+    where_it_is = towards(kept, reversed_now)
+    early = logic.update(jnp.asarray(at - 1e-3), seen(ORIGIN), side, where_it_is)
+    assert (float(early.sign), float(early.reversals)) == (1.0, 0.0)
+    where_it_is = towards(-kept / factor, kept, -1.0)
+    late = logic.update(jnp.asarray(at + 1e-3), seen(ORIGIN), side, where_it_is)
+    assert (float(late.sign), float(late.reversals)) == (-1.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -512,21 +520,22 @@ def test_the_next_reversal_is_where_it_leaves_its_share(factor, rate):
     ],
 )
 def test_no_reversal_is_expected_where_none_will_be(changes, kept, reversed_now):
-    logic = PredictedCrossrange(**changes)
+    logic = PredictedCrossrange(**changes, foresees=True)
     before = logic.init(seen(ORIGIN))
     side = logic.update(TIME, seen(ORIGIN), before, towards(kept, reversed_now))
     assert float(side.reversals) == 0.0
-    assert float(logic.reverses_in(side)) == np.inf
+    assert float(logic.reverses_at(side)) == np.inf
 
 
 def test_after_a_reversal_the_next_one_turns_back():
     """The two errors have changed their places."""
-    logic = PredictedCrossrange(factor=3.0)
+    logic = PredictedCrossrange(factor=3.0, foresees=True)
     side = logic.init(seen(ORIGIN))
     after = logic.update(TIME, seen(ORIGIN), side, towards(-9e3, 2e3))
     assert float(after.sign) == -1.0
     root = np.sqrt(4.0 / 3.0 * 2.0 / 11.0)
-    assert float(after.reverses_in) == pytest.approx(200.0 * (1.0 - root))
+    at = float(TIME) + 200.0 * (1.0 - root)
+    assert float(after.reverses_at) == pytest.approx(at)
 
 
 def test_a_prediction_is_needed_to_go_by():

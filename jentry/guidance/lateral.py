@@ -79,10 +79,12 @@ class AbstractLateralLogic(eqx.Module, Generic[Side]):
     def sign(self, side: Side) -> Scalar | float:
         """1 if the bank is to the right, -1 if it is to the left."""
 
-    def reverses_in(self, side: Side) -> Scalar | float:
-        """Time from the decision to the reversal that is expected next, s.
+    def reverses_at(self, side: Side) -> Scalar | float:
+        """Time of the reversal that is expected next, s since the start.
 
-        Infinite where none is, or where the logic does not look ahead.
+        Infinite where none is, or where the logic does not look ahead. A law reverses the
+        bank at this time, within a guidance cycle too: the logic counts it as done at the
+        next decision.
         """
         return math.inf
 
@@ -247,8 +249,8 @@ class CountedSide(eqx.Module):
     sign: Scalar
     """1 to the right, -1 to the left"""
     reversals: Scalar
-    reverses_in: Scalar
-    """Time from the decision to the next one that is expected, s; infinite for none"""
+    reverses_at: Scalar | None = None
+    """Time of the next one that is expected, s; infinite for none"""
 
 
 class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
@@ -264,8 +266,9 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
 
         e + (e_r - e) (1 - t / T)^2
 
-    under a constant push to the side. So much is needed to tell when the bank will be
-    reversed next, for a law that predicts what its turning does to the range.
+    under a constant push to the side. A logic that `foresees` tells by it when the bank
+    will be reversed next, for a law that predicts what its turning does to the range; and
+    when within a guidance cycle, since late by a cycle is off by a kilometre.
 
     After K. M. Smith, "Predictive Lateral Logic for Numerical Entry Guidance Algorithms",
     AAS/AIAA Space Flight Mechanics Meeting, 2016. It is for a law that predicts in three
@@ -280,13 +283,15 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
     """Number of reversals"""
     first_sign: Scalar = scalar(1.0)
     """Side of the bank at the start: 1 to the right, -1 to the left"""
+    foresees: bool = eqx.field(default=False, static=True)
+    """Whether it is told when the next reversal comes"""
 
     def __check_init__(self):
         _check_sign(self.first_sign)
 
     def init(self, measurement: Measurement) -> CountedSide:
         nothing = 0.0 * measurement.drag
-        never = nothing + jnp.inf
+        never = nothing + jnp.inf if self.foresees else None
         return CountedSide(self.first_sign + nothing, nothing, never)
 
     def update(
@@ -302,6 +307,12 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
                 "PredictorCorrector with dynamics=EntryDynamics(): take a "
                 "CrossrangeCorridor"
             )
+        if side.reverses_at is not None:
+            done = time >= side.reverses_at
+            side = CountedSide(
+                jnp.where(done, -side.sign, side.sign),
+                side.reversals + jnp.where(done, 1.0, 0.0),
+            )
         passage = destination.predicted(side.sign)
         kept = passage.crossrange_error
         reversed_now = destination.predicted(-side.sign).crossrange_error
@@ -310,19 +321,19 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
         turns = better & (jnp.abs(kept) > self.tolerance)
         turns &= side.reversals < self.most
         reversals = side.reversals + jnp.where(turns, 1.0, 0.0)
+        sign = jnp.where(turns, -side.sign, side.sign)
+        if not self.foresees:
+            return CountedSide(sign, reversals)
         after = jnp.where(turns, reversed_now, kept)
         other = jnp.where(turns, kept, reversed_now)
-        return CountedSide(
-            jnp.where(turns, -side.sign, side.sign),
-            reversals,
-            self._expected(after, other, passage.time, reversals),
-        )
+        comes_in = self._expected(after, other, passage.time, reversals)
+        return CountedSide(sign, reversals, time + comes_in)
 
     def sign(self, side: CountedSide) -> Scalar:
         return side.sign
 
-    def reverses_in(self, side: CountedSide) -> Scalar:
-        return side.reverses_in
+    def reverses_at(self, side: CountedSide) -> Scalar | float:
+        return math.inf if side.reverses_at is None else side.reverses_at
 
     def _expected(
         self, kept: Scalar, reversed_now: Scalar, time: Scalar, reversals: Scalar

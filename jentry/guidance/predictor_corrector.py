@@ -148,6 +148,11 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     range to go is the arc to the target: this costs half as much, and for a vehicle that
     turns far to the sides it is the better guess of what reversals will make of its path.
 
+    A bank that takes a time to turn is predicted as such where `turning` says how, and through
+    the reversal that the lateral logic tells of: the lift goes through upwards over it,
+    which the bank before it has to make up for, since after the last one there may be no
+    time for that.
+
     What the derivative of a flight means: between two flights that are near each other
     guidance cycles come at the same times, and steps are clipped or not in the same
     cycles. Where a number saturates it has no derivative, as it should. Reversals of the
@@ -219,13 +224,16 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         plain = isinstance(self.shape, ConstantBankShape) and not self.in_space
         by_velocity = self.end.velocity is not None and self.end.energy is None
         plain = plain and self.angle_of_attack is None and self.damping is None
+        plain = plain and self.turning is None and not self.foresees_limits
         if self.network is not None and not (plain and by_velocity):
             raise ValueError(
                 "a network takes the place of the prediction of a constant bank to a "
                 "velocity, in the vertical plane, at the trim angle of attack and without "
-                f"damping: shape is {type(self.shape).__name__}, in_space is "
+                "damping, turning or limits that are foreseen: shape is "
+                f"{type(self.shape).__name__}, in_space is "
                 f"{self.in_space}, angle_of_attack is {self.angle_of_attack}, damping is "
-                f"{self.damping}, end is {self.end}"
+                f"{self.damping}, turning is {self.turning}, foresees_limits is "
+                f"{self.foresees_limits}, end is {self.end}"
             )
         if self.foresees_limits and self.limits is None:
             raise ValueError(
@@ -262,10 +270,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         state, planet = measurement.state, self.model.planet
         senses = measurement.drag > self.gate
         estimate = self._estimate(measurement, held.estimate, senses)
-        sign = self.lateral.sign(held.side)
-        reverses_in = math.inf
-        if self.turning is not None:
-            reverses_in = self.lateral.reverses_in(held.side) - self.cycle.period
+        sign, reverses_in = self._side(time, held)
 
         def correct(before: tuple[Numbers, Scalar]) -> tuple[Numbers, Scalar]:
             return self._correct(
@@ -327,7 +332,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     ) -> tuple[Controls, tuple[()]]:
         state, factors = measurement.state, held.estimate.factors
         here = self.index.value(self.model.planet, time, state)
-        sign = self.lateral.sign(held.side)
+        sign, _ = self._side(time, held)
         wanted = self._banked(
             here, held.since, measurement, held.numbers, sign, state, factors
         )
@@ -410,6 +415,17 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         _, there = sincos(self.crossrange / radius)
         half = safe_sqrt(across * across + here * there * along * along)
         return jnp.where(along < 0.0, -2.0, 2.0) * radius * arcsin(half)
+
+    def _side(
+        self, time: Scalar, held: Corrected
+    ) -> tuple[Scalar | float, Scalar | float]:
+        """Sign of the bank at a time, and in which time it changes."""
+        sign = self.lateral.sign(held.side)
+        at = self.lateral.reverses_at(held.side)
+        if isinstance(at, float):
+            return sign, at
+        done = time >= at
+        return jnp.where(done, -sign, sign), jnp.where(done, jnp.inf, at - time)
 
     def _estimate(
         self, measurement: Measurement, before: AbstractFactorEstimate, senses: Flag

@@ -29,8 +29,10 @@ RANGE = 7400.0 * km
 def guided() -> Scenario:
     """At the angle of attack of the plan over the velocity, with an attitude of 5 rad/s.
 
-    The prediction takes the bank to be flown at once. A reversal takes half a minute here,
-    and what the last ones leave is the miss. The bank at the end is chosen.
+    A reversal takes half a minute here, over which the lift goes through upwards: the
+    prediction flies it, and the one that comes next, before it begins. It turns the bank by
+    the limits of the attitude, and takes the angle of attack to be flown at once. The bank
+    at the end is chosen.
     """
     table = plan().quantities
     assert isinstance(table, QuinticTable)
@@ -44,7 +46,7 @@ def guided() -> Scenario:
         downrange=RANGE,
         crossrange=0.0,
         altitude=0.0,
-        lateral=PredictedCrossrange(factor=5.0),
+        lateral=PredictedCrossrange(factor=5.0, foresees=True),
         angle_of_attack=table.profile("angle_of_attack"),
         turning=BankTurning(TURN_RATE, TURN_ACCELERATION),
         index=VelocityIndex(),
