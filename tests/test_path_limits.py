@@ -347,6 +347,7 @@ def test_limits_are_kept_in_denser_air_by_what_is_sensed():
     assert peaks(*given, trust=0.0)["dynamic_pressure"] > 1.05 * limit
 
 
+@pytest.mark.slow
 def test_what_is_foreseen_within_the_limits_is_flown():
     """The rest of the flight at a bank, whose limits pull it up."""
     scenario = steep_entry(ALLOWED)
@@ -393,7 +394,7 @@ def test_what_is_foreseen_within_the_limits_is_flown():
         off(end(dataclasses.replace(law, foresees_limits=foresees)))
         for foresees in (True, False)
     )
-    # In flight the bounds are held for a second, over which the bank they ask for goes
-    # on: 1.4 km, of the 1000 km by which the limits lengthen the flight.
+    # In flight the bounds are those at the start of a second, in the prediction those of
+    # each stage: 1.4 km apart at the end, of 1000 km by which the limits move it.
     assert blind > 900 * km
     assert foreseen < 2 * km

@@ -173,10 +173,13 @@ def turning_from(bank):
     return law, dataclasses.replace(start_of(scenario), bank=swing)
 
 
+AXES = "longitude", "latitude"
+
 BANK = 60.0
 """deg; the number 0.75 of a bank up to half a turn"""
 
 
+@pytest.mark.slow
 def test_what_is_predicted_while_the_bank_turns_is_flown():
     """From the left to the right in two minutes, by an attitude whose bandwidth is large
     beside its rate."""
@@ -200,12 +203,10 @@ def test_what_is_predicted_while_the_bank_turns_is_flown():
     )
     # The turn ends 0.04 s late, and so does a lift of some 20 m/s2: 2 m.
     assert np.max(np.abs(off)) < 20.0
-    assert np.min(np.abs(moved)) > 5e3
+    assert np.max(np.abs(moved)) > 100e3
 
 
-AXES = "longitude", "latitude"
-
-
+@pytest.mark.slow
 def test_a_reversal_that_comes_at_once_is_to_the_other_side():
     law, seen = turning_from(BANK)
     numbers = jnp.array([0.75])

@@ -148,10 +148,10 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     range to go is the arc to the target: this costs half as much, and for a vehicle that
     turns far to the sides it is the better guess of what reversals will make of its path.
 
-    A bank that takes a time to turn is predicted as such where `turning` says how, and through
-    the reversal that the lateral logic tells of: the lift goes through upwards over it,
-    which the bank before it has to make up for, since after the last one there may be no
-    time for that.
+    Where `turning` says how a bank turns that takes its time, the prediction flies that,
+    and the reversal that the lateral logic tells of. Meanwhile the lift goes through
+    upwards: the bank before has to make up for it, since after the last reversal there may
+    be no time to.
 
     What the derivative of a flight means: between two flights that are near each other
     guidance cycles come at the same times, and steps are clipped or not in the same

@@ -46,7 +46,7 @@ def guided() -> Scenario:
         downrange=RANGE,
         crossrange=0.0,
         altitude=0.0,
-        lateral=PredictedCrossrange(factor=5.0, foresees=True),
+        lateral=PredictedCrossrange(factor=10.0, foresees=True),
         angle_of_attack=table.profile("angle_of_attack"),
         turning=BankTurning(TURN_RATE, TURN_ACCELERATION),
         index=VelocityIndex(),
