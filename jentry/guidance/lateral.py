@@ -267,8 +267,8 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
         e + (e_r - e) (1 - t / T)^2
 
     under a constant push to the side. A logic that `foresees` tells by it when the bank
-    will be reversed next, for a law that predicts what its turning does to the range; and
-    when within a guidance cycle, since late by a cycle is off by a kilometre.
+    will be reversed next, for a law that predicts what its turning does to the range, and
+    when within a guidance cycle.
 
     After K. M. Smith, "Predictive Lateral Logic for Numerical Entry Guidance Algorithms",
     AAS/AIAA Space Flight Mechanics Meeting, 2016. It is for a law that predicts in three
