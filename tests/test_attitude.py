@@ -11,7 +11,7 @@ from helpers import fly_compiled, free_scenario, with_leaf
 
 from jentry.fields import Scalar, scalar
 from jentry.flight import FixedStep, fly
-from jentry.flight.closed_loop import start
+from jentry.flight.closed_loop import sense, start
 from jentry.guidance import AbstractContinuousLaw, BankProfile
 from jentry.motion import Controls, IdealAttitude, Response, SecondOrderAttitude
 from jentry.motion.attitude import Swing
@@ -149,6 +149,25 @@ def test_forces_are_sensed_at_the_attitude_that_is_flown():
     # While the drag grows the angle of attack is late.
     rising = finite & (np.gradient(drag) > 0.1)
     assert np.sum(rising) > 10 and np.all(flown[rising] < wanted[rising])
+
+
+def test_the_bank_is_sensed_as_it_is_flown():
+    """Within the limits of its angle and of its rate, which a step may leave."""
+    given = scenario(attitude=lagging(rate=5 * degree))
+    lane = start(given, 0.1)
+    for (angle, rate), (flown, turns) in (
+        ((-0.4, 0.03), (-0.4, 0.03)),
+        ((0.4, -0.5), (0.4, -5 * degree)),
+        ((1.5, 0.03), (80 * degree, 0.03)),
+    ):
+        attitude = dataclasses.replace(
+            lane.moving.attitude,
+            bank_angle=Swing(jnp.asarray(angle), jnp.asarray(rate)),
+        )
+        moving = dataclasses.replace(lane.moving, attitude=attitude)
+        bank = sense(given, lane.flown, moving, lane.held).bank
+        assert (float(bank.angle), float(bank.rate)) == pytest.approx((flown, turns))
+    assert IdealAttitude().bank(None) is None
 
 
 def test_an_attitude_follows_its_law_as_its_equation_says():

@@ -11,7 +11,14 @@ from helpers import fly_compiled, with_leaf
 
 from jentry.fields import Scalar, scalar
 from jentry.flight import Outcome
-from jentry.guidance import AbstractSampledLaw, FixedCycle
+from jentry.guidance import (
+    AbstractSampledLaw,
+    ConstantBankShape,
+    FixedCycle,
+    FixedSide,
+    GuidedEnd,
+    PredictorCorrector,
+)
 from jentry.guidance.open_loop import vertical_lift_command
 from jentry.guidance.path_limits import BankBounds, PathLimits
 from jentry.missions.sx_2 import scenario as sx_2
@@ -27,6 +34,7 @@ from jentry.motion import (
     NormalLoadFactor,
     PathPoint,
     entry_dynamics,
+    ground_track,
     usual_constraints,
 )
 from jentry.motion.forces import air_data
@@ -287,8 +295,8 @@ NONE = {"heat_rate": 1e12, "dynamic_pressure": 1e12, "normal_load_factor": 1e6}
 """Limits that nothing comes near"""
 
 
-def peaks(limits, density=1.0, **changes):
-    """Of a steep entry of SX-2 with a bank of 80 degrees as a wish."""
+def steep_entry(limits, density=1.0, **changes):
+    """Of SX-2 with a bank of 80 degrees as a wish."""
     nominal = sx_2.entry()
     law = Wishing(OnboardModel(nominal.planet, nominal.vehicle), **changes)
     kinds = HeatRate, DynamicPressure, NormalLoadFactor
@@ -298,7 +306,11 @@ def peaks(limits, density=1.0, **changes):
     }
     scenario = dataclasses.replace(nominal, guidance=law, constraints=constraints)
     steep = with_leaf(scenario, lambda s: s.initial_state.flight_path_angle, -0.0175)
-    flight = fly_compiled(with_leaf(steep, lambda s: s.planet.density_scale, density))
+    return with_leaf(steep, lambda s: s.planet.density_scale, density)
+
+
+def peaks(limits, density=1.0, **changes):
+    flight = fly_compiled(steep_entry(limits, density, **changes))
     assert int(flight.outcome) == Outcome.REACHED
     return {name: float(peak) for name, peak in flight.peaks.items()}
 
@@ -333,3 +345,56 @@ def test_limits_are_kept_in_denser_air_by_what_is_sensed():
     given = {"dynamic_pressure": limit}, 1.25
     assert peaks(*given)["dynamic_pressure"] < (1.0 + OVERSHOOT) * limit
     assert peaks(*given, trust=0.0)["dynamic_pressure"] > 1.05 * limit
+
+
+@pytest.mark.slow
+def test_what_is_foreseen_within_the_limits_is_flown():
+    """The rest of the flight at a bank, whose limits pull it up."""
+    scenario = steep_entry(ALLOWED)
+    wish = scenario.guidance
+    flown = fly_compiled(scenario)
+    cosine = float(wish.cos_bank)
+    law = PredictorCorrector(
+        model=wish.model,
+        shape=ConstantBankShape(lowest=cosine),
+        end=GuidedEnd(energy=sx_2.energies()[1]),
+        origin=scenario.initial_state,
+        downrange=0.0,
+        crossrange=0.0,
+        altitude=0.0,
+        lateral=FixedSide(),
+        limits=wish.limits,
+        foresees_limits=True,
+        step=2.0,
+        steps=800,
+    )
+    planet, vehicle = wish.model.planet, wish.model.vehicle
+    angle = vehicle.trim_angle_of_attack
+    seen = measure(
+        planet,
+        vehicle,
+        scenario.initial_state,
+        angle,
+        constraints=scenario.constraints,
+    )
+
+    @eqx.filter_jit
+    def end(law):
+        zero = 0.0 * seen.drag
+        return law.predicted(zero, seen, Factors(), jnp.zeros(1), 1.0, True)
+
+    def off(end):
+        there, here = (
+            np.array(ground_track(planet, scenario.initial_state, of.state))
+            for of in (flown, end)
+        )
+        return np.hypot(*(here - there))
+
+    foreseen, blind = (
+        off(end(dataclasses.replace(law, foresees_limits=foresees)))
+        for foresees in (True, False)
+    )
+    # In flight the bounds are those at the start of a second, in the prediction those of
+    # each stage: 1.4 km apart at the end, of 1000 km by which the limits move it.
+    assert blind > 900 * km
+    assert foreseen < 2 * km

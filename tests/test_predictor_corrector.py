@@ -29,8 +29,8 @@ from jentry.guidance.predictor_corrector import least_squares_step
 from jentry.missions.mars import predictor_corrector as mars
 from jentry.missions.mars.drag_tracking import entry, independent
 from jentry.missions.x_33.predictor_corrector import in_plane as x_33
-from jentry.motion import EntryState
-from jentry.onboard import Factors, PolynomialProfile, measure
+from jentry.motion import EntryState, Response, SecondOrderAttitude, Swing
+from jentry.onboard import BankTurning, Factors, PolynomialProfile, measure
 from jentry.units import degree, km
 
 
@@ -141,9 +141,11 @@ def start_of(scenario):
 
 
 @eqx.filter_jit
-def predicted(law, seen, numbers, sign, in_space, factors=Factors()):
+def predicted(
+    law, seen, numbers, sign, in_space, factors=Factors(), reverses_in=math.inf
+):
     zero = 0.0 * seen.drag
-    return law.predicted(zero, seen, factors, numbers, sign, in_space)
+    return law.predicted(zero, seen, factors, numbers, sign, in_space, reverses_in)
 
 
 def test_what_is_predicted_is_flown():
@@ -160,6 +162,66 @@ def test_what_is_predicted_is_flown():
     assert float(end.state.longitude) == pytest.approx(
         float(flown.state.longitude), abs=0.1 / float(scenario.planet.radius)
     )
+
+
+def turning_from(bank):
+    """The law with a bank that turns by a degree a second, and what it senses."""
+    scenario = in_space()
+    turning = BankTurning(1.0 * degree, 5.0 * degree)
+    law = dataclasses.replace(scenario.guidance, turning=turning, step=2.0, steps=200)
+    swing = Swing(number(bank * degree), number(0.0))
+    return law, dataclasses.replace(start_of(scenario), bank=swing)
+
+
+AXES = "longitude", "latitude"
+
+BANK = 60.0
+"""deg; the number 0.75 of a bank up to half a turn"""
+
+
+@pytest.mark.slow
+def test_what_is_predicted_while_the_bank_turns_is_flown():
+    """From the left to the right in two minutes, by an attitude whose bandwidth is large
+    beside its rate."""
+    law, seen = turning_from(-BANK)
+    end = predicted(law, seen, jnp.array([0.75]), 1.0, True)
+    swift = lambda reach, rate: Response(
+        5.0, 1.0, rate * degree, 5.0 * degree, -reach, reach
+    )
+    attitude = SecondOrderAttitude(
+        swift(1.0, 100.0), swift(math.pi, 1.0), None, -BANK * degree
+    )
+    bank = BankProfile(PolynomialProfile([math.cos(BANK * degree)]))
+    flown = fly_compiled(
+        dataclasses.replace(in_space(), guidance=bank, attitude=attitude)
+    )
+    at_once = predicted(in_space().guidance, seen, jnp.array([0.75]), 1.0, True)
+    radius = float(in_space().planet.radius)
+    off, moved = (
+        [radius * float(getattr(a, axis) - getattr(b.state, axis)) for axis in AXES]
+        for a, b in ((flown.state, end), (flown.state, at_once))
+    )
+    # The turn ends 0.04 s late, and so does a lift of some 20 m/s2: 2 m.
+    assert np.max(np.abs(off)) < 20.0
+    assert np.max(np.abs(moved)) > 100e3
+
+
+@pytest.mark.slow
+def test_a_reversal_that_comes_at_once_is_to_the_other_side():
+    law, seen = turning_from(BANK)
+    numbers = jnp.array([0.75])
+    kept, later, now, other = (
+        predicted(law, seen, numbers, sign, True, reverses_in=number(time)).state
+        for sign, time in ((1.0, math.inf), (1.0, 60.0), (1.0, 0.0), (-1.0, math.inf))
+    )
+    np.testing.assert_allclose(now.latitude, other.latitude, rtol=1e-12)
+    assert float(kept.latitude) < float(later.latitude) < float(now.latitude)
+
+
+def test_a_bank_that_is_flown_at_once_has_no_turning():
+    law, seen = turning_from(BANK)
+    with pytest.raises(ValueError, match="flies its commands at once"):
+        decided(law, dataclasses.replace(seen, bank=None), jnp.array([0.75]))
 
 
 @pytest.mark.optimized
@@ -323,6 +385,7 @@ def test_without_a_prediction_the_numbers_stay_and_it_is_said():
         ({"corrections": 0}, "corrections is 0"),
         ({"step": 0.0}, "steps of 0.0 s"),
         ({"steps": 0}, "0 steps"),
+        ({"foresees_limits": True}, "limits is None"),
     ],
 )
 def test_what_cannot_predict_is_refused(changes, said):

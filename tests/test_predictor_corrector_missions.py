@@ -132,6 +132,12 @@ def test_what_is_said_of_limits_and_of_the_rlv():
     assert_says("has a standard deviation of 87 km", spread)
     said = "crossrange a median of 117 km, and the altitude one of 4.3 km"
     assert_says(said, crossrange, altitude)
+    for most, heading in (
+        (spread, "downrange error, 99th percentile, km"),
+        (crossrange, "crossrange error, 99th percentile, km"),
+        (altitude, "altitude error, median, km"),
+    ):
+        assert np.mean(saved["rlv", "predictor-corrector", "table-1", heading]) < most
 
 
 def test_what_is_said_of_cav_h():

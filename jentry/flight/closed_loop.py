@@ -12,6 +12,7 @@ from .._dependence import Traced
 from ..fields import Count, Flag, Scalar
 from ..guidance.law import AbstractSampledLaw, begun, commanded, decided
 from ..guidance.switching import shares_reversals
+from ..motion.attitude import Swing
 from ..motion.constraints import (
     ConstraintValues,
     PathPoint,
@@ -121,9 +122,12 @@ def _acting(scenario: Scenario, flown: Scalar, moving: Moving, held: Any) -> Tra
     and the angle of attack at which they are."""
     state, memory = moving.state, moving.memory
     trim = scenario.vehicle.trim_angle_of_attack
+    bank = scenario.attitude.bank(moving.attitude)
 
     def act(lift: Scalar, drag: Scalar, angle: Scalar) -> tuple[Controls, Any]:
-        measurement = Measurement(state, lift, drag, angle, trim, scenario.constraints)
+        measurement = Measurement(
+            state, lift, drag, angle, trim, scenario.constraints, bank
+        )
         return commanded(scenario.guidance, flown, measurement, memory, held)
 
     return Traced(act, *3 * [state.altitude])
@@ -150,7 +154,8 @@ def _sensed(
             "and drag sensed at the same instant, which depend on the angle of attack: "
             f"{hold}, or give the vehicle an attitude that takes its time"
         )
-    return _measured(scenario, moving.state, angle, sampled_at)
+    bank = scenario.attitude.bank(moving.attitude)
+    return _measured(scenario, moving.state, angle, sampled_at, bank)
 
 
 def _measured(
@@ -158,6 +163,7 @@ def _measured(
     state: EntryState,
     angle_of_attack: Scalar,
     sampled_at: Scalar | None = None,
+    bank: Swing | None = None,
 ) -> Measurement:
     measurement = measure(
         scenario.planet,
@@ -167,6 +173,7 @@ def _measured(
         scenario.accelerometers,
         sampled_at,
         scenario.constraints,
+        bank,
     )
     error = scenario.angle_of_attack_error
     if error is None:

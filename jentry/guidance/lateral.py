@@ -23,7 +23,13 @@ from .switching import AbstractSwitching, Sharp
 Side = TypeVar("Side")
 
 
-CrossrangeAtEnd = Callable[[Scalar], Scalar]
+class PredictedPassage(eqx.Module):
+    """How a law predicts that its destination will be passed."""
+
+    crossrange_error: Scalar
+    """At the end, m; NaN where the law cannot predict"""
+    time: Scalar
+    """From now to the end, s"""
 
 
 class Destination(eqx.Module):
@@ -36,9 +42,8 @@ class Destination(eqx.Module):
     """m"""
     crossrange: Scalar
     """m, positive to the left"""
-    predicted: CrossrangeAtEnd | None = None
-    """Crossrange error at the end (m) if the bank is of a sign from now on, as the law
-    predicts it; NaN where it cannot. None for a law that predicts no crossrange"""
+    predicted: Callable[[Scalar], PredictedPassage] | None = None
+    """If the bank is of a sign from now on; None for a law that predicts no crossrange"""
 
 
 class AbstractLateralLogic(eqx.Module, Generic[Side]):
@@ -73,6 +78,15 @@ class AbstractLateralLogic(eqx.Module, Generic[Side]):
     @abstractmethod
     def sign(self, side: Side) -> Scalar | float:
         """1 if the bank is to the right, -1 if it is to the left."""
+
+    def reverses_at(self, side: Side) -> Scalar | float:
+        """Time of the reversal that is expected next, s since the start.
+
+        Infinite where none is, or where the logic does not look ahead. A law reverses the
+        bank at this time, within a guidance cycle too: the logic counts it as done at the
+        next decision.
+        """
+        return math.inf
 
 
 class FixedSide(AbstractLateralLogic[None]):
@@ -235,6 +249,8 @@ class CountedSide(eqx.Module):
     sign: Scalar
     """1 to the right, -1 to the left"""
     reversals: Scalar
+    reverses_at: Scalar | None = None
+    """Time of the next one that is expected, s; infinite for none"""
 
 
 class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
@@ -244,6 +260,15 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
     keeps its side and for one that is reversed now. It is reversed where the second is
     smaller by a factor. A reversal leaves at most that share of the error to the next one:
     few of them are needed, and the last ones come late. Their number is limited.
+
+    The error kept, e, becomes that of a bank that is reversed now, e_r, the later it is
+    reversed, the less so: after a time t of the T to the end it is
+
+        e + (e_r - e) (1 - t / T)^2
+
+    under a constant push to the side. A logic that `foresees` tells by it when the bank
+    will be reversed next, for a law that predicts what its turning does to the range, and
+    when within a guidance cycle.
 
     After K. M. Smith, "Predictive Lateral Logic for Numerical Entry Guidance Algorithms",
     AAS/AIAA Space Flight Mechanics Meeting, 2016. It is for a law that predicts in three
@@ -258,13 +283,16 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
     """Number of reversals"""
     first_sign: Scalar = scalar(1.0)
     """Side of the bank at the start: 1 to the right, -1 to the left"""
+    foresees: bool = eqx.field(default=False, static=True)
+    """Whether it is told when the next reversal comes"""
 
     def __check_init__(self):
         _check_sign(self.first_sign)
 
     def init(self, measurement: Measurement) -> CountedSide:
         nothing = 0.0 * measurement.drag
-        return CountedSide(self.first_sign + nothing, nothing)
+        never = nothing + jnp.inf if self.foresees else None
+        return CountedSide(self.first_sign + nothing, nothing, never)
 
     def update(
         self,
@@ -279,18 +307,47 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
                 "PredictorCorrector with dynamics=EntryDynamics(): take a "
                 "CrossrangeCorridor"
             )
-        kept = jnp.abs(destination.predicted(side.sign))
-        reversed_now = jnp.abs(destination.predicted(-side.sign))
+        if side.reverses_at is not None:
+            done = time >= side.reverses_at
+            side = CountedSide(
+                jnp.where(done, -side.sign, side.sign),
+                side.reversals + jnp.where(done, 1.0, 0.0),
+            )
+        passage = destination.predicted(side.sign)
+        kept = passage.crossrange_error
+        reversed_now = destination.predicted(-side.sign).crossrange_error
         # What is not a number is not smaller.
-        better = self.factor * reversed_now < kept
-        turns = better & (kept > self.tolerance) & (side.reversals < self.most)
-        return CountedSide(
-            jnp.where(turns, -side.sign, side.sign),
-            side.reversals + jnp.where(turns, 1.0, 0.0),
-        )
+        better = self.factor * jnp.abs(reversed_now) < jnp.abs(kept)
+        turns = better & (jnp.abs(kept) > self.tolerance)
+        turns &= side.reversals < self.most
+        reversals = side.reversals + jnp.where(turns, 1.0, 0.0)
+        sign = jnp.where(turns, -side.sign, side.sign)
+        if not self.foresees:
+            return CountedSide(sign, reversals)
+        after = jnp.where(turns, reversed_now, kept)
+        other = jnp.where(turns, kept, reversed_now)
+        comes_in = self._expected(after, other, passage.time, reversals)
+        return CountedSide(sign, reversals, time + comes_in)
 
     def sign(self, side: CountedSide) -> Scalar:
         return side.sign
+
+    def reverses_at(self, side: CountedSide) -> Scalar | float:
+        return math.inf if side.reverses_at is None else side.reverses_at
+
+    def _expected(
+        self, kept: Scalar, reversed_now: Scalar, time: Scalar, reversals: Scalar
+    ) -> Scalar:
+        """When the error of a reversed bank will be the share of the kept one, beyond the
+        destination; infinite where that will not be."""
+        change = kept - reversed_now
+        moves = change != 0.0
+        square = (1.0 + 1.0 / self.factor) * kept / jnp.where(moves, change, 1.0)
+        comes = moves & (square > 0.0) & (square <= 1.0)
+        comes &= (jnp.abs(kept) > self.tolerance) & (reversals < self.most)
+        # On both sides of the `where`, so that no derivative comes from there.
+        root = jnp.sqrt(jnp.where(comes, square, 1.0))
+        return jnp.where(comes, time * (1.0 - root), jnp.inf)
 
 
 class Reversals(eqx.Module):

@@ -9,6 +9,7 @@ After P. Lu, "Entry Guidance: A Unified Method", Journal of Guidance, Control, a
 exact, and so the derivative of the flight.
 """
 
+import dataclasses
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -21,9 +22,10 @@ from jaxtyping import Array, Float
 
 from .._batching import where_due
 from .._interpolation import clamp
-from .._math import arcsin, safe_sqrt, sincos
+from .._math import arcsin, safe_arccos, safe_sqrt, sincos
 from .._newton import solve
 from ..fields import Count, Flag, Scalar, optional_scalar, scalar
+from ..motion.attitude import Swing
 from ..motion.dynamics import EntryDynamics, EquatorialDynamics
 from ..motion.index import AbstractIndex, EnergyIndex
 from ..motion.quantities import energy, ground_track
@@ -40,11 +42,12 @@ from ..onboard.model import OnboardModel
 from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
 from ..onboard.propagation import Margin, Prediction, propagate
+from ..onboard.turning import BankTurning
 from ..world.planet import Planet
 from .bank_shapes import AbstractBankShape, ConstantBankShape, Numbers
 from .cycle import FixedCycle
 from .glide_damping import GlideDamping
-from .lateral import AbstractLateralLogic, Destination
+from .lateral import AbstractLateralLogic, Destination, PredictedPassage
 from .law import AbstractSampledLaw
 from .path_limits import BankBounds, PathLimits
 from .range_network import Answer, RangeNetwork
@@ -145,6 +148,11 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     range to go is the arc to the target: this costs half as much, and for a vehicle that
     turns far to the sides it is the better guess of what reversals will make of its path.
 
+    Where `turning` says how a bank turns that takes its time, the prediction flies that,
+    and the reversal that the lateral logic tells of. Meanwhile the lift goes through
+    upwards: the bank before has to make up for it, since after the last reversal there may
+    be no time to.
+
     What the derivative of a flight means: between two flights that are near each other
     guidance cycles come at the same times, and steps are clipped or not in the same
     cycles. Where a number saturates it has no derivative, as it should. Reversals of the
@@ -171,7 +179,11 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     """Of the phugoid, in the prediction as well as in flight; None where the bank is that
     of the shape alone"""
     limits: PathLimits | None = None
-    """Of the bank, by the path constraints of the scenario; the prediction has none"""
+    """Of the bank, by the path constraints of the scenario"""
+    turning: BankTurning | None = None
+    """How the vehicle turns its bank, which the prediction flies then, from the bank that
+    is sensed and through the next reversal that the lateral logic expects. None where
+    commands are flown at once"""
     index: AbstractIndex = EnergyIndex()
     """Of the shape and of the angle of attack"""
     estimator: AbstractFactorEstimator = eqx.field(default_factory=FactorEstimator)
@@ -191,6 +203,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     in_space: bool = eqx.field(default=True, static=True)
     """Whether the range is predicted in three dimensions, with the bank on its side to the
     end, or in the vertical plane. What a lateral logic predicts is in three dimensions"""
+    foresees_limits: bool = eqx.field(default=False, static=True)
+    """Whether the limits bound the bank in the prediction too. Else it has none, and the
+    numbers go by a bank that is not flown where the limits bind"""
     corrections: int = eqx.field(default=2, static=True)
     """In one guidance cycle; each is a prediction"""
     step: float = eqx.field(default=3.0, static=True)
@@ -209,13 +224,21 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         plain = isinstance(self.shape, ConstantBankShape) and not self.in_space
         by_velocity = self.end.velocity is not None and self.end.energy is None
         plain = plain and self.angle_of_attack is None and self.damping is None
+        plain = plain and self.turning is None and not self.foresees_limits
         if self.network is not None and not (plain and by_velocity):
             raise ValueError(
                 "a network takes the place of the prediction of a constant bank to a "
                 "velocity, in the vertical plane, at the trim angle of attack and without "
-                f"damping: shape is {type(self.shape).__name__}, in_space is "
+                "damping, turning or limits that are foreseen: shape is "
+                f"{type(self.shape).__name__}, in_space is "
                 f"{self.in_space}, angle_of_attack is {self.angle_of_attack}, damping is "
-                f"{self.damping}, end is {self.end}"
+                f"{self.damping}, turning is {self.turning}, foresees_limits is "
+                f"{self.foresees_limits}, end is {self.end}"
+            )
+        if self.foresees_limits and self.limits is None:
+            raise ValueError(
+                "foresees_limits is True and limits is None: give the limits, such as "
+                "PathLimits(), or leave it at False"
             )
         turns = self.model.planet.rotation_rate
         at_rest = isinstance(turns, Tracer) or not eqx.is_array(turns) or turns == 0.0
@@ -247,30 +270,32 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         state, planet = measurement.state, self.model.planet
         senses = measurement.drag > self.gate
         estimate = self._estimate(measurement, held.estimate, senses)
-        sign = self.lateral.sign(held.side)
+        sign, reverses_in = self._side(time, held)
 
         def correct(before: tuple[Numbers, Scalar]) -> tuple[Numbers, Scalar]:
-            return self._correct(time, measurement, estimate.ahead, before[0], sign)
+            return self._correct(
+                time, measurement, estimate.ahead, before[0], sign, reverses_in
+            )
 
         before = held.numbers, jnp.zeros_like(held.decisions)
         numbers, lacks = where_due(senses, correct, before)
 
-        def crossrange_at_end(sign: Scalar) -> Scalar:
-            def predict(unknown: Scalar) -> Scalar:
+        def passage(sign: Scalar) -> PredictedPassage:
+            def predict(unknown: PredictedPassage) -> PredictedPassage:
                 end = self.predicted(
                     time, measurement, estimate.ahead, numbers, sign, in_space=True
                 )
                 _, reached = ground_track(planet, self.origin, end.state)
-                return jnp.where(end.has_end, reached - self.crossrange, unknown)
+                error = jnp.where(
+                    end.has_end, reached - self.crossrange, unknown.crossrange_error
+                )
+                return PredictedPassage(error, end.time)
 
-            return where_due(senses, predict, jnp.full_like(sign, jnp.nan))
+            unknown = PredictedPassage(jnp.full_like(sign, jnp.nan), 0.0 * sign)
+            return where_due(senses, predict, unknown)
 
         destination = Destination(
-            planet,
-            self.origin,
-            self.downrange,
-            self.crossrange,
-            crossrange_at_end,
+            planet, self.origin, self.downrange, self.crossrange, passage
         )
         side = self.lateral.update(time, measurement, held.side, destination)
         since = self.index.value(planet, time, state)
@@ -307,7 +332,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     ) -> tuple[Controls, tuple[()]]:
         state, factors = measurement.state, held.estimate.factors
         here = self.index.value(self.model.planet, time, state)
-        sign = self.lateral.sign(held.side)
+        sign, _ = self._side(time, held)
         wanted = self._banked(
             here, held.since, measurement, held.numbers, sign, state, factors
         )
@@ -329,13 +354,16 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         numbers: Numbers,
         sign: Scalar | float,
         in_space: bool,
+        reverses_in: Scalar | float = math.inf,
     ) -> Prediction:
         """The rest of the flight as the model flies it, with numbers of the shape.
 
         **Arguments:**
 
-        - `sign`: of the bank; without meaning in the vertical plane.
+        - `sign`: of the bank; in the vertical plane it tells how the bank turns, if that
+          takes a time.
         - `in_space`: in three dimensions, or in the vertical plane, from longitude zero.
+        - `reverses_in`: time to a reversal of a bank that takes a time to turn, s.
         """
         planet, state = self.model.planet, measurement.state
         now = self.index.value(planet, time, state)
@@ -343,9 +371,27 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             state = LongitudinalState.of(planet, state).eastward()
 
         def command(elapsed: Scalar, state: EntryState) -> Controls:
-            here = self.index.value(planet, time + elapsed, state)
             known = factors.at(state.altitude)
-            return self._banked(here, now, measurement, numbers, sign, state, known)
+
+            def banked(state: EntryState) -> Controls:
+                here = self.index.value(planet, time + elapsed, state)
+                return self._banked(here, now, measurement, numbers, sign, state, known)
+
+            wanted = banked(state)
+            if self.limits is not None and self.foresees_limits:
+                there = dataclasses.replace(measurement, state=state)
+                bounds = self.limits.bounds(self.model, there, known, banked)
+                cosine = bounds.kept(wanted.cos_bank)
+                wanted = _banked_to(cosine, wanted.angle_of_attack, sign)
+            if self.turning is None:
+                return wanted
+            bank = self.turning.flown(
+                _sensed(measurement.bank),
+                sign * safe_arccos(wanted.cos_bank),
+                elapsed,
+                reverses_in,
+            )
+            return Controls.from_bank(bank, wanted.angle_of_attack)
 
         return propagate(
             self.model,
@@ -370,6 +416,17 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         half = safe_sqrt(across * across + here * there * along * along)
         return jnp.where(along < 0.0, -2.0, 2.0) * radius * arcsin(half)
 
+    def _side(
+        self, time: Scalar, held: Corrected
+    ) -> tuple[Scalar | float, Scalar | float]:
+        """Sign of the bank at a time, and in which time it changes."""
+        sign = self.lateral.sign(held.side)
+        at = self.lateral.reverses_at(held.side)
+        if isinstance(at, float):
+            return sign, at
+        done = time >= at
+        return jnp.where(done, -sign, sign), jnp.where(done, jnp.inf, at - time)
+
     def _estimate(
         self, measurement: Measurement, before: AbstractFactorEstimate, senses: Flag
     ) -> AbstractFactorEstimate:
@@ -392,6 +449,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         factors: AbstractFactors,
         numbers: Numbers,
         sign: Scalar | float,
+        reverses_in: Scalar | float,
     ) -> tuple[Numbers, Scalar]:
         """The numbers after the corrections of a cycle, and 1 if the last prediction told
         nothing, else 0."""
@@ -408,7 +466,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                     found.knows, found.range < 0
                 )
             end = self.predicted(
-                time, measurement, factors, numbers, sign, self.in_space
+                time, measurement, factors, numbers, sign, self.in_space, reverses_in
             )
             if self.in_space:
                 reached, _ = ground_track(planet, self.origin, end.state)
@@ -479,6 +537,16 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         if self.damping is not None:
             cosine = self.damping.cos_bank(self.model, factors, state, angle, cosine)
         return _banked_to(cosine, angle, sign)
+
+
+def _sensed(bank: Swing | None) -> Swing:
+    if bank is None:
+        raise ValueError(
+            "the vehicle flies its commands at once, and the PredictorCorrector has a "
+            "turning: leave it at None, or give the scenario an attitude that takes its "
+            "time"
+        )
+    return bank
 
 
 def _banked_to(cosine: Scalar, angle: Scalar, sign: Scalar | float) -> Controls:

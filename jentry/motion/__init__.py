@@ -5,6 +5,7 @@ from .attitude import (
     IdealAttitude as IdealAttitude,
     Response as Response,
     SecondOrderAttitude as SecondOrderAttitude,
+    Swing as Swing,
 )
 from .constraints import (
     AbstractConstraint as AbstractConstraint,

@@ -36,6 +36,13 @@ class AbstractAttitude(eqx.Module, Generic[AttitudeState]):
         """
 
     @abstractmethod
+    def bank(self, state: AttitudeState) -> "Swing | None":
+        """The bank that is flown in a state, positive to the right, and how it turns.
+
+        None where it is the one that is commanded at the same instant.
+        """
+
+    @abstractmethod
     def flown(self, state: AttitudeState, command: Controls) -> Controls:
         """What the vehicle flies in a state."""
 
@@ -53,6 +60,9 @@ class IdealAttitude(AbstractAttitude[None]):
         return None
 
     def angle_of_attack(self, state: None) -> None:
+        return None
+
+    def bank(self, state: None) -> None:
         return None
 
     def flown(self, state: None, command: Controls) -> Controls:
@@ -147,6 +157,11 @@ class SecondOrderAttitude(AbstractAttitude[Swings]):
 
     def angle_of_attack(self, state: Swings) -> Scalar:
         return self.angle_of_attack_response.within(state.angle_of_attack.angle)
+
+    def bank(self, state: Swings) -> Swing:
+        response, swing = self.bank_response, state.bank_angle
+        limit = response.rate_limit
+        return Swing(response.within(swing.angle), clamp(swing.rate, -limit, limit))
 
     def flown(self, state: Swings, command: Controls) -> Controls:
         bank_angle = self.bank_response.within(state.bank_angle.angle)

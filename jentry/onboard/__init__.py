@@ -67,6 +67,7 @@ from .spline import (
     cubic_spline as cubic_spline,
 )
 from .track import Track as Track, TrackPosition as TrackPosition
+from .turning import BankTurning as BankTurning
 from .velocity_domain import (
     Deviations as Deviations,
     GlidePoint as GlidePoint,

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from ..fields import NOT_NEGATIVE, Scalar, scalar
+from ..motion.attitude import Swing
 from ..motion.constraints import Constraints
 from ..motion.forces import AirData, air_data
 from ..motion.state import EntryState
@@ -28,6 +29,9 @@ class Measurement(eqx.Module):
     """Angle of attack at which the vehicle flies where its law leaves it alone, rad"""
     constraints: Constraints = eqx.field(default_factory=dict)
     """Those of the scenario: what the law has to keep below their limits"""
+    bank: Swing | None = None
+    """Bank that is flown, positive to the right, and how it turns; None where commands are
+    flown at once, and before the first one"""
 
 
 class AbstractAccelerometers(eqx.Module):
@@ -93,12 +97,16 @@ def measure(
     accelerometers: AbstractAccelerometers = PerfectAccelerometers(),
     sampled_at: Scalar | None = None,
     constraints: Constraints | None = None,
+    bank: Swing | None = None,
 ) -> Measurement:
     """Perfect navigation, and the accelerometers, at an angle of attack (rad).
 
-    `sampled_at` as of `AbstractAccelerometers.read`; `constraints` are told as they are.
+    `sampled_at` as of `AbstractAccelerometers.read`; `constraints` and `bank` are told as
+    they are.
     """
     air = air_data(planet, vehicle, state, angle_of_attack)
     lift, drag = accelerometers.read(air, sampled_at)
     trim = vehicle.trim_angle_of_attack
-    return Measurement(state, lift, drag, angle_of_attack, trim, constraints or {})
+    return Measurement(
+        state, lift, drag, angle_of_attack, trim, constraints or {}, bank
+    )

@@ -8,8 +8,18 @@ from ...guidance.lateral import PredictedCrossrange
 from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector
 from ...motion.index import VelocityIndex
 from ...onboard.profiles import QuinticTable
+from ...onboard.turning import BankTurning
 from ...units import degree, km
-from .scenario import END_VELOCITY, LARGEST_BANK, entry, model, plan, start
+from .scenario import (
+    END_VELOCITY,
+    LARGEST_BANK,
+    TURN_ACCELERATION,
+    TURN_RATE,
+    entry,
+    model,
+    plan,
+    start,
+)
 
 
 RANGE = 7400.0 * km
@@ -19,8 +29,10 @@ RANGE = 7400.0 * km
 def guided() -> Scenario:
     """At the angle of attack of the plan over the velocity, with an attitude of 5 rad/s.
 
-    The prediction takes the bank to be flown at once. A reversal takes half a minute here,
-    and what the last ones leave is the miss. The bank at the end is chosen.
+    A reversal takes half a minute here, over which the lift goes through upwards: the
+    prediction flies it, and the one that comes next, before it begins. It turns the bank by
+    the limits of the attitude, and takes the angle of attack to be flown at once. The bank
+    at the end is chosen.
     """
     table = plan().quantities
     assert isinstance(table, QuinticTable)
@@ -34,8 +46,9 @@ def guided() -> Scenario:
         downrange=RANGE,
         crossrange=0.0,
         altitude=0.0,
-        lateral=PredictedCrossrange(factor=5.0),
+        lateral=PredictedCrossrange(factor=10.0, foresees=True),
         angle_of_attack=table.profile("angle_of_attack"),
+        turning=BankTurning(TURN_RATE, TURN_ACCELERATION),
         index=VelocityIndex(),
         in_space=False,
         step=5.0,

@@ -57,6 +57,8 @@ REVERSALS = 7000.0, 6000.0, 5000.0, 4000.0, 3000.0, 2000.0
 """m/s"""
 LARGEST_BANK = 80.0 * degree
 BANK_INCREMENT = 12.0 * degree
+TURN_RATE, TURN_ACCELERATION = 5.0 * degree, 1.7 * degree
+"""Of angle of attack and bank, rad/s and rad/s2: the limits that the paper prints"""
 
 _RADIUS = 6371.0 * km
 
@@ -109,7 +111,7 @@ def attitude(frequency: float) -> SecondOrderAttitude:
 
     The bandwidth of the angle of attack, rad/s, is not printed and decides everything.
     """
-    rate, acceleration = 5.0 * degree, 1.7 * degree
+    rate, acceleration = TURN_RATE, TURN_ACCELERATION
     return SecondOrderAttitude(
         angle_of_attack_response=Response(
             frequency, 0.9, rate, acceleration, 0.0, 60.0 * degree
