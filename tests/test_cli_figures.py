@@ -115,12 +115,7 @@ def test_a_campaign_that_is_refused_flies_none(command, monkeypatch):
         (2.0, 0.1, 600.0, 0.5),
         (2.0, 2.0, 600.0, 2.0),
         (3.0, 1.0, 600.0, 1.0),
-        (
-            0.7,
-            0.1,
-            600.0,
-            0.7,
-        ),  # seven steps: of a half of it there would be shorter ones
+        (0.7, 0.1, 600.0, 0.7),  # a half of it would be three steps and a half
     ],
 )
 def test_histories_are_kept_at_whole_steps_of_the_flights(

@@ -45,7 +45,7 @@ def imported(tree: ast.Module):
 
 
 def missing(tree: ast.Module) -> list[str]:
-    """What is read from imported modules and classes, and is not there."""
+    """What is read from imported modules, and is not there."""
     names = dict(imported(tree))
     return [
         f"{node.value.id}.{node.attr}"

@@ -38,7 +38,8 @@ def turned(angle, rate, wanted, times, reverses_in):
         if angle == target:
             continue
         way = np.sign(target - angle)
-        before, rate = rate, way * min(way * rate + ACCELERATION * step, RATE)
+        change = np.clip(RATE - way * rate, -ACCELERATION * step, ACCELERATION * step)
+        before, rate = rate, rate + way * change
         moved = angle + 0.5 * (before + rate) * step
         angle = target if way * (target - moved) <= 0.0 else moved
     return np.interp(times, grid, path)
@@ -54,6 +55,9 @@ def turned(angle, rate, wanted, times, reverses_in):
         (45.0, 0.0, 45.0, 12.0),
         (30.0, 5.0, 60.0, 20.0),
         (50.0, 0.0, 50.0, 0.0),
+        (-50.0, 0.0, 50.0, 5.0),  # before the turn is finished
+        (-50.0, 0.0, 50.0, 12.0),  # and when the other side has been reached
+        (-60.0, 9.0, 60.0, np.inf),  # faster than is believed to be possible
     ],
 )
 def test_a_bank_turns_by_the_acceleration_up_to_the_rate(

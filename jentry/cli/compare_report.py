@@ -215,9 +215,12 @@ def _share(share: Interval) -> str:
 def write_files(
     folder: Path, campaigns: "Mapping[str, xarray.Dataset]", found: Alternatives
 ) -> list[Path]:
-    """Write all numbers as JSON and the rows as csv, and draw what the table has."""
+    """Write all numbers as JSON and the rows as csv, and draw the first of the outputs."""
     names = [output.name for output in found.outputs]
-    figure = draw_comparison(campaigns, names)
+    compared = {
+        row.name: campaigns[row.name].isel(run=slice(row.runs)) for row in found.rows
+    }
+    figure = draw_comparison(compared, names)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"comparison.{kind}" for kind in ("json", "csv")]
     for path, text in zip(paths, (found.as_json(), found.as_csv()), strict=True):

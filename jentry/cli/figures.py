@@ -41,9 +41,9 @@ _DIGEST = "campaign_digest"
 _INTERVAL = 0.5
 """s; the longest guidance cycle of a law whose cycle varies"""
 
-_MOST_ENTRIES = 4000
-"""Of a history up to the time limit of its flight, for which all memory is taken at the
-start: some 100 MB for a batch"""
+_ENTRIES = 4000
+"""About so many of a history up to the time limit of its flight, not many more: memory
+for all is taken at the start, some 100 MB for a batch"""
 
 _TRAJECTORIES = 4 * LANES - 1
 """Runs whose trajectories make the bands, if the campaign has not kept them. With the
@@ -199,14 +199,16 @@ def stored_histories(folder: Path, campaign: str) -> "xarray.Dataset | None":
     return flown
 
 
-def interval_of(scenario: Scenario, solver: AbstractSolver) -> float:
+def interval_of(
+    scenario: Scenario, solver: AbstractSolver, entries: float = _ENTRIES
+) -> float:
     """At which a history can be kept, s: about `_INTERVAL`, in step with the cycle.
 
-    Longer where a flight may have more than `_MOST_ENTRIES`. It is of whole steps: with
-    others the flights would not be those of the campaign.
+    Longer where a flight may have many more entries. It is of whole steps: with others the
+    flights would not be those of the campaign.
     """
     plan, law = Plan.of(scenario, solver, None), scenario.guidance
-    about = max(_INTERVAL, scenario.termination.time_limit / _MOST_ENTRIES)
+    about = max(_INTERVAL, scenario.termination.time_limit / entries)
     if not isinstance(law, AbstractSampledLaw):
         return plan.step * max(1, round(about / plan.step))
     period = law.cycle.period

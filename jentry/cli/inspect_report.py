@@ -1,5 +1,6 @@
 """What `jentry inspect` prints, and the run that it flies again."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ from ..campaign.campaign import monte_carlo
 from ..campaign.outputs import unit_size
 from ..campaign.results import OutputNamed, dataset
 from ..campaign.store import write_campaign
+from ..flight.cycle import Plan
 from ..flight.scenario import Scenario
 from ..flight.solver import FixedStep
 from ..flight.termination import Outcome
@@ -159,8 +161,12 @@ def fly_again(
         )
     else:
         console.print(f"run {run} flown again: every stored number, to the last bit")
-    usual = interval_of(scenario, solver) if kept is None else kept
-    interval = usual if history is None else history
+    if history is None:
+        # Of one flight as fine as usual, in the steps of the campaign.
+        solver = FixedStep(Plan.of(scenario, solver, kept).step)
+        interval = interval_of(scenario, solver, math.inf)
+    else:
+        interval = history
     flown = monte_carlo(
         scenario, runs=[run], inputs=inputs, solver=solver, history=interval
     )

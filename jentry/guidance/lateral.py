@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.core import Tracer
 
 from .._math import sincos
@@ -82,9 +83,9 @@ class AbstractLateralLogic(eqx.Module, Generic[Side]):
     def reverses_at(self, side: Side) -> Scalar | float:
         """Time of the reversal that is expected next, s since the start.
 
-        Infinite where none is, or where the logic does not look ahead. A law reverses the
-        bank at this time, within a guidance cycle too: the logic counts it as done at the
-        next decision.
+        Infinite where none is, or where the logic does not look ahead. A law that heeds it,
+        `PredictorCorrector`, reverses the bank at this time, within a guidance cycle too:
+        the logic counts it as done at the next decision. It has no derivative.
         """
         return math.inf
 
@@ -327,7 +328,8 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
         after = jnp.where(turns, reversed_now, kept)
         other = jnp.where(turns, kept, reversed_now)
         comes_in = self._expected(after, other, passage.time, reversals)
-        return CountedSide(sign, reversals, time + comes_in)
+        # When it comes has no derivative, for the prediction as little as for the flight.
+        return CountedSide(sign, reversals, lax.stop_gradient(time + comes_in))
 
     def sign(self, side: CountedSide) -> Scalar:
         return side.sign

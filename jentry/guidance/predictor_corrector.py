@@ -17,12 +17,13 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._batching import where_due
 from .._interpolation import clamp
-from .._math import arcsin, safe_arccos, safe_sqrt, sincos
+from .._math import arccos, arcsin, safe_sqrt, sincos
 from .._newton import solve
 from ..fields import Count, Flag, Scalar, optional_scalar, scalar
 from ..motion.attitude import Swing
@@ -149,9 +150,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     turns far to the sides it is the better guess of what reversals will make of its path.
 
     Where `turning` says how a bank turns that takes its time, the prediction flies that,
-    and the reversal that the lateral logic tells of. Meanwhile the lift goes through
-    upwards: the bank before has to make up for it, since after the last reversal there may
-    be no time to.
+    and the reversal that the lateral logic tells of; without `turning` it flies none that
+    is to come. Meanwhile the lift goes through upwards: the bank before has to make up for
+    it, since after the last reversal there may be no time to.
 
     What the derivative of a flight means: between two flights that are near each other
     guidance cycles come at the same times, and steps are clipped or not in the same
@@ -387,7 +388,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 return wanted
             bank = self.turning.flown(
                 _sensed(measurement.bank),
-                sign * safe_arccos(wanted.cos_bank),
+                sign * _bank_of(wanted.cos_bank),
                 elapsed,
                 reverses_in,
             )
@@ -537,6 +538,17 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         if self.damping is not None:
             cosine = self.damping.cos_bank(self.model, factors, state, angle, cosine)
         return _banked_to(cosine, angle, sign)
+
+
+_INSIDE = 1.0 - 1e-12
+"""Cosine up to which an angle has a derivative by it"""
+
+
+def _bank_of(cosine: Scalar) -> Scalar:
+    """Magnitude of the bank, rad. By a cosine of 1 too it has a derivative, of which that
+    of the cosine of the bank is 1: else a number at its bound would stay there."""
+    inside = clamp(cosine, -_INSIDE, _INSIDE)
+    return arccos(cosine + lax.stop_gradient(inside - cosine))
 
 
 def _sensed(bank: Swing | None) -> Swing:

@@ -35,19 +35,21 @@ class BankTurning(eqx.Module):
         - `bank`: at the start, and its rate.
         - `wanted`: what is commanded since then, as it is commanded at the time, rad.
         - `elapsed`: time since the start, s.
-        - `reverses_in`: time from the start to when the other side is commanded, s.
+        - `reverses_in`: time from the start to when the other side is commanded, s. What
+          is turned until then is kept, and the turn to the other side begins at rest.
         """
         way = jnp.where(wanted < bank.angle, -1.0, 1.0)
-        angle = _nearer(bank.angle, wanted, self._turned(way * bank.rate, elapsed))
+        until = jnp.minimum(elapsed, reverses_in)
+        angle = _nearer(bank.angle, wanted, self._turned(way * bank.rate, until))
         since = jnp.maximum(elapsed - reverses_in, 0.0)
         return _nearer(angle, -wanted, self._turned(0.0, since))
 
     def _turned(self, rate: Scalar | float, elapsed: Scalar) -> Scalar:
-        """Angle that is turned in a time from a rate on, rad."""
+        """Angle that is turned in a time, rad, from any rate on, a larger one too."""
         a, lacks = self.acceleration, self.rate - rate
-        speeds_up = jnp.maximum(lacks / a - elapsed, 0.0)
-        late = 0.5 * (lacks * lacks / a - a * speeds_up * speeds_up)
-        return self.rate * elapsed - late
+        left = jnp.maximum(jnp.abs(lacks) / a - elapsed, 0.0)
+        late = 0.5 * (lacks * lacks / a - a * left * left)
+        return self.rate * elapsed - jnp.sign(lacks) * late
 
 
 def _nearer(angle: Scalar, target: Scalar, turned: Scalar) -> Scalar:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._printed import in_words
+from ..addresses import nearest
 from ..campaign.outputs import is_error, is_output
 from ..campaign.populations import finite_flights
 from ..units import edge_unit
@@ -128,7 +129,7 @@ def compared(
     - `outputs`: which of those that both have; all if not given.
 
     **Raises:** `TooFewFlights`, a `ValueError`, for campaigns of which one has no two
-    finite flights.
+    finite flights; `ValueError` for an output that neither has.
     """
     first, second = (x.drop_dims("time", errors="ignore") for x in (first, second))
     paired, why = are_pairs(first, second)
@@ -147,15 +148,14 @@ def compared(
             "a comparison takes two finite flights of each campaign, or two pairs: there "
             f"are {flown[0].sizes['run']} and {flown[1].sizes['run']}"
         )
-    names = [
-        [
-            n
-            for n in map(str, x.data_vars)
-            if is_output(n)
-            and (n not in END_STATE if outputs is None else n in outputs)
-        ]
-        for x in flown
-    ]
+    known = [[n for n in map(str, x.data_vars) if is_output(n)] for x in flown]
+    if outputs is None:
+        names = [[n for n in each if n not in END_STATE] for each in known]
+    else:
+        for unknown in sorted({*outputs} - {*known[0], *known[1]})[:1]:
+            told = nearest(unknown, dict.fromkeys([*known[0], *known[1]]))
+            raise ValueError(f"no campaign has the output {unknown}; {told}")
+        names = [[n for n in each if n in outputs] for each in known]
     both = [name for name in names[0] if name in names[1]]
     return Comparison(
         paired=paired,
