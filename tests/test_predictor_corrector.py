@@ -25,6 +25,7 @@ from jentry.guidance import (
     TwoEndedBankShape,
     compose,
 )
+from jentry.guidance.lateral import PredictedCrossrange
 from jentry.guidance.predictor_corrector import least_squares_step
 from jentry.missions.mars import predictor_corrector as mars
 from jentry.missions.mars.drag_tracking import entry, independent
@@ -216,6 +217,60 @@ def test_a_reversal_that_comes_at_once_is_to_the_other_side():
     )
     np.testing.assert_allclose(now.latitude, other.latitude, rtol=1e-12)
     assert float(kept.latitude) < float(later.latitude) < float(now.latitude)
+
+
+@pytest.mark.slow
+def test_wings_level_can_be_left_where_a_bank_turns():
+    """The derivative of what is predicted is there at the bound of the number too."""
+    law, seen = turning_from(30.0)
+
+    @eqx.filter_jit
+    def longitude(share):
+        return predicted(law, seen, share[None], 1.0, False).state.longitude
+
+    ends = [
+        jax.jvp(longitude, (number(share),), (number(1.0),))
+        for share in (1.0, 0.999, 0.998)
+    ]
+    (at_bound, slope), (before, _), (twice, _) = [map(float, end) for end in ends]
+    # The one-sided difference of second order.
+    expected = (3.0 * at_bound - 4.0 * before + twice) / (2.0 * 0.001)
+    assert slope == pytest.approx(expected, rel=1e-3) and abs(slope) > 0.1
+
+
+@pytest.mark.slow
+def test_a_flight_has_its_derivatives_where_reversals_are_foreseen():
+    """By density and lift, through sensed banks and what is expected of reversals."""
+    reach = Response(1.0, 1.0, 10.0 * degree, 5.0 * degree, -math.pi, math.pi)
+    attitude = SecondOrderAttitude(dataclasses.replace(reach, frequency=2.0), reach)
+    law = dataclasses.replace(
+        in_space().guidance,
+        corrections=1,
+        turning=BankTurning(10.0 * degree, 5.0 * degree),
+        lateral=PredictedCrossrange(factor=3.0, foresees=True),
+    )
+    scenario = dataclasses.replace(in_space(), guidance=law, attitude=attitude)
+
+    @eqx.filter_jit
+    def ends(factors):
+        def end(factors):
+            given = with_leaf(scenario, lambda s: s.planet.density_scale, factors[0])
+            given = with_leaf(given, lambda s: s.vehicle.lift_scale, factors[1])
+            flight = fly(given)
+            sides = flight.state.longitude, flight.state.latitude
+            return jnp.stack(sides) * scenario.planet.radius
+
+        values = jax.vmap(end)(factors)
+        one = jnp.eye(2)
+        slopes = jax.vmap(lambda t: jax.jvp(end, (factors[0],), (t,))[1])(one)
+        return values, slopes
+
+    h = 1e-6
+    shifts = h * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+    values, slopes = ends(jnp.asarray(np.array([1.02, 0.97]) + shifts))
+    differences = np.stack([values[1] - values[2], values[3] - values[4]]) / (2 * h)
+    np.testing.assert_allclose(slopes, differences, rtol=1e-4, atol=1.0)
+    assert np.min(np.max(np.abs(differences), axis=1)) > 1.0
 
 
 def test_a_bank_that_is_flown_at_once_has_no_turning():

@@ -9,7 +9,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jax.core import Tracer
 
 from .._math import sincos
@@ -85,7 +84,7 @@ class AbstractLateralLogic(eqx.Module, Generic[Side]):
 
         Infinite where none is, or where the logic does not look ahead. A law that heeds it,
         `PredictorCorrector`, reverses the bank at this time, within a guidance cycle too:
-        the logic counts it as done at the next decision. It has no derivative.
+        the logic counts it as done at the next decision.
         """
         return math.inf
 
@@ -328,8 +327,7 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
         after = jnp.where(turns, reversed_now, kept)
         other = jnp.where(turns, kept, reversed_now)
         comes_in = self._expected(after, other, passage.time, reversals)
-        # When it comes has no derivative, for the prediction as little as for the flight.
-        return CountedSide(sign, reversals, lax.stop_gradient(time + comes_in))
+        return CountedSide(sign, reversals, time + comes_in)
 
     def sign(self, side: CountedSide) -> Scalar:
         return side.sign

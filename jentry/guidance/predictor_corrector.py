@@ -158,7 +158,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     guidance cycles come at the same times, and steps are clipped or not in the same
     cycles. Where a number saturates it has no derivative, as it should. Reversals of the
     bank, and the cycles from which on there is air and in which `least_effect` is passed,
-    are discrete.
+    are discrete. A reversal that is foreseen comes at the next stage of a step, and the
+    derivative is that between two stages: it has what the prediction makes of another time,
+    and not the other time itself.
     """
 
     model: OnboardModel
@@ -540,8 +542,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         return _banked_to(cosine, angle, sign)
 
 
-_INSIDE = 1.0 - 1e-12
-"""Cosine up to which an angle has a derivative by it"""
+_INSIDE = 1.0 - 1e-6
+"""Cosine of 0.08 degrees, from where on an angle keeps the derivative by it that it has
+there: that of the sine would go beyond all bounds"""
 
 
 def _bank_of(cosine: Scalar) -> Scalar:
