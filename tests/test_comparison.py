@@ -15,7 +15,7 @@ from scipy import stats
 from test_report import rows
 
 from jentry.campaign import open_campaign
-from jentry.cli.compare_report import print_alternatives
+from jentry.cli.compare_report import print_alternatives, write_files
 from jentry.flight import Outcome
 from jentry.plots.comparison import draw_comparison
 from jentry.statistics.alternatives import alternatives_of
@@ -305,6 +305,31 @@ def test_what_is_left_out_is_printed(capsys):
     printed = capsys.readouterr().out
     assert "202 runs that not all of them have are left out" in printed
     assert "10 left out: not finite, or without an end" in printed
+
+
+def test_the_figure_is_of_the_runs_of_the_table(tmp_path, monkeypatch):
+    made, *_ = laws()
+    made["tuned"] = made["tuned"].isel(run=slice(200))
+    drawn = {}
+    monkeypatch.setattr(
+        "jentry.cli.compare_report.save_figures",
+        lambda figures, folder: drawn.update(figures) or [],
+    )
+    write_files(tmp_path, made, alternatives_of(made, ["peak_heat_rate"]))
+    (told,) = [legend.get_texts() for legend in drawn["comparison"].legends]
+    assert all("200 runs" in text.get_text() for text in told)
+
+
+def test_an_output_that_none_has_is_refused():
+    one, other = map(campaign, pair(10))
+    with pytest.raises(
+        ValueError, match="output downrange_eror; nearest: downrange_er"
+    ):
+        compared(one, other, ["downrange_error", "downrange_eror"])
+    # One of them is enough, as without a choice.
+    more = other.assign(peak_drag=other["downrange_error"])
+    found = compared(one, more, ["downrange_error", "peak_drag"])
+    assert found.only_one == ["peak_drag"]
 
 
 def test_alternatives_that_are_refused():
