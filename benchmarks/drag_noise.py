@@ -35,6 +35,8 @@ from scipy.linalg import expm  # noqa: E402
 from scipy.optimize import minimize  # noqa: E402
 
 from jentry.campaign.campaign import drawn_inputs  # noqa: E402
+from jentry.campaign.dispersions import scaled_dispersions  # noqa: E402
+from jentry.flight import has_end  # noqa: E402
 from jentry.guidance.composition import compose  # noqa: E402
 from jentry.guidance.cycle import FixedCycle  # noqa: E402
 from jentry.missions.rlv.scenario import CYCLE, JUDGED_BELOW, plan  # noqa: E402
@@ -195,6 +197,19 @@ class Linear:
         return np.concatenate(sets)[:FLIGHTS]
 
 
+def lost(variant: str, seed: int, wider: float) -> int:
+    """How many of 500 flights come to more than 1 g of drag error, or to no end, with
+    dispersions so many times as wide: the attitude has met its limits."""
+    mission = jentry.find_mission("rlv")
+    table = mission.dispersion_table("table-1-noise")
+    seeds = {"noise seed": table.pop("noise seed")}
+    table = scaled_dispersions(table, wider) | seeds
+    key = jax.random.key(seed)
+    flown = jentry.monte_carlo(mission.scenario(variant), table, key, FLIGHTS).flights
+    far = np.asarray(flown.peaks["drag_deviation"]) > 1.0
+    return int(np.sum(far | ~np.asarray(has_end(flown.outcome))))
+
+
 def row(name: str, deviation: float | None, sets: list[np.ndarray]) -> None:
     spread = "" if deviation is None else f"{1e3 * deviation:.3f}"
     median = 1e3 * np.median(np.concatenate(sets))
@@ -224,6 +239,12 @@ def main() -> None:
         for name, g in (("linear, frozen", law), ("best linear law", model.best(law))):
             deviation = noise * float(np.sqrt(np.sum(g * g)))
             row(f"    {name}", deviation, [model.peaks(g, seed) for seed in seeds])
+    print(f"flights lost, of {options.sets} sets of {FLIGHTS}")
+    for wider in (1.0, 1.4):
+        for variant in ("hard-noise", "quick-noise"):
+            counts = [lost(variant, seed, wider) for seed in seeds]
+            name = f"{variant}, dispersions {wider} times as wide"
+            print(f"{name:50}{', '.join(map(str, counts))}", flush=True)
 
 
 if __name__ == "__main__":

@@ -25,8 +25,8 @@ from jentry.guidance import (
     TwoEndedBankShape,
     compose,
 )
+from jentry.guidance.bounded_step import least_squares_step
 from jentry.guidance.lateral import PredictedCrossrange
-from jentry.guidance.predictor_corrector import least_squares_step
 from jentry.missions.mars import predictor_corrector as mars
 from jentry.missions.mars.drag_tracking import entry, independent
 from jentry.missions.x_33.predictor_corrector import in_plane as x_33

@@ -71,6 +71,7 @@ from .feedback_linearization import (
 )
 from .gated import Gated as Gated
 from .glide_damping import GlideDamping as GlideDamping
+from .guided_end import GuidedEnd as GuidedEnd
 from .lateral import (
     AbstractLateralLogic as AbstractLateralLogic,
     CrossrangeCorridor as CrossrangeCorridor,
@@ -100,7 +101,6 @@ from .open_loop import BankProfile as BankProfile, ControlProfiles as ControlPro
 from .path_limits import BankBounds as BankBounds, PathLimits as PathLimits
 from .predictor_corrector import (
     Corrected as Corrected,
-    GuidedEnd as GuidedEnd,
     PredictorCorrector as PredictorCorrector,
 )
 from .pseudospectral_tracking import (

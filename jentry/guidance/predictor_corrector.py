@@ -24,12 +24,11 @@ from jaxtyping import Array, Float
 from .._batching import where_due
 from .._interpolation import clamp
 from .._math import arccos, arcsin, safe_sqrt, sincos
-from .._newton import solve
-from ..fields import Count, Flag, Scalar, optional_scalar, scalar
+from ..fields import Flag, Scalar, scalar
 from ..motion.attitude import Swing
 from ..motion.dynamics import EntryDynamics, EquatorialDynamics
 from ..motion.index import AbstractIndex, EnergyIndex
-from ..motion.quantities import energy, ground_track
+from ..motion.quantities import ground_track
 from ..motion.state import Controls, EntryState
 from ..onboard.estimation import (
     AbstractFactorEstimate,
@@ -42,12 +41,13 @@ from ..onboard.longitudinal import LongitudinalState
 from ..onboard.model import OnboardModel
 from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
-from ..onboard.propagation import Margin, Prediction, propagate
+from ..onboard.propagation import Prediction, propagate
 from ..onboard.turning import BankTurning
-from ..world.planet import Planet
 from .bank_shapes import AbstractBankShape, ConstantBankShape, Numbers
+from .bounded_step import least_squares_step, within_bounds
 from .cycle import FixedCycle
 from .glide_damping import GlideDamping
+from .guided_end import GuidedEnd
 from .lateral import AbstractLateralLogic, Destination, PredictedPassage
 from .law import AbstractSampledLaw
 from .path_limits import BankBounds, PathLimits
@@ -57,52 +57,6 @@ from .range_network import Answer, RangeNetwork
 _FAR = 100.0
 """Times `least_effect`: from so large a miss the first number goes its largest step, where
 the slope does not tell"""
-
-
-class GuidedEnd(eqx.Module):
-    """Where guided flight ends, as the law believes it: at the first that is given.
-
-    The ground ends a flight as well. A flight that has risen to the ceiling has skipped
-    out, and would come down too far away.
-    """
-
-    velocity: Scalar | None = optional_scalar(unit="m/s")
-    altitude: Scalar | None = optional_scalar(unit="m")
-    energy: Scalar | None = optional_scalar(unit="J/kg")
-    ceiling: Scalar | None = optional_scalar(unit="m")
-
-    def __check_init__(self):
-        if self.velocity is None and self.altitude is None and self.energy is None:
-            raise ValueError(
-                "GuidedEnd has no velocity, no altitude and no energy: give what ends "
-                "guided flight"
-            )
-
-    def margins(self, planet: Planet) -> tuple[Margin, ...]:
-        """The ends of a prediction; with a ceiling it is the last one."""
-        found: list[Margin] = []
-        velocity, energy_there, ceiling = self.velocity, self.energy, self.ceiling
-        lowest = 0.0 if self.altitude is None else self.altitude
-        if velocity is not None:
-            found.append(lambda state: state.velocity - velocity)
-        found.append(lambda state: state.altitude - lowest)
-        if energy_there is not None:
-            found.append(lambda state: energy(planet, state) - energy_there)
-        if ceiling is not None:
-            found.append(lambda state: ceiling - state.altitude)
-        return tuple(found)
-
-    def first(self) -> tuple[Scalar, Scalar]:
-        """Velocity and altitude at which it ends; without an altitude, at the ground."""
-        assert self.velocity is not None
-        return self.velocity, 0.0 if self.altitude is None else self.altitude
-
-    def is_skip(self, ended_by: Count) -> Flag:
-        """Whether a prediction ended at the ceiling."""
-        if self.ceiling is None:
-            return jnp.zeros_like(ended_by, dtype=bool)
-        before = self.velocity is not None, True, self.energy is not None
-        return ended_by == sum(before)
 
 
 class _End(NamedTuple):
@@ -502,7 +456,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             blind = jnp.where(far, blind, 0.0) * jnp.eye(numbers.shape[0])[0]
             known = (ends | skips) & jnp.all(jnp.isfinite(misses))
             step = jnp.where(known, jnp.where(tells, best, blind), 0.0)
-            numbers = _clamped(numbers + step, least, largest)
+            numbers = within_bounds(numbers + step, least, largest)
             return (numbers, jnp.where(known, 0.0, 1.0)), None
 
         carry = numbers, jnp.zeros_like(to_go)
@@ -566,47 +520,6 @@ def _sensed(bank: Swing | None) -> Swing:
 
 def _banked_to(cosine: Scalar, angle: Scalar, sign: Scalar | float) -> Controls:
     return Controls(angle, cosine, sign * safe_sqrt(1.0 - cosine * cosine))
-
-
-def least_squares_step(
-    misses: Numbers,
-    effects: Float[Array, "numbers numbers"],
-    lower: Numbers,
-    upper: Numbers,
-) -> Numbers:
-    """The step between bounds that makes misses + effects step smallest.
-
-    Of one number, or of two: the best of the step that makes them zero, if it is within,
-    and of the best points of the four edges. Derivatives are those of the one that is
-    taken.
-    """
-    if misses.shape[0] == 1:
-        return _clamped(-misses / effects[0], lower, upper)
-    (a, b), (c, d) = effects
-    regular = a * d - b * c != 0.0
-    # On both sides of what is chosen, so that no derivative comes from there.
-    inside = -solve(jnp.where(regular, effects, jnp.eye(2)), misses)
-    points = [inside]
-    for fixed, free in ((0, 1), (1, 0)):
-        column = effects[:, free]
-        size = jnp.sum(column * column)
-        size = jnp.where(size > 0.0, size, 1.0)
-        for bound in (lower[fixed], upper[fixed]):
-            left = misses + effects[:, fixed] * bound
-            along = clamp(-jnp.sum(column * left) / size, lower[free], upper[free])
-            pair = (bound, along) if fixed == 0 else (along, bound)
-            points.append(jnp.stack(pair))
-    candidates = jnp.stack(points)
-    left = jax.vmap(lambda step: misses + effects @ step)(candidates)
-    remains = jnp.sum(left * left, axis=1)
-    within = regular & jnp.all((inside >= lower) & (inside <= upper))
-    remains = jnp.where(jnp.arange(5) == 0, jnp.where(within, -1.0, jnp.inf), remains)
-    return candidates[jnp.argmin(remains)]
-
-
-def _clamped(x: Numbers, low: Numbers, high: Numbers) -> Numbers:
-    # As `clamp`, of which one number is asked.
-    return jnp.where(x < low, low, jnp.where(x > high, high, x))
 
 
 def _with_effects(

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 from ...flight.scenario import Scenario
 from ...guidance.bank_shapes import TwoEndedBankShape
 from ...guidance.glide_damping import GlideDamping
+from ...guidance.guided_end import GuidedEnd
 from ...guidance.lateral import PredictedCrossrange
-from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector
+from ...guidance.predictor_corrector import PredictorCorrector
 from ...motion.index import VelocityIndex
 from ...onboard.model import OnboardModel
 from ...onboard.profiles import PolynomialProfile

@@ -15,8 +15,9 @@ import jax.numpy as jnp
 
 from ...flight.scenario import Scenario
 from ...guidance.bank_shapes import ConstantBankShape
+from ...guidance.guided_end import GuidedEnd
 from ...guidance.lateral import AbstractLateralLogic, FixedSide, PredictedCrossrange
-from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector
+from ...guidance.predictor_corrector import PredictorCorrector
 from ...guidance.range_network import BASIS, PURPOSE, RangeNetwork
 from ...motion.dynamics import AbstractDynamics, EntryDynamics, EquatorialDynamics
 from ...onboard.model import OnboardModel

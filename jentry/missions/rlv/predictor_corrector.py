@@ -4,8 +4,9 @@ import equinox as eqx
 
 from ...flight.scenario import Scenario
 from ...guidance.bank_shapes import LinearBankShape
+from ...guidance.guided_end import GuidedEnd
 from ...guidance.lateral import PredictedCrossrange
-from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector
+from ...guidance.predictor_corrector import PredictorCorrector
 from ...motion.index import VelocityIndex
 from ...onboard.profiles import QuinticTable
 from ...onboard.turning import BankTurning

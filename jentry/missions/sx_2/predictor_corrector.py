@@ -4,9 +4,10 @@ import equinox as eqx
 
 from ...flight.scenario import Scenario
 from ...guidance.bank_shapes import LinearBankShape
+from ...guidance.guided_end import GuidedEnd
 from ...guidance.lateral import PredictedCrossrange
 from ...guidance.path_limits import PathLimits
-from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector
+from ...guidance.predictor_corrector import PredictorCorrector
 from ...units import degree
 from .scenario import energies, full, reference_controls, start, track_model
 

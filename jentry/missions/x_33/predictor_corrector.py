@@ -6,9 +6,10 @@ import equinox as eqx
 
 from ...flight.scenario import Scenario
 from ...guidance.bank_shapes import TwoEndedBankShape
+from ...guidance.guided_end import GuidedEnd
 from ...guidance.lateral import AbstractLateralLogic, FixedSide, PredictedCrossrange
 from ...guidance.path_limits import PathLimits
-from ...guidance.predictor_corrector import GuidedEnd, PredictorCorrector
+from ...guidance.predictor_corrector import PredictorCorrector
 from ...motion.index import VelocityIndex
 from ...units import degree
 from .airframe import ScheduledAngleOfAttack
