@@ -30,14 +30,15 @@ def _step(key: Any) -> str:
     return str(key)
 
 
-def _address(path: tuple) -> str:
+def address_of(path: tuple) -> str:
+    """The address of a node by its path, as `jax.tree_util` gives it."""
     return ".".join(_step(key) for key in path)
 
 
 def leaves_by_address(tree: PyTree) -> dict[str, Any]:
     """Every array leaf with its address, in the order of the tree."""
     paths, _ = jtu.tree_flatten_with_path(tree)
-    return {_address(path): leaf for path, leaf in paths if eqx.is_array(leaf)}
+    return {address_of(path): leaf for path, leaf in paths if eqx.is_array(leaf)}
 
 
 def addresses_of(tree: PyTree, where: Callable[[Any], Any]) -> list[str]:
@@ -46,7 +47,7 @@ def addresses_of(tree: PyTree, where: Callable[[Any], Any]) -> list[str]:
     Raises `ValueError` when it reaches none.
     """
     names = jtu.tree_map_with_path(
-        lambda path, leaf: _address(path) if eqx.is_array(leaf) else None, tree
+        lambda path, leaf: address_of(path) if eqx.is_array(leaf) else None, tree
     )
     named = where(names)
     found = jax.tree.leaves(named)
@@ -91,7 +92,7 @@ def replace_leaves(tree: Tree, values: Mapping[str, Any]) -> Tree:
         require_address(known, address)
     leaves = []
     for path, leaf in paths:
-        address = _address(path)
+        address = address_of(path)
         if eqx.is_array(leaf) and address in values:
             value = jnp.asarray(values[address], dtype=leaf.dtype)
             if value.shape != leaf.shape:
@@ -136,7 +137,7 @@ def with_leaves(tree: Tree) -> Tree:
     paths, structure = jtu.tree_flatten_with_path(tree)
     if not any(isinstance(leaf, int | float | complex) for _, leaf in paths):
         return tree
-    leaves = [_as_leaf(tree, _address(path), leaf) for path, leaf in paths]
+    leaves = [_as_leaf(tree, address_of(path), leaf) for path, leaf in paths]
     return jtu.tree_unflatten(structure, leaves)
 
 

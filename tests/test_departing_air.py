@@ -1,12 +1,15 @@
 """Air that departs from its model, by waves and a trend, and air without corners."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import all_atmospheres, over
+from helpers import all_atmospheres, free_scenario, over
 
+from jentry.campaign import monte_carlo
 from jentry.motion import EntryState
 from jentry.motion.forces import air_data
 from jentry.onboard import OnboardModel
@@ -21,6 +24,7 @@ from jentry.world import (
     USStandardAtmosphere1976,
     Vehicle,
     smoothed,
+    without_zero_departures,
 )
 
 
@@ -45,6 +49,81 @@ def test_without_departures_it_is_the_model_itself():
     )
     altitude = jnp.asarray(33e3)
     assert float(air.density(altitude)) == float(air.undisturbed.density(altitude))
+
+
+AT_REST = PerturbedAtmosphere(
+    ExponentialAtmosphere(0.0158, 9354.0),
+    (DensityWave(0.0, 8e3), DensityWave(0.0, 25e3, 0.3)),
+    share_low=0.1,
+    share_high=0.3,
+    ground_waves=(GroundWave(0.0, 800e3, 3397e3, 1.0),),
+)
+
+
+def test_air_whose_departures_are_zero_is_the_undisturbed_one():
+    assert without_zero_departures({"air": AT_REST}) == {"air": AT_REST.undisturbed}
+    level = eqx.tree_at(lambda a: (a.share_low, a.share_high), AT_REST, (0.0, 0.0))
+    level = eqx.tree_at(lambda a: a.trend, level, jnp.asarray(2.0))
+    assert without_zero_departures(level) == AT_REST.undisturbed
+
+
+@pytest.mark.parametrize(
+    ("departs", "kept"),
+    [
+        (lambda a: a.trend, (0, 0)),
+        (lambda a: a.waves[0].amplitude, (2, 0)),
+        (lambda a: a.waves[1].amplitude, (2, 0)),
+        (lambda a: a.ground_waves[0].amplitude, (0, 1)),
+    ],
+)
+def test_what_departs_stays(departs, kept):
+    air = eqx.tree_at(departs, AT_REST, jnp.asarray(0.02))
+    spared = without_zero_departures(air)
+    assert isinstance(spared, PerturbedAtmosphere)
+    assert (len(spared.waves), len(spared.ground_waves)) == kept
+    for altitude in (10e3, 47e3, 95e3):
+        altitude = jnp.asarray(altitude)
+        assert float(spared.density(altitude)) == float(air.density(altitude))
+
+
+def test_what_is_not_known_yet_or_is_varied_stays():
+    seen = []
+
+    @jax.jit
+    def look(amplitude):
+        air = eqx.tree_at(lambda a: a.waves[1].amplitude, AT_REST, amplitude)
+        seen.append(len(without_zero_departures(air).waves))
+        return amplitude
+
+    look(jnp.asarray(0.0))
+    assert seen == [2]
+    tree = {"air": AT_REST, "aircraft": jnp.asarray(1.0)}
+    spared = [
+        without_zero_departures(tree, [address])["air"] is not AT_REST
+        for address in ("air.waves.1.phase", "air.undisturbed.scale_height", "aircraft")
+    ]
+    assert spared == [False, False, True]
+
+
+def test_a_campaign_computes_the_departures_that_it_disperses():
+    scenario = free_scenario(time_limit=60.0)
+    planet = scenario.planet
+    inputs = {"vehicle.mass": [900.0, 990.0]}
+    runs = {}
+    for air in (
+        planet.atmosphere,
+        dataclasses.replace(AT_REST, undisturbed=planet.atmosphere),
+    ):
+        flown = eqx.tree_at(lambda s: s.planet.atmosphere, scenario, air)
+        runs[type(air)] = monte_carlo(flown, inputs=inputs)
+    alone, with_waves = runs.values()
+    assert jax.tree.all(jax.tree.map(np.array_equal, alone, with_waves))
+    inputs = {"planet.atmosphere.waves.0.amplitude": [0.0, 0.1]}
+    inputs["vehicle.mass"] = [900.0, 900.0]
+    ends = monte_carlo(flown, inputs=inputs).flights.state.velocity
+    before = alone.flights.state.velocity[0]
+    assert ends[0] == pytest.approx(before, rel=1e-12)
+    assert abs(ends[1] - before) > 1e-3
 
 
 def test_a_ground_wave_goes_with_the_distance_from_its_origin():

@@ -1,6 +1,7 @@
 """Fly many dispersed runs of one scenario, fast and on all cores."""
 
 import bisect
+import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ from ..flight.miss import Misses, misses
 from ..flight.scenario import Scenario, check_values, checked, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
+from ..world.perturbed_atmosphere import without_zero_departures
 from .batch import filled_up, in_blocks, over_blocks
 from .dispersions import (
     Dispersion,
@@ -308,6 +310,12 @@ def _check_runs(
 
 
 def _blocks(scenario, dispersions, key, indices, given, solver, history, sampler):
+    if given is None:
+        moved = (addresses_of(scenario, each.where) for each in dispersions.values())
+        varied = itertools.chain.from_iterable(moved)
+    else:
+        varied = given
+
     def drawn():
         for place, runs in enumerate(in_blocks(indices)):
             if given is None:
@@ -316,7 +324,8 @@ def _blocks(scenario, dispersions, key, indices, given, solver, history, sampler
                 inputs = {address: values[runs] for address, values in given.items()}
             yield (place, runs, inputs), inputs
 
-    flown = over_blocks(_fly_one, (scenario, solver, history), drawn())
+    shared = without_zero_departures(scenario, varied), solver, history
+    flown = over_blocks(_fly_one, shared, drawn())
     for (place, runs, inputs), found in flown:
         yield place, Campaign(runs, inputs, *found)
 

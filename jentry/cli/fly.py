@@ -47,6 +47,7 @@ def command(
     from ..flight.flight import fly
     from ..flight.solver import FixedStep
     from ..plots.campaign import FORMATS, save_figures
+    from ..world.perturbed_atmosphere import without_zero_departures
     from .mission_report import print_flight
 
     if figure is not None and figure.suffix[1:] not in FORMATS:
@@ -57,7 +58,7 @@ def command(
         history = 1.0
     chosen, scenario, _ = chosen_scenario(mission, variant, config, set_)
     solver = FixedStep(step)
-    flight = kept(fly)(scenario, solver, history)
+    flight = kept(fly)(without_zero_departures(scenario), solver, history)
     print_flight(chosen, scenario, flight)
     if out is not None:
         write_flight(out, scenario, flight, solver, history, **chosen.labels)

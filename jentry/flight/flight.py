@@ -18,6 +18,7 @@ from .._warnings import ResultWarning
 from ..fields import Count, Flag, Scalar
 from ..motion.constraints import ConstraintValues
 from ..motion.state import Controls, EntryState
+from ..world.perturbed_atmosphere import without_zero_departures
 from ..world.random_profile import settled
 from .closed_loop import Instant, Lane, caveats, command, constrained, start
 from .cycle import Plan
@@ -106,7 +107,7 @@ def fly(
         flight = fly(scenario)
         gradient = jax.grad(lambda s: fly(s).state.altitude)(scenario)
     """
-    scenario = settled(checked(scenario))
+    scenario = settled(without_zero_departures(checked(scenario)))
     plan = Plan.of(scenario, solver, history)
     lane = start(scenario, plan.step)
     if history is None:
