@@ -109,9 +109,9 @@ def test_a_campaign_that_is_refused_flies_none(command, monkeypatch):
         (None, 0.1, 600.0, 0.5),
         (None, 0.3, 600.0, 0.6),  # two steps
         (None, 1.0, 600.0, 1.0),  # one step, which is longer than half a second
-        (None, 0.1, 6000.0, 1.5),  # 4000 entries
+        (None, 0.1, 6000.0, 3.0),  # 2000 entries
         (0.1, 0.05, 600.0, 0.5),
-        (0.1, 0.05, 4000.0, 1.0),
+        (0.1, 0.05, 4000.0, 2.0),
         (2.0, 0.1, 600.0, 0.5),
         (2.0, 2.0, 600.0, 2.0),
         (3.0, 1.0, 600.0, 1.0),

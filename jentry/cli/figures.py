@@ -41,13 +41,14 @@ _DIGEST = "campaign_digest"
 _INTERVAL = 0.5
 """s; the longest guidance cycle of a law whose cycle varies"""
 
-_ENTRIES = 4000
+_ENTRIES = 2000
 """About so many of a history up to the time limit of its flight, not many more: memory
-for all is taken at the start, some 100 MB for a batch"""
+for all is taken at the start, some 50 MB for a batch, and a figure is 1000 dots wide"""
 
-_TRAJECTORIES = 4 * LANES - 1
+_TRAJECTORIES = 2 * LANES - 1
 """Runs whose trajectories make the bands, if the campaign has not kept them. With the
-nominal flight they are whole batches."""
+nominal flight they are whole batches. Of twice as many the edges of a band would be two
+thirds as uncertain, and a figure would look the same and wait for twice the flights."""
 
 
 class Histories:
