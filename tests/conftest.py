@@ -13,6 +13,10 @@ import jax
 import pytest
 
 
+# As the command does: in a process that has traced much, to look for rubbish is a sixth
+# of all that it does.
+gc.set_threshold(100_000)
+
 # What XLA has compiled is kept beside what pytest keeps, for the other worker and for the
 # next run, and found by all that a program is made of. Commands that tests start read it
 # from the environment.
