@@ -1,11 +1,13 @@
 """Campaigns beside one another: pairs, differences, intervals, and the command."""
 
 import csv
+import dataclasses
 import functools
 import json
 import shutil
 
 import cheap
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray
@@ -14,9 +16,12 @@ from rich.console import Console
 from scipy import stats
 from test_report import rows
 
-from jentry.campaign import open_campaign
+from jentry.campaign import monte_carlo, open_campaign
+from jentry.campaign.outputs import is_output
+from jentry.campaign.results import output_names
 from jentry.cli.compare_report import print_alternatives, write_files
 from jentry.flight import Outcome
+from jentry.motion.constraints import HeatLoad, HeatRate
 from jentry.plots.comparison import draw_comparison
 from jentry.statistics.alternatives import alternatives_of
 from jentry.statistics.comparison import compared
@@ -385,6 +390,30 @@ def test_variants_on_the_same_draws(command, tmp_path):
     assert code == 0 and "3 pairs" in fewer
     words = ("compare", out / "right", out / "steep", "--quiet")
     assert command(*words) == (0, "", "")
+
+
+def test_what_no_flight_has_is_refused_before_any_is_flown(command, tmp_path):
+    words = ("--variant", "right", "--variant", "steep", "--out", tmp_path / "out")
+    code, _, said = command("compare", "cheap", *words, "--outputs", "downrange_eror")
+    assert code == 2
+    assert "right has no output downrange_eror; nearest: downrange_error" in said
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("heading", [None, jnp.asarray(0.1)])
+def test_outputs_are_known_by_their_names_without_a_flight(heading):
+    scenario = cheap.scenario()
+    target = dataclasses.replace(scenario.target, heading=heading)
+    scenario = dataclasses.replace(scenario, target=target)
+    if heading is not None:
+        constraints = {"peak": HeatRate(), "heat_load": HeatLoad()}
+        scenario = dataclasses.replace(
+            scenario, constraints=constraints, located_peaks=("peak",)
+        )
+    flown = monte_carlo(
+        scenario, inputs={"vehicle.mass": [900.0]}, solver=cheap.SOLVER
+    ).to_xarray(scenario)
+    assert sorted(output_names(scenario)) == sorted(filter(is_output, flown.data_vars))
 
 
 def test_three_of_which_all_pairs_are_asked(command, tmp_path):

@@ -63,6 +63,20 @@ class OutputNamed:
         raise ValueError(f"no output {self.name} of one flight has a derivative")
 
 
+def output_names(scenario: Scenario) -> list[str]:
+    """Names of the outputs that flights of a scenario have in results, none being flown."""
+    states = list(units_of(EntryState))
+    found = [at_end(name) for name in ("time", *states)]
+    for miss in units_of(Misses):
+        aimed = miss == "distance" or getattr(scenario.target, miss) is not None
+        found += [error_of(miss)] if aimed else []
+    for name in scenario.constraints:
+        found.append(peak_of(name))
+        if name in scenario.located_peaks:
+            found += [peak_of(f"{name}_{x}") for x in ("time", *states)]
+    return found
+
+
 def dataset(
     scenario: Scenario, campaign: Campaign, history: float | None = None
 ) -> "xarray.Dataset":

@@ -127,6 +127,7 @@ def command(
                 step,
                 out,
                 quiet,
+                names,
                 look,
             )
     else:

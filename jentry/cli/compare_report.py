@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .._files import write_whole
+from ..campaign.results import output_names
 from ..campaign.store import run_campaign
 from ..flight.solver import FixedStep
 from ..flight.termination import Outcome
 from ..plots import save_figures
 from ..plots.comparison import draw_comparison
-from ..statistics.alternatives import Alternatives
+from ..statistics.alternatives import Alternatives, no_output
 from ..statistics.comparison import PERCENTILE, Comparison
 from ..statistics.intervals import CONFIDENCE, Interval
 from .options import chosen_scenario, dispersion_table, first_given
@@ -52,6 +53,7 @@ def fly_entries(
     step: float | None,
     out: Path | None,
     quiet: bool,
+    outputs: Sequence[str] | None,
     look: Callable[[], None],
 ) -> tuple[Entries, Path]:
     """Fly variants and configurations of a mission on the same draws, each in a folder."""
@@ -80,6 +82,11 @@ def fly_entries(
             raise ValueError(f"{name}: {error}") from None
         flown = first_given(variant, overrides.variant, *chosen.variants)
         prepared.append((name, chosen, scenario, table, flown))
+    for name, _, scenario, *_ in prepared:
+        known = output_names(scenario)
+        for output in outputs or ():
+            if output not in known:
+                raise ValueError(no_output(name, output, known))
     folder = out or Path("results") / f"{prepared[0][1].name}-compared"
     solver = FixedStep(step)
     for name, chosen, scenario, table, flown in prepared:

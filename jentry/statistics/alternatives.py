@@ -268,7 +268,12 @@ def _require(
 ) -> None:
     known = [str(n) for n in results[campaign].data_vars if is_output(str(n))]
     if output not in known:
-        raise ValueError(f"{campaign} has no output {output}; {nearest(output, known)}")
+        raise ValueError(no_output(campaign, output, known))
+
+
+def no_output(campaign: str, output: str, known: Sequence[str]) -> str:
+    """Sentence about an output that a campaign does not have."""
+    return f"{campaign} has no output {output}; {nearest(output, known)}"
 
 
 def _sizes(results: "xarray.Dataset", name: str) -> np.ndarray:
