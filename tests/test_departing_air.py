@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from helpers import all_atmospheres, free_scenario, over
 
-from jentry.campaign import monte_carlo
+from jentry.campaign import Dispersion, Uniform, monte_carlo
+from jentry.flight import fly
 from jentry.motion import EntryState
 from jentry.motion.forces import air_data
 from jentry.onboard import OnboardModel
@@ -65,6 +66,9 @@ def test_air_whose_departures_are_zero_is_the_undisturbed_one():
     level = eqx.tree_at(lambda a: (a.share_low, a.share_high), AT_REST, (0.0, 0.0))
     level = eqx.tree_at(lambda a: a.trend, level, jnp.asarray(2.0))
     assert without_zero_departures(level) == AT_REST.undisturbed
+    for share in (lambda a: a.share_low, lambda a: a.share_high):
+        trend = eqx.tree_at(share, level, jnp.asarray(0.1))
+        assert isinstance(without_zero_departures(trend), PerturbedAtmosphere)
 
 
 @pytest.mark.parametrize(
@@ -105,25 +109,49 @@ def test_what_is_not_known_yet_or_is_varied_stays():
     assert spared == [False, False, True]
 
 
-def test_a_campaign_computes_the_departures_that_it_disperses():
+class NotAsked(DensityWave):
+    """A wave that nobody must ask."""
+
+    def departure(self, altitude):
+        raise AssertionError("a wave of amplitude zero is computed")
+
+
+def test_what_does_not_depart_is_not_computed():
     scenario = free_scenario(time_limit=60.0)
-    planet = scenario.planet
+    known = scenario.planet.atmosphere
+    waves = (NotAsked(0.0, 8e3), DensityWave(0.0, 25e3))
+    air = dataclasses.replace(AT_REST, undisturbed=known, waves=waves)
+    scenario = eqx.tree_at(lambda s: s.planet.atmosphere, scenario, air)
+    jax.eval_shape(lambda mass: fly(with_mass(scenario, mass)), jnp.asarray(900.0))
     inputs = {"vehicle.mass": [900.0, 990.0]}
-    runs = {}
-    for air in (
-        planet.atmosphere,
-        dataclasses.replace(AT_REST, undisturbed=planet.atmosphere),
-    ):
-        flown = eqx.tree_at(lambda s: s.planet.atmosphere, scenario, air)
-        runs[type(air)] = monte_carlo(flown, inputs=inputs)
-    alone, with_waves = runs.values()
-    assert jax.tree.all(jax.tree.map(np.array_equal, alone, with_waves))
+    spared = monte_carlo(scenario, inputs=inputs)
+    scenario = eqx.tree_at(lambda s: s.planet.atmosphere, scenario, known)
+    alone = monte_carlo(scenario, inputs=inputs)
+    assert jax.tree.all(jax.tree.map(np.array_equal, spared, alone))
+
+
+def with_mass(scenario, mass):
+    return eqx.tree_at(lambda s: s.vehicle.mass, scenario, mass)
+
+
+def test_a_campaign_has_the_departures_that_it_disperses():
+    scenario = free_scenario(time_limit=60.0)
+    air = dataclasses.replace(AT_REST, undisturbed=scenario.planet.atmosphere)
+    departing = eqx.tree_at(lambda s: s.planet.atmosphere, scenario, air)
+    amplitude = lambda s: s.planet.atmosphere.waves[0].amplitude
     inputs = {"planet.atmosphere.waves.0.amplitude": [0.0, 0.1]}
-    inputs["vehicle.mass"] = [900.0, 900.0]
-    ends = monte_carlo(flown, inputs=inputs).flights.state.velocity
-    before = alone.flights.state.velocity[0]
-    assert ends[0] == pytest.approx(before, rel=1e-12)
-    assert abs(ends[1] - before) > 1e-3
+    still, given = monte_carlo(departing, inputs=inputs).flights.state.velocity
+    drawn = monte_carlo(
+        departing,
+        {"wave": Dispersion(amplitude, Uniform(0.1, 0.1000001))},
+        jax.random.key(0),
+        1,
+    )
+    mass = {"vehicle.mass": [float(scenario.vehicle.mass)]}
+    (before,) = monte_carlo(scenario, inputs=mass).flights.state.velocity
+    assert still == pytest.approx(before, rel=1e-12)
+    assert drawn.flights.state.velocity == pytest.approx([given], abs=1e-4)
+    assert abs(given - before) > 1e-2
 
 
 def test_a_ground_wave_goes_with_the_distance_from_its_origin():
