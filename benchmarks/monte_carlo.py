@@ -302,7 +302,8 @@ def print_table(programs, speeds, starts, errors) -> None:
         ratio = np.median(speeds[fast] / speeds[i])
         spread = f"{speeds[i].min():.0f}..{speeds[i].max():.0f}"
         print(f"{program.name:30s}{program.cores:6d}", end="")
-        print(f"{np.median(speeds[i]):11.0f}{spread:>14s}", end="")
+        speed = np.median(speeds[i])
+        print(f"{speed:11.{0 if speed > 100.0 else 1}f}{spread:>14s}", end="")
         print(f"{ratio:10.2f}x{errors[i]:10.2g}{starts[i]:10.1f}")
 
 
