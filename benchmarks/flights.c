@@ -7,9 +7,9 @@
    flight that ends leaves its place in the vector to the next one; eight that have ended are
    brought to their end together. Threads draw from one count of flights.
 
-   It needs a compiler with vector extensions (GCC 12 or Clang 15, and newer):
-
-       cc -O3 -march=native -ffast-math -shared -fPIC -pthread flights.c -o flights.so -lm */
+   It computes no peaks of path constraints, and has no check for numbers that are not finite
+   or for singular points. `comparators.c_program` compiles it; the compiler needs vector
+   extensions with `__builtin_shufflevector`, as GCC 12 has them. */
 
 #include <math.h>
 #include <pthread.h>
