@@ -1,17 +1,23 @@
 """The guided Mars entry of jentry's mission, written without jentry.
 
-Three programs that a reader might write instead: scalars in numba, scipy's `solve_ivp`,
-and diffrax batched with `vmap`. Each flies the same vehicle with the same law: a planar
-point mass over a sphere that does not turn, drag tracking with a high-gain observer over
-energy, ended at a velocity or an altitude, whichever is met first. State: altitude,
-downrange angle, velocity, flight-path angle, and the two estimates of the observer.
+Four programs that a reader might write instead: vectors in C (`flights.c`), scalars in
+numba, scipy's `solve_ivp`, and diffrax batched with `vmap`. Each flies the same vehicle
+with the same law: a planar point mass over a sphere that does not turn, drag tracking with
+a high-gain observer over energy, ended at a velocity or an altitude, whichever is met
+first. State: altitude, downrange angle, velocity, flight-path angle, and the two estimates
+of the observer.
 
 Each takes one array entry per flight and returns the arrays (time, altitude, downrange,
 velocity) at the end of flight, in SI units.
 """
 
+import ctypes
 import functools
 import math
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -241,10 +247,12 @@ def _numba_program(fastmath: bool, parallel: bool):
             t += dt
             h, s, v, g, e, d = y
             margin = after
-        # The end lies within one step: shorten it by the rule of false position.
+        # The end lies within one step: shorten it by the rule of false position, with the
+        # margin of an end halved that stays: of the two conditions first one, then the
+        # other is the nearer, and without it some flights were metres off.
         short, at_short, long, at_long = 0.0, margin, dt, after
-        trial = 0.0
-        for _ in range(20):
+        trial, side = 0.0, 0
+        for _ in range(30):
             if at_long > 0.0:
                 break
             trial = short + (long - short) * at_short / (at_short - at_long)
@@ -253,9 +261,13 @@ def _numba_program(fastmath: bool, parallel: bool):
             if abs(after) < 1e-7:
                 break
             if after > 0.0:
-                short, at_short = trial, after
+                if side > 0:
+                    at_long *= 0.5
+                short, at_short, side = trial, after, 1
             else:
-                long, at_long = trial, after
+                if side < 0:
+                    at_short *= 0.5
+                long, at_long, side = trial, after, -1
         h, s, v, g, e, d = y
         return t + trial, h, s * mission.planet_radius, v
 
@@ -293,6 +305,87 @@ def numba_flights(
         numba.set_num_threads(threads)
     fly_all = _numba_program(fastmath, threads > 1)
     return tuple(fly_all(lift, drag, mission, p, table, step))
+
+
+class NoCProgramError(RuntimeError):
+    """There is no C compiler, or it does not compile the program."""
+
+
+# Not -ffast-math, which is no faster here: a library that is linked with it has the whole
+# process take the smallest numbers for zero.
+_C_FLAGS = (
+    *("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math"),
+    *("-ffinite-math-only", "-fno-signed-zeros", "-shared", "-fPIC", "-pthread"),
+)
+
+
+@functools.cache
+def c_program():
+    """`fly_all` of `flights.c`, compiled into a folder that is gone afterwards.
+
+    Raises:
+        NoCProgramError: There is no compiler `cc`, or it fails.
+
+    """
+    compiler = shutil.which("cc")
+    if compiler is None:
+        raise NoCProgramError("there is no C compiler `cc`")
+    source = Path(__file__).with_name("flights.c")
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "flights.so"
+        command = compiler, *_C_FLAGS, source, "-o", library, "-lm"
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            raise NoCProgramError(f"`cc` fails on {source.name}:\n{done.stderr}")
+        fly_all = ctypes.CDLL(str(library)).fly_all
+    numbers = ctypes.c_void_p
+    fly_all.argtypes = (
+        *5 * (numbers,),
+        *(ctypes.c_long, ctypes.c_double, ctypes.c_int),
+        numbers,
+    )
+    return fly_all
+
+
+def _rows_for_c(reference: np.ndarray) -> np.ndarray:
+    """Rows of the reference, each with the two numbers that place an energy in its
+    interval, in one line of the cache. Shape (intervals, 8)."""
+    count = len(reference)
+    memory = np.zeros(8 * count + 7)
+    first = -memory.ctypes.data % 64 // 8
+    rows = memory[first : first + 8 * count].reshape(count, 8)
+    interval = np.arange(count)
+    rows[:, :6] = reference
+    rows[:, 6] = count / (2.0 * interval + 1.0)
+    rows[:, 7] = interval * (interval / (2.0 * interval + 1.0))
+    return rows
+
+
+def c_flights(
+    mission: Mission,
+    reference: np.ndarray,
+    mass: np.ndarray,
+    density_scale: np.ndarray,
+    lift_scale: np.ndarray,
+    drag_scale: np.ndarray,
+    step: float = 0.1,
+    threads: int = 1,
+):
+    """Eight flights to a vector, classical Runge-Kutta: see `flights.c`.
+
+    Raises:
+        NoCProgramError: There is no compiler `cc`, or it fails.
+
+    """
+    factors = force_factors(mission, mass, density_scale, lift_scale, drag_scale)
+    lift, drag = (np.ascontiguousarray(x, dtype=float) for x in factors)
+    given = np.array(mission, float), np.array(plan(mission, reference), float)
+    given = *given, _rows_for_c(reference), lift, drag
+    out = np.empty((4, lift.size))
+    places = [x.ctypes.data for x in given]
+    if c_program()(*places, lift.size, step, threads, out.ctypes.data) != 0:
+        raise RuntimeError(f"the system gives no {threads} threads")
+    return tuple(out)
 
 
 def scipy_flights(

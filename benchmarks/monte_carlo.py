@@ -2,11 +2,11 @@
 
     python benchmarks/monte_carlo.py --runs 1000 --rounds 5 --step 0.1
 
-The same dispersed flights by jentry and by three programs written without it (see
-`comparators`). jentry and numba take the same steps; scipy and diffrax choose theirs, with
-a tolerance that makes them about as accurate, which the table shows: the rms distance of
-the end points from a reference solution. Each program lives in a process of its own that
-is pinned to its cores. They take turns, round by round, so that a slow minute of the
+The same dispersed flights by jentry and by four programs written without it (see
+`comparators`). jentry, C and numba take the same steps; scipy and diffrax choose theirs,
+with a tolerance that makes them about as accurate, which the table shows: the rms distance
+of the end points from a reference solution. Each program lives in a process of its own
+that is pinned to its cores. They take turns, round by round, so that a slow minute of the
 machine is shared by all; the table has medians over the rounds.
 """
 
@@ -91,6 +91,13 @@ def prepare_plain_jentry(problem: Problem, cores: int):
     return prepare_jentry(problem, cores, fast=False)
 
 
+def prepare_c(problem: Problem, cores: int):
+    given = problem.mission, problem.reference
+    return lambda: comparators.c_flights(
+        *given, **problem.inputs, step=problem.step, threads=cores
+    )
+
+
 def prepare_numba(problem: Problem, cores: int, fastmath: bool = False):
     given = problem.mission, problem.reference
     return lambda: comparators.numba_flights(
@@ -122,11 +129,13 @@ def prepare_scipy(problem: Problem, cores: int):
 PROGRAMS = (
     Program("jentry, fast", 1, prepare_fast_jentry),
     Program("jentry", 1, prepare_plain_jentry),
+    Program("C, vectors", 1, prepare_c),
     Program("numba, scalar, fastmath", 1, prepare_fast_numba),
     Program("numba, scalar", 1, prepare_numba),
     Program("diffrax, vmap(diffeqsolve)", 1, prepare_diffrax),
     Program("scipy, solve_ivp", 1, prepare_scipy, share=50),
     Program("jentry, fast", 2, prepare_fast_jentry),
+    Program("C, vectors, two threads", 2, prepare_c),
     Program("numba, prange, fastmath", 2, prepare_fast_numba),
 )
 
@@ -248,6 +257,17 @@ def first_flights(problem: Problem, count: int) -> Problem:
     return problem._replace(inputs=inputs)
 
 
+def available_programs() -> list[Program]:
+    """Those for which there are cores, and a C compiler if they need one."""
+    programs = [p for p in PROGRAMS if p.cores <= available_cores()]
+    try:
+        comparators.c_program()
+    except comparators.NoCProgramError as error:
+        print(f"without the programs in C: {error}")
+        programs = [p for p in programs if p.prepare is not prepare_c]
+    return programs
+
+
 def machine() -> str:
     """Processor and versions, on one line each."""
     name = platform.processor() or platform.machine()
@@ -282,7 +302,8 @@ def print_table(programs, speeds, starts, errors) -> None:
         ratio = np.median(speeds[fast] / speeds[i])
         spread = f"{speeds[i].min():.0f}..{speeds[i].max():.0f}"
         print(f"{program.name:30s}{program.cores:6d}", end="")
-        print(f"{np.median(speeds[i]):11.0f}{spread:>14s}", end="")
+        speed = np.median(speeds[i])
+        print(f"{speed:11.{0 if speed > 100.0 else 1}f}{spread:>14s}", end="")
         print(f"{ratio:10.2f}x{errors[i]:10.2g}{starts[i]:10.1f}")
 
 
@@ -304,7 +325,7 @@ def main() -> None:
     problem = Problem(mission, reference, inputs, options.step, options.tolerance)
     truth = in_own_process(true_ends, first_flights(problem, options.judged))
 
-    programs = [p for p in PROGRAMS if p.cores <= available_cores()]
+    programs = available_programs()
     workers, flights, errors = [], [], []
     for program in programs:
         count = max(min(options.judged, options.runs), options.runs // program.share)

@@ -42,3 +42,35 @@ def test_a_program_that_flies_something_else_ends_the_benchmark(benchmark):
     for wrong in (90e3, float("nan")):
         with pytest.raises(SystemExit, match="^jentry ends .* it flies something else"):
             benchmark.check_errors(programs, [0.01, wrong])
+
+
+def test_the_program_in_c_flies_as_scipy_does(benchmark, monkeypatch):
+    """Eleven flights: a full vector, whose places the others take, and some left over."""
+    comparators = benchmark.comparators
+    try:
+        comparators.c_program()
+    except comparators.NoCProgramError as error:
+        pytest.skip(str(error))
+    monkeypatch.setattr(jentry, "setup", lambda *how, **options: None)
+    given = benchmark.jentry_mission()
+    inputs = benchmark.draw_inputs(11)
+    ends = np.array(comparators.c_flights(*given, **inputs))
+    two = {name: values[:2] for name, values in inputs.items()}
+    truth = np.array(comparators.scipy_flights(*given, **two, tolerance=1e-8))
+    np.testing.assert_allclose(ends[1:3, :2], truth[1:3], rtol=0, atol=0.05)
+    np.testing.assert_allclose(ends[[0, 3], :2], truth[[0, 3]], rtol=0, atol=1e-4)
+    # One ends at the velocity, the other at the altitude.
+    mission, reference = given
+    assert abs(ends[3, 0] - mission.end_velocity) < 1e-6
+    assert abs(ends[1, 1] - mission.end_altitude) < 1e-6
+    # Neither its place nor its thread makes a difference to a flight.
+    np.testing.assert_array_equal(
+        comparators.c_flights(*given, **inputs, threads=2), ends
+    )
+    last = {name: values[-1:] for name, values in inputs.items()}
+    np.testing.assert_array_equal(comparators.c_flights(*given, **last), ends[:, -1:])
+    # Out of time, as those of scipy are.
+    given = mission._replace(time_limit=60.0), reference
+    ends = np.array(comparators.c_flights(*given, **two))
+    truth = np.array(comparators.scipy_flights(*given, **two, tolerance=1e-8))
+    np.testing.assert_allclose(ends, truth, rtol=0, atol=0.05)

@@ -192,7 +192,8 @@ def test_rates_are_those_along_the_motion(atmosphere, gravity, key):
     gravity, atmosphere = all_gravities[gravity](), all_atmospheres[atmosphere]()
     planet = Planet(3397 * km, gravity=gravity, atmosphere=atmosphere)
     model = OnboardModel(planet, any_vehicle())
-    indices = MachIndex(), DynamicPressureIndex(), DownrangeIndex(mars_entry())
+    origin = mars_entry()
+    indices = MachIndex(), DynamicPressureIndex(), DownrangeIndex(origin), EnergyIndex()
 
     @jax.jit
     @jax.vmap

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jentry.onboard import PolynomialProfile, grid, quintic_profile, quintic_table
+from jentry.onboard.profiles import _quintic
 
 
 def test_a_polynomial_has_the_lowest_power_first_over_origin_and_span():
@@ -107,3 +108,27 @@ def test_a_table_refuses_another_power_and_an_unknown_name():
         quintic_table(nodes, exact(nodes), 3)
     with pytest.raises(ValueError, match="no 'drag' in the table: it has rising, wave"):
         table.profile("drag")
+
+
+def test_derivatives_of_a_quintic_over_all_that_it_is_made_of():
+    """By numpy's polynomials: to the place up to the second order, to a coefficient, and
+    of both, forward and reverse."""
+    c, x = np.array([0.7, -1.1, 0.4, 2.0, -0.3, 1.5]), 0.6
+    polynomial = np.polynomial.Polynomial(c[::-1])
+    values = [polynomial.deriv(k)(x) if k else polynomial(x) for k in range(5)]
+    factors = np.array([[1.0] * 6, [5, 4, 3, 2, 1, 0], [20, 12, 6, 2, 0, 0]])
+    powers = factors * [
+        [x ** (k - n) if k >= n else 0.0 for k in range(5, -1, -1)] for n in range(3)
+    ]
+
+    def read(x, c):
+        return jnp.stack(_quintic(x, *c))
+
+    at = jnp.asarray(x), jnp.asarray(c)
+    for derivative in (jax.jacfwd, jax.jacrev):
+        over_x, over_c = jax.jit(derivative(read, argnums=(0, 1)))(*at)
+        np.testing.assert_allclose(over_x, values[1:4], rtol=1e-14)
+        np.testing.assert_allclose(over_c, powers, rtol=1e-14)
+    twice, mixed = jax.jit(jax.jacfwd(jax.jacrev(read), argnums=(0, 1)))(*at)
+    np.testing.assert_allclose(twice, values[2:5], rtol=1e-14)
+    np.testing.assert_allclose(mixed[:2], powers[1:], rtol=1e-14)

@@ -16,7 +16,7 @@ class AbstractGravity(eqx.Module):
 
     @abstractmethod
     def potential(self, radius: Scalar) -> Scalar:
-        """Potential energy per unit mass, J/kg."""
+        """Potential energy per unit mass, J/kg, of which the acceleration is the slope."""
 
 
 class InverseSquareGravity(AbstractGravity):
