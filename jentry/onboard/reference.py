@@ -30,7 +30,7 @@ def index_motion(
     """
     planet, state = model.planet, measurement.state
     flow = sensed_flow(model, angle_of_attack, drag_rate)
-    if isinstance(index, EnergyIndex):
+    if type(index) is EnergyIndex:  # what is derived from it may have another value
         return _energy_motion(index.value(planet, time, state), time, measurement, flow)
 
     def turned(path: Scalar, heading: Scalar) -> Scalar:
