@@ -27,7 +27,7 @@ VARIANTS = {
         "predictor-corrector",
     ),
     "sx-2": ("full", "predictor-corrector"),
-    "x-33": ("with-range", "predictor-corrector"),
+    "x-33": ("with-range", "predictor-corrector", "predictor-corrector-limited"),
     "rlv": ("r5", "predictor-corrector"),
     "cav-h": ("newton", "predictor-corrector"),
 }

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from .._interpolation import clamp
 from ..fields import Scalar, scalar
 from ..motion.constraints import AbstractConstraint, PathPoint
-from ..motion.dynamics import entry_dynamics
+from ..motion.dynamics import AbstractDynamics, EntryDynamics
 from ..motion.state import Controls, EntryState
 from ..onboard.estimation import Factors
 from ..onboard.model import OnboardModel
@@ -59,12 +59,14 @@ class PathLimits(eqx.Module):
         measurement: Measurement,
         factors: Factors,
         controls: Callable[[EntryState], Controls],
+        dynamics: AbstractDynamics = EntryDynamics(),
     ) -> BankBounds:
         """For the state that is measured.
 
         **Arguments:**
 
         - `controls`: that the law would fly, over the state.
+        - `dynamics`: equations of motion.
 
         **Raises:** `ValueError` where no constraint has a limit.
         """
@@ -93,27 +95,30 @@ class PathLimits(eqx.Module):
         def rates(state: EntryState, cosine: Scalar) -> EntryState:
             wanted = controls(state)
             turned = Controls(wanted.angle_of_attack, cosine, wanted.sin_bank)
-            return entry_dynamics(planet, vehicle, state, turned)
+            return dynamics.rates(planet, vehicle, state, turned)
+
+        def values(state: EntryState) -> tuple[Scalar, ...]:
+            point = PathPoint.of(planet, vehicle, state, controls(state), dynamics)
+            return tuple(each.value(point) for each in limited.values())
 
         now = controls(state).cos_bank
+
+        # Of all of them at once: what they share is differentiated once.
+        def slopes(state: EntryState) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
+            here, along = jax.jvp(values, (state,), (rates(state, now),))
+            return along, here
+
         level = rates(state, jnp.zeros_like(now))
         # The difference before the derivative: where the bank moves nothing it is zero.
         turn = jax.tree.map(jnp.subtract, rates(state, jnp.ones_like(now)), level)
+        along, second, here = jax.linearize(slopes, state, has_aux=True)
+        every = zip(
+            limited.values(), here, along, second(level), second(turn), strict=True
+        )
         lower, upper = jnp.full_like(now, -1.0), jnp.ones_like(now)
-        for constraint in limited.values():
-
-            def value(state: EntryState, constraint=constraint) -> Scalar:
-                point = PathPoint.of(planet, vehicle, state, controls(state))
-                return constraint.value(point)
-
-            def rate(state: EntryState, value=value) -> tuple[Scalar, Scalar]:
-                here, slope = jax.jvp(value, (state,), (rates(state, now),))
-                return slope, here
-
-            slope, second, here = jax.linearize(rate, state, has_aux=True)
-            drift, gain = second(level), second(turn)
-            w = self.frequency
-            room = -(drift + 2.0 * w * slope + w * w * (here - constraint.limit))
+        w = self.frequency
+        for constraint, value, slope, drift, gain in every:
+            room = -(drift + 2.0 * w * slope + w * w * (value - constraint.limit))
             moves = gain != 0.0
             bound = room / jnp.where(moves, gain, 1.0)
             lower = jnp.where(gain < 0.0, jnp.maximum(lower, bound), lower)

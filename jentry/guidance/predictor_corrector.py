@@ -10,6 +10,7 @@ exact, and so the derivative of the flight.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -26,7 +27,7 @@ from .._interpolation import clamp
 from .._math import arccos, arcsin, safe_sqrt, sincos
 from ..fields import Flag, Scalar, scalar
 from ..motion.attitude import Swing
-from ..motion.dynamics import EntryDynamics, EquatorialDynamics
+from ..motion.dynamics import AbstractDynamics, EntryDynamics, EquatorialDynamics
 from ..motion.index import AbstractIndex, EnergyIndex
 from ..motion.quantities import ground_track
 from ..motion.state import Controls, EntryState
@@ -41,7 +42,7 @@ from ..onboard.longitudinal import LongitudinalState
 from ..onboard.model import OnboardModel
 from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
-from ..onboard.propagation import Prediction, propagate
+from ..onboard.propagation import Command, Prediction, SampledCommand, propagate
 from ..onboard.turning import BankTurning
 from .bank_shapes import AbstractBankShape, ConstantBankShape, Numbers
 from .bounded_step import least_squares_step, within_bounds
@@ -161,8 +162,10 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     """Whether the range is predicted in three dimensions, with the bank on its side to the
     end, or in the vertical plane. What a lateral logic predicts is in three dimensions"""
     foresees_limits: bool = eqx.field(default=False, static=True)
-    """Whether the limits bound the bank in the prediction too. Else it has none, and the
-    numbers go by a bank that is not flown where the limits bind"""
+    """Whether the limits bound the bank in the prediction too, at the start of each of its
+    steps as in flight at each guidance cycle: `step` should be the period of that. Else it
+    has none, and the numbers go by a bank that is not flown where the limits bind. What is
+    foreseen costs several times as much"""
     corrections: int = eqx.field(default=2, static=True)
     """In one guidance cycle; each is a prediction"""
     step: float = eqx.field(default=3.0, static=True)
@@ -324,20 +327,20 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         """
         planet, state = self.model.planet, measurement.state
         now = self.index.value(planet, time, state)
+        dynamics: AbstractDynamics = EntryDynamics()
         if not in_space:
             state = LongitudinalState.of(planet, state).eastward()
+            dynamics = EquatorialDynamics()
 
-        def command(elapsed: Scalar, state: EntryState) -> Controls:
-            known = factors.at(state.altitude)
+        def banked(elapsed: Scalar, known: Factors, state: EntryState) -> Controls:
+            here = self.index.value(planet, time + elapsed, state)
+            return self._banked(here, now, measurement, numbers, sign, state, known)
 
-            def banked(state: EntryState) -> Controls:
-                here = self.index.value(planet, time + elapsed, state)
-                return self._banked(here, now, measurement, numbers, sign, state, known)
-
-            wanted = banked(state)
-            if self.limits is not None and self.foresees_limits:
-                there = dataclasses.replace(measurement, state=state)
-                bounds = self.limits.bounds(self.model, there, known, banked)
+        def flown(
+            bounds: BankBounds | None, elapsed: Scalar, state: EntryState
+        ) -> Controls:
+            wanted = banked(elapsed, factors.at(state.altitude), state)
+            if bounds is not None:
                 cosine = bounds.kept(wanted.cos_bank)
                 wanted = _banked_to(cosine, wanted.angle_of_attack, sign)
             if self.turning is None:
@@ -350,6 +353,19 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             )
             return Controls.from_bank(bank, wanted.angle_of_attack)
 
+        command = functools.partial(flown, None)
+        if self.foresees_limits and self.limits is not None:
+            limits = self.limits
+
+            def within_limits(elapsed: Scalar, state: EntryState) -> Command:
+                there = dataclasses.replace(measurement, state=state)
+                known = factors.at(state.altitude)
+                wish = functools.partial(banked, elapsed, known)
+                bounds = limits.bounds(self.model, there, known, wish, dynamics)
+                return functools.partial(flown, bounds)
+
+            command = SampledCommand(within_limits)
+
         return propagate(
             self.model,
             state,
@@ -358,7 +374,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             step=self.step,
             steps=self.steps,
             factors=factors,
-            dynamics=EntryDynamics() if in_space else EquatorialDynamics(),
+            dynamics=dynamics,
         )
 
     def range_to_go(self, state: EntryState) -> Scalar:
@@ -440,7 +456,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
 
         def improve(carry, _):
             numbers, _ = carry
-            misses, effects, end = _with_effects(missed, numbers)
+            misses, effects, end = _with_effects(
+                missed, numbers, in_turn=self.foresees_limits
+            )
             too_far, effect = misses[0], effects[0, 0]
             ends, skips = end
             # On both sides of the `where`, so that no derivative comes from there.
@@ -523,12 +541,22 @@ def _banked_to(cosine: Scalar, angle: Scalar, sign: Scalar | float) -> Controls:
 
 
 def _with_effects(
-    missed: Callable[[Numbers], tuple[Numbers, _End]], numbers: Numbers
+    missed: Callable[[Numbers], tuple[Numbers, _End]],
+    numbers: Numbers,
+    in_turn: bool,
 ) -> tuple[Numbers, Float[Array, "numbers numbers"], _End]:
-    """The misses, and how each number (columns) changes them: the motion is flown once."""
+    """The misses, and how each number (columns) changes them.
+
+    The motion is flown once for all of the numbers, or `in_turn` for one after the other:
+    what is long beside the equations of motion would be computed again with each operation
+    on the derivatives.
+    """
 
     def along(direction: Numbers) -> tuple[Numbers, Numbers, _End]:
         return jax.jvp(missed, (numbers,), (direction,), has_aux=True)
 
     every = jnp.eye(numbers.shape[0])
-    return jax.vmap(along, out_axes=(None, 1, None))(every)
+    if not in_turn:
+        return jax.vmap(along, out_axes=(None, 1, None))(every)
+    misses, effects, end = lax.map(along, every)
+    return misses[0], effects.T, jax.tree.map(lambda x: x[0], end)

@@ -51,6 +51,7 @@ from .profiles import (
 from .propagation import (
     NO_END as NO_END,
     Prediction as Prediction,
+    SampledCommand as SampledCommand,
     propagate as propagate,
     propagate_over as propagate_over,
 )

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,6 +22,19 @@ from .model import OnboardModel
 
 Command = Callable[[Scalar, EntryState], Controls]
 """What the vehicle will fly, over the time since the start (s) and the state"""
+
+
+class SampledCommand(NamedTuple):
+    """A command that is decided anew at the start of each step, and flown through it.
+
+    As a law decides in flight at a guidance cycle. What costs much is computed there, once
+    in a step; the command itself is asked for at every stage, and for the place of the end.
+    """
+
+    decide: Callable[[Scalar, EntryState], Command]
+    """Over the time since the start of the prediction (s) and the state"""
+
+
 Margin = Callable[[EntryState], Scalar]
 """A smooth function of the state that is positive before an end and falls through zero
 there"""
@@ -72,7 +85,7 @@ class _Moving(eqx.Module):
 def propagate(
     model: OnboardModel,
     state: EntryState,
-    command: Command,
+    command: Command | SampledCommand,
     ends: Sequence[Margin],
     *,
     step: Scalar | float,
@@ -105,7 +118,8 @@ def propagate(
 
     - `model`: planet and vehicle as they are believed to be.
     - `state`: where the prediction begins.
-    - `command`: what is flown.
+    - `command`: what is flown, or what decides it at the start of each step; smooth within
+      a step.
     - `ends`: margins.
     - `step`: s.
     - `steps`: how many there are at most; rounded up to a multiple of eight.
@@ -121,10 +135,15 @@ def propagate(
         raise ValueError("ends is empty: a prediction needs an end to go to")
     if isinstance(step, int | float) and not 0.0 < step < math.inf:
         raise ValueError(f"step is {step} s: it must be positive and finite")
-    flow = _flow(model, command, factors, dynamics, integrand)
     step = jnp.asarray(step, float)
 
-    def after(moving: _Moving, length: Scalar) -> _Moving:
+    def decided(moving: _Moving) -> Command:
+        if isinstance(command, SampledCommand):
+            return command.decide(moving.time, moving.state)
+        return command
+
+    def after(moving: _Moving, flown: Command, length: Scalar) -> _Moving:
+        flow = _flow(model, flown, factors, dynamics, integrand)
         return runge_kutta_step(lambda _, m: flow(m), 0.0 * length, moving, length)
 
     def margins(state: EntryState) -> Array:
@@ -132,7 +151,7 @@ def propagate(
 
     def advance(carry, _):
         moving, running, crossed = carry
-        moved = after(moving, step)
+        moved = after(moving, decided(moving), step)
         flies = running & _is_finite(moved)
         flies &= jnp.logical_not(dynamics.is_singular(moving.state, moved.state))
         inside = jnp.min(margins(moved.state)) > 0.0
@@ -145,19 +164,22 @@ def propagate(
     def some(carry, _):
         return where_due(carry[1], advance_all, carry), None
 
-    start = _start(state, command, integrand)
+    start = _start(state, decided, integrand)
     running = _is_finite(start) & (jnp.min(margins(state)) > 0.0)
     carry = start, running, jnp.zeros_like(running)
     blocks = math.ceil(steps / _AT_ONCE)
     (last, _, crossed), _ = lax.scan(some, carry, length=blocks)
 
+    flown = decided(last)
+
     def margins_after(length: Scalar) -> Array:
-        return margins(after(last, length).state)
+        return margins(after(last, flown, length).state)
 
     # Where no end was crossed the last step has no length, and its slopes are finite.
     at = lax.stop_gradient(last)
+    flown_there = decided(at)
     search = newton(
-        by_jvp(lambda x: jnp.min(margins(after(at, x).state))),
+        by_jvp(lambda x: jnp.min(margins(after(at, flown_there, x).state))),
         jnp.where(crossed, 0.5 * lax.stop_gradient(step), 0.0),
         _SEARCH,
         lower=jnp.zeros_like(step),
@@ -169,7 +191,7 @@ def propagate(
     found = newton(by_jvp(lambda x: margins_after(x)[ended_by]), length, _EXACT)
     converged = found.known & (jnp.abs(found.step) < _CONVERGED * step)
     met = crossed & converged
-    end = after(last, jnp.where(met, found.x, 0.0))
+    end = after(last, flown, jnp.where(met, found.x, 0.0))
     met &= _is_finite(end)
     met &= jnp.logical_not(dynamics.is_singular(last.state, end.state))
     end = _select(met, end, last)
@@ -209,7 +231,7 @@ def propagate_over(
     _require_steps(steps)
     flow = _flow(model, command, factors, dynamics, integrand)
     over = with_respect_to(flow, lambda moving: index(moving.state))
-    start = _start(state, command, integrand)
+    start = _start(state, lambda _: command, integrand)
     first = index(state)
     way = end - first
 
@@ -251,12 +273,17 @@ def _flow(
     return flow
 
 
-def _start(state: EntryState, command: Command, integrand: Integrand | None) -> _Moving:
+def _start(
+    state: EntryState,
+    decided: Callable[[_Moving], Command],
+    integrand: Integrand | None,
+) -> _Moving:
     time = jnp.zeros_like(state.velocity)
+    start = _Moving(time, state, None)
     if integrand is None:
-        return _Moving(time, state, None)
+        return start
     kinds = eqx.filter_eval_shape(
-        lambda: integrand(time, state, command(time, state))  # pyright: ignore
+        lambda: integrand(time, state, decided(start)(time, state))  # pyright: ignore
     )
     nothing = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), kinds)
     return _Moving(time, state, nothing)
