@@ -246,6 +246,7 @@ ROWS = {
         ("predictor-corrector", "everything"),
         ("predictor-corrector", "entry-errors"),
         ("predictor-corrector", "air-and-vehicle"),
+        ("skip", "everything"),
         ("unlimited", "everything"),
         ("us-1976", "everything"),
     ),

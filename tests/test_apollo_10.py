@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from first_sets import populations
 from helpers import ConstantBank, fly_compiled, truths, with_leaf
-from readme import assert_prints, rows
+from readme import README, assert_prints, assert_says, rows
 from scipy.integrate import solve_ivp
 
 from jentry.missions import find_mission
@@ -229,3 +229,32 @@ def test_the_table_of_the_readme():
             assert_prints(cell, np.max(sets))
         assert np.all(saved(variant, "lost, %", reading) == 0.0)
         assert np.all(saved(variant, "within 10 km, %", reading) == 100.0)
+
+
+def test_what_is_said_of_apollo_10():
+    within = [row for row in populations.ROWS["apollo-10"] if row[0] != "unlimited"]
+    misses, loads, rates, pressures = (
+        max(np.max(saved(variant, heading, reading)) for variant, reading in within)
+        for heading in (
+            "miss, maximum, km",
+            "load factor, maximum",
+            "heat rate, maximum, MW/m2",
+            "dynamic pressure, maximum, kPa",
+        )
+    )
+    misses = max(misses, np.max(saved("unlimited", "miss, maximum, km")))
+    limits = TOOLBOX["limits"]
+    assert "All of these flights end within 1.3 km" in README and 1.2 < misses < 1.3
+    assert loads < limits["load_factor"] and rates < 1e-3 * limits["heat_rate_kW_m2"]
+    over = 100.0 * (pressures / limits["dynamic_pressure_kPa"] - 1.0)
+    assert_says("exceeds its own by up to 2.7 %", over)
+    capsule = TOOLBOX["capsule"]
+    ratio = capsule["lift_coefficient"] / capsule["drag_coefficient"]
+    assert_says("5498 kg and a lift-to-drag ratio of 0.325", capsule["mass_kg"], ratio)
+    along = float(scenario().target.downrange) / km
+    high = TOOLBOX["target"]["altitude_m"] / km
+    assert_says("a point 2340 km away and 5.7 km high", along, high)
+    assert float(scenario().guidance.lateral.most) == 10.0
+    away = float(MISSION.scenario("skip").target.downrange) / km
+    assert_says("to a point 5000 km away", away)
+    assert_says("the ceiling of 125 km", float(scenario().guidance.end.ceiling) / km)

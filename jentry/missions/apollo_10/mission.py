@@ -2,7 +2,7 @@
 
 from ..mission import Mission
 from .dispersions import air_and_vehicle, entry_errors, everything
-from .scenario import guided, unlimited, us_1976
+from .scenario import guided, skip, unlimited, us_1976
 
 
 MISSION = Mission(
@@ -12,6 +12,7 @@ MISSION = Mission(
     "as in the NPCG Toolbox of Lee, Lee and Wie",
     variants={
         "predictor-corrector": guided,
+        "skip": skip,
         "unlimited": unlimited,
         "us-1976": us_1976,
     },

@@ -47,6 +47,7 @@ LONGITUDE, LATITUDE = 174.24384 * degree, -23.51457 * degree
 TARGET_LONGITUDE, TARGET_LATITUDE = 194.8501 * degree, -15.4121 * degree
 END_ALTITUDE, END_VELOCITY = 5683.0, 119.67
 """m, m/s"""
+SKIP_RANGE = 5000.0 * km
 ROTATION_RATE = 7.292115e-5
 """rad/s, of WGS 84; the toolbox has a turn in 86 400 s, which is 0.3 % slower"""
 CEILING = 125.0 * km
@@ -181,6 +182,23 @@ def guided() -> Scenario:
             "dynamic_pressure": DynamicPressure(30e3),
         },
         step=STEP,
+    )
+
+
+def skip() -> Scenario:
+    """Out of the air and in again, to a point 5000 km straight ahead, a choice of our own.
+
+    It rises to 100 to 108 km. From some 6000 km on the ceiling would have to be higher.
+    """
+    return eqx.tree_at(
+        lambda s: (
+            s.guidance.downrange,
+            s.guidance.crossrange,
+            s.target.downrange,
+            s.target.crossrange,
+        ),
+        guided(),
+        2 * tuple(map(jnp.asarray, (SKIP_RANGE, 0.0))),
     )
 
 
