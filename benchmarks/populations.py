@@ -10,6 +10,7 @@ README. Campaigns are stored below --out, and are resumed or read again from the
     python benchmarks/populations.py mars-range-tracking
     python benchmarks/populations.py mars-drag-tracking
     python benchmarks/populations.py sx-2
+    python benchmarks/populations.py apollo-10
 
 `populations.csv` beside this file has each statistic of each set: `--save` writes it anew.
 The tests compare the README with it, and its first sets with what they fly.
@@ -52,8 +53,8 @@ def percentile(percent: float) -> Callable[[np.ndarray], float]:
     return lambda magnitudes: np.percentile(magnitudes, percent)
 
 
-def within_20(magnitudes: np.ndarray) -> float:
-    return 100.0 * np.mean(magnitudes <= 20.0)
+def within(limit: float) -> Callable[[np.ndarray], float]:
+    return lambda magnitudes: 100.0 * np.mean(magnitudes <= limit)
 
 
 def deviation(variable: str) -> Callable[..., float]:
@@ -84,7 +85,7 @@ COLUMNS = {
         Column("velocity error, mean, m/s", VELOCITY, 1.0, np.mean),
         Column("median", VELOCITY, 1.0, np.median),
         Column("maximum", VELOCITY, 1.0, np.max),
-        Column("within 20 m/s, %", VELOCITY, 1.0, within_20),
+        Column("within 20 m/s, %", VELOCITY, 1.0, within(20.0)),
         Column("miss, maximum, m", "miss_distance", 1.0, np.max),
         Column("path angle, maximum, deg", ANGLE, degree, np.max),
         Column("azimuth, maximum, deg", "heading_error", degree, np.max),
@@ -101,6 +102,18 @@ COLUMNS = {
     "sx-2": _END,
     "x-33": _END,
     "rlv": _END,
+    "apollo-10": (
+        *_END[:6],
+        Column("miss, median, km", "miss_distance", km, np.median),
+        Column("miss, 99th percentile, km", "miss_distance", km, percentile(99)),
+        Column("miss, maximum, km", "miss_distance", km, np.max),
+        Column("within 1 km, %", "miss_distance", km, within(1.0)),
+        Column("within 10 km, %", "miss_distance", km, within(10.0)),
+        Column("heat rate, maximum, MW/m2", "peak_heat_rate", 1e6, np.max),
+        Column("load factor, maximum", "peak_load_factor", 1.0, np.max),
+        Column("dynamic pressure, maximum, kPa", PRESSURE, 1e3, np.max),
+        Column("load factor, median", "peak_load_factor", 1.0, np.median),
+    ),
 }
 
 
@@ -172,6 +185,7 @@ OTHERS = {
         for name in ("heat_rate", "normal_load_factor")
     },
     "rlv": {"downrange std, km": deviation(DOWNRANGE)},
+    "apollo-10": {"lost, %": lost},
     "mars-drag-tracking": {
         value.name: value.statistic
         for value in find_mission("mars-drag-tracking").published
@@ -228,6 +242,14 @@ ROWS = {
         (variant, "table-1")
         for variant in ("r5", "predictor-corrector", *CROSSINGS["rlv"])
     ),
+    "apollo-10": (
+        ("predictor-corrector", "everything"),
+        ("predictor-corrector", "entry-errors"),
+        ("predictor-corrector", "air-and-vehicle"),
+        ("skip", "everything"),
+        ("unlimited", "everything"),
+        ("us-1976", "everything"),
+    ),
     "mars-drag-tracking": tuple(
         (variant, "lift-to-drag-held")
         for variant in (
@@ -248,6 +270,7 @@ RUNS = {
     "sx-2": 100,
     "x-33": 50,
     "rlv": 25,
+    "apollo-10": 50,
 }
 """In a set"""
 

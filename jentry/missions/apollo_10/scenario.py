@@ -1,0 +1,216 @@
+"""Apollo 10: the capsule, its return from the Moon, and the law that flies it.
+
+Numbers are those of the example `Earth_Apollo10` of the NPCG Toolbox of Iowa State
+University (Y. Lee, D. Y. Lee, B. Wie, 2024). It names as its sources the analysis of the
+flown entry (Szelc 1969, Apollo 10 Mission Report, Supplement 10, NASA TM-X-69555) and, for
+the limits, Pavlosky and St. Leger (1974); the air is "Hicks 2009" there. These have not
+been read here. What is not of the toolbox says so.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ..._math import sincos
+from ...flight.scenario import Scenario, Target
+from ...flight.termination import (
+    AltitudeAbove,
+    AltitudeBelow,
+    Termination,
+)
+from ...guidance.bank_shapes import LinearBankShape
+from ...guidance.guided_end import GuidedEnd
+from ...guidance.lateral import PredictedCrossrange
+from ...guidance.path_limits import PathLimits
+from ...guidance.predictor_corrector import PredictorCorrector
+from ...motion.constraints import DynamicPressure, HeatRate, LoadFactor
+from ...motion.quantities import energy, ground_track
+from ...motion.state import EntryState
+from ...onboard.model import OnboardModel
+from ...units import degree, km
+from ...world.aerodynamics import ConstantAerodynamics
+from ...world.atmosphere import ExponentialAtmosphere
+from ...world.gravity import InverseSquareGravity
+from ...world.planet import Planet
+from ...world.us_standard_atmosphere import USStandardAtmosphere1976
+from ...world.vehicle import Vehicle
+
+
+RADIUS_AT_ENTRY = 6498.270 * km
+"""From the centre of the Earth"""
+INERTIAL_VELOCITY = 11_067.15
+"""m/s"""
+INERTIAL_PATH_ANGLE, INERTIAL_HEADING = -6.6198381 * degree, 71.9317 * degree
+LONGITUDE, LATITUDE = 174.24384 * degree, -23.51457 * degree
+"""At the entry, the latitude geocentric"""
+TARGET_LONGITUDE, TARGET_LATITUDE = 194.8501 * degree, -15.4121 * degree
+END_ALTITUDE, END_VELOCITY = 5683.0, 119.67
+"""m, m/s"""
+SKIP_RANGE = 5000.0 * km
+ROTATION_RATE = 7.292115e-5
+"""rad/s, of WGS 84; the toolbox has a turn in 86 400 s, which is 0.3 % slower"""
+CEILING = 125.0 * km
+"""Above which a flight has skipped out; a round number of our own"""
+FIRST_BANK, FINAL_BANK = 70.0 * degree, 30.0 * degree
+"""Of the linear bank: where it begins, before the first correction, and at its end"""
+LARGEST_BANK = 85.0 * degree
+"""Our own; 180 degrees in the toolbox. With more than this a capsule that is as slow as at
+its end falls vertically, where the state has no heading"""
+LEAST_EFFECT = 1500.0
+"""m, our own: where the bank has no more of the range left than that, it stays"""
+STEP = 0.5
+"""s, our own; the bank is smooth within a guidance cycle"""
+
+_HEATING = 20e-9 * 11_356.539
+"""Of a formula of Young and Smith's (1967) as the toolbox has it: 20 sqrt(density) times
+the cube of the velocity in km/s, in Btu/(ft2 s), where the toolbox prints the unit with
+these digits"""
+
+
+def earth() -> Planet:
+    """A rotating sphere with an exponential atmosphere."""
+    return Planet(
+        radius=6378.137 * km,
+        gravity=InverseSquareGravity(3.98600435507e14),
+        atmosphere=ExponentialAtmosphere(1.225, 1.0 * km / 0.14),
+        rotation_rate=ROTATION_RATE,
+        heating_coefficient=_HEATING,
+    )
+
+
+def capsule() -> Vehicle:
+    """5498.22 kg and 12.017 m2, with a lift-to-drag ratio of 0.325 at every speed.
+
+    The formula of the heat rate has no nose radius: here it is one of 1 m.
+    """
+    return Vehicle(
+        mass=5498.22,
+        reference_area=12.017,
+        aerodynamics=ConstantAerodynamics(0.40815, 1.2569),
+    )
+
+
+def entry_state(planet: Planet) -> EntryState:
+    """At the entry interface, relative to the rotating planet."""
+    sin_path, cos_path = sincos(jnp.asarray(INERTIAL_PATH_ANGLE))
+    sin_heading, cos_heading = sincos(jnp.asarray(INERTIAL_HEADING))
+    carried = planet.rotation_rate * RADIUS_AT_ENTRY * jnp.cos(LATITUDE)
+    up = INERTIAL_VELOCITY * sin_path
+    north = INERTIAL_VELOCITY * cos_path * cos_heading
+    east = INERTIAL_VELOCITY * cos_path * sin_heading - carried
+    level = jnp.hypot(north, east)
+    return EntryState(
+        altitude=RADIUS_AT_ENTRY - planet.radius,
+        longitude=LONGITUDE,
+        latitude=LATITUDE,
+        velocity=jnp.hypot(up, level),
+        flight_path_angle=jnp.arctan2(up, level),
+        heading=jnp.arctan2(east, north),
+    )
+
+
+def linear_bank() -> LinearBankShape:
+    """Over the energy, from the bank now to that at the end."""
+    planet = earth()
+    end = dataclasses.replace(
+        entry_state(planet), altitude=END_ALTITUDE, velocity=END_VELOCITY
+    )
+    return LinearBankShape(
+        end=energy(planet, end),
+        final=FINAL_BANK,
+        largest=LARGEST_BANK,
+        first=1.0 - FIRST_BANK / LARGEST_BANK,
+    )
+
+
+def lateral() -> PredictedCrossrange:
+    """Our own: up to ten reversals.
+
+    With six at most, and a factor of 2, they are used up before the end: the crossrange is
+    missed by up to 7 km then, and the range by 30 m. The reversals that come last leave
+    half a kilometre along the track, since the bank can do no more about it.
+    """
+    return PredictedCrossrange(factor=2.0, most=10.0)
+
+
+def guided() -> Scenario:
+    """A bank that is linear over the energy, within the limits, down to the altitude.
+
+    The toolbox ends at an energy, that of this altitude and velocity; a capsule falls at
+    its terminal velocity by then, so that it is the altitude which ends it. There the lift
+    is held upwards for 90 s, which keeps the load; here the limits do so (`PathLimits`).
+    """
+    planet = earth()
+    start = entry_state(planet)
+    there = dataclasses.replace(
+        start,
+        altitude=END_ALTITUDE,
+        longitude=TARGET_LONGITUDE,
+        latitude=TARGET_LATITUDE,
+    )
+    downrange, crossrange = ground_track(planet, start, there)
+    law = PredictorCorrector(
+        model=OnboardModel(planet, capsule()),
+        shape=linear_bank(),
+        end=GuidedEnd(altitude=END_ALTITUDE, ceiling=CEILING),
+        origin=start,
+        downrange=downrange,
+        crossrange=crossrange,
+        altitude=END_ALTITUDE,
+        lateral=lateral(),
+        limits=PathLimits(),
+        least_effect=LEAST_EFFECT,
+        steps=400,
+    )
+    return Scenario(
+        planet=planet,
+        vehicle=capsule(),
+        initial_state=start,
+        guidance=law,
+        termination=Termination(
+            {
+                "altitude": AltitudeBelow(altitude=END_ALTITUDE),
+                "skip_out": AltitudeAbove(altitude=CEILING),
+            },
+            time_limit=1200.0,
+        ),
+        target=Target(END_ALTITUDE, END_VELOCITY, downrange, crossrange, origin=start),
+        constraints={
+            "heat_rate": HeatRate(6e6),
+            "load_factor": LoadFactor(10.0),
+            "dynamic_pressure": DynamicPressure(30e3),
+        },
+        step=STEP,
+    )
+
+
+def skip() -> Scenario:
+    """Out of the air and in again, to a point 5000 km straight ahead, a choice of our own.
+
+    It rises to 100 to 108 km. From some 6000 km on the ceiling would have to be higher.
+    """
+    return eqx.tree_at(
+        lambda s: (
+            s.guidance.downrange,
+            s.guidance.crossrange,
+            s.target.downrange,
+            s.target.crossrange,
+        ),
+        guided(),
+        2 * tuple(map(jnp.asarray, (SKIP_RANGE, 0.0))),
+    )
+
+
+def unlimited() -> Scenario:
+    """The same with no regard to the limits: it exceeds those of load and pressure."""
+    scenario = guided()
+    law = dataclasses.replace(scenario.guidance, limits=None)
+    return dataclasses.replace(scenario, guidance=law)
+
+
+def us_1976() -> Scenario:
+    """Through the US Standard Atmosphere, while the law believes the exponential one."""
+    return eqx.tree_at(
+        lambda s: s.planet.atmosphere, guided(), USStandardAtmosphere1976()
+    )

@@ -1,0 +1,260 @@
+"""Apollo 10: the toolbox's numbers, its motion by scipy, and what the README says."""
+
+import functools
+
+import numpy as np
+import pytest
+from first_sets import populations
+from helpers import ConstantBank, fly_compiled, truths, with_leaf
+from readme import README, assert_prints, assert_says, rows
+from scipy.integrate import solve_ivp
+
+from jentry.missions import find_mission
+from jentry.motion.quantities import ground_track
+from jentry.units import degree, km
+
+
+MISSION = find_mission("apollo-10")
+TOOLBOX = truths("apollo_10.csv")
+ROTATION = 7.292115e-5
+"""rad/s, WGS 84"""
+
+
+@functools.cache
+def scenario():
+    return MISSION.scenario()
+
+
+def axes(longitude, latitude):
+    """Up, east and north, in the frame of the Earth's axis."""
+    (sa, ca), (sb, cb) = ((np.sin(x), np.cos(x)) for x in (longitude, latitude))
+    up = np.array([cb * ca, cb * sa, sb])
+    return up, np.array([-sa, ca, 0.0]), np.array([-sb * ca, -sb * sa, cb])
+
+
+def velocity_of(frame, speed, path, heading):
+    up, east, north = frame
+    level = np.sin(heading) * east + np.cos(heading) * north
+    return speed * (np.sin(path) * up + np.cos(path) * level)
+
+
+def start():
+    """Place and velocity of the entry, relative to the Earth, by vectors."""
+    printed = TOOLBOX["entry"]
+    angles = {
+        k.removesuffix("_deg"): v * degree
+        for k, v in printed.items()
+        if k.endswith("_deg")
+    }
+    frame = axes(angles["longitude"], angles["latitude"])
+    place = printed["radius_m"] * frame[0]
+    inertial = velocity_of(
+        frame,
+        printed["velocity_m_s"],
+        angles["flight_path_angle"],
+        angles["heading"],
+    )
+    return place, inertial - np.cross([0.0, 0.0, ROTATION], place)
+
+
+def test_the_numbers_are_those_of_the_toolbox():
+    flown, earth, capsule = scenario(), TOOLBOX["earth"], TOOLBOX["capsule"]
+    planet, vehicle, heating = flown.planet, flown.vehicle, TOOLBOX["heating"]
+    scale_height = km / earth["inverse_scale_height_1_km"]
+    unit = heating["kW_m2_per_Btu_ft2_s"] * km
+    of_velocity = heating["of_velocity_in_km_s_Btu_ft2_s"] / km**3
+    limits, target = TOOLBOX["limits"], TOOLBOX["target"]
+    for ours, theirs in (
+        (planet.radius, earth["radius_m"]),
+        (
+            planet.gravity.gravitational_parameter,
+            earth["gravitational_parameter_m3_s2"],
+        ),
+        (planet.atmosphere.surface_density, earth["surface_density_kg_m3"]),
+        (planet.atmosphere.scale_height, scale_height),
+        (planet.heating_coefficient, unit * of_velocity),
+        (vehicle.nose_radius, 1.0),
+        (vehicle.mass, capsule["mass_kg"]),
+        (vehicle.reference_area, capsule["reference_area_m2"]),
+        (vehicle.aerodynamics.lift_coefficient, capsule["lift_coefficient"]),
+        (vehicle.aerodynamics.drag_coefficient, capsule["drag_coefficient"]),
+        (flown.constraints["load_factor"].limit, limits["load_factor"]),
+        (
+            flown.constraints["dynamic_pressure"].limit,
+            limits["dynamic_pressure_kPa"] * km,
+        ),
+        (flown.constraints["heat_rate"].limit, limits["heat_rate_kW_m2"] * km),
+        (flown.target.altitude, target["altitude_m"]),
+        (flown.target.velocity, target["velocity_m_s"]),
+    ):
+        assert float(ours) == pytest.approx(theirs, rel=1e-14)
+
+
+def test_the_entry_relative_to_the_earth_is_that_of_its_vectors():
+    place, velocity = start()
+    state = scenario().initial_state
+    altitude, longitude, latitude, speed, path, heading = (
+        float(getattr(state, name))
+        for name in (
+            "altitude",
+            "longitude",
+            "latitude",
+            "velocity",
+            "flight_path_angle",
+            "heading",
+        )
+    )
+    frame = axes(longitude, latitude)
+    radius = altitude + TOOLBOX["earth"]["radius_m"]
+    assert radius * frame[0] == pytest.approx(place, abs=1e-6)
+    ours = velocity_of(frame, speed, path, heading)
+    assert ours == pytest.approx(velocity, abs=1e-8)
+
+
+def test_the_target_is_its_point():
+    flown, printed = scenario(), TOOLBOX["target"]
+    there = flown.initial_state
+    for name in ("longitude", "latitude"):
+        there = with_leaf(
+            there,
+            lambda s, name=name: getattr(s, name),
+            printed[f"{name}_deg"] * degree,
+        )
+    along, across = ground_track(flown.planet, flown.initial_state, there)
+    assert float(along) == pytest.approx(float(flown.target.downrange), rel=1e-14)
+    assert float(across) == pytest.approx(float(flown.target.crossrange), rel=1e-12)
+    # By the angle between the two places, and not by an axis of the entry.
+    radius, place = TOOLBOX["earth"]["radius_m"], start()[0]
+    target = axes(*(printed[f"{n}_deg"] * degree for n in ("longitude", "latitude")))
+    cosine = target[0] @ place / np.linalg.norm(place)
+    ours = np.cos(float(along) / radius) * np.cos(float(across) / radius)
+    assert ours == pytest.approx(cosine, rel=1e-12)
+
+
+BANK = 60.0 * degree
+
+
+def by_hand():
+    """Down to the altitude of the end at a bank to the right: vectors, Coriolis and all."""
+    earth, capsule = TOOLBOX["earth"], TOOLBOX["capsule"]
+    spin = np.array([0.0, 0.0, ROTATION])
+    area = capsule["reference_area_m2"] / capsule["mass_kg"]
+
+    def slope(_, y):
+        place, velocity = y[:3], y[3:]
+        radius, speed = np.linalg.norm(place), np.linalg.norm(velocity)
+        height = (radius - earth["radius_m"]) / km
+        density = earth["surface_density_kg_m3"] * np.exp(
+            -earth["inverse_scale_height_1_km"] * height
+        )
+        pressure = 0.5 * density * speed**2 * area
+        along, up = velocity / speed, place / radius
+        right = np.cross(along, up)
+        right /= np.linalg.norm(right)
+        lift = np.cos(BANK) * np.cross(right, along) + np.sin(BANK) * right
+        air = pressure * (
+            capsule["lift_coefficient"] * lift - capsule["drag_coefficient"] * along
+        )
+        gravity = -earth["gravitational_parameter_m3_s2"] / radius**2 * up
+        turning = -2.0 * np.cross(spin, velocity) - np.cross(
+            spin, np.cross(spin, place)
+        )
+        return np.concatenate([velocity, air + gravity + turning])
+
+    def low(_, y):
+        return (
+            np.linalg.norm(y[:3]) - earth["radius_m"] - TOOLBOX["target"]["altitude_m"]
+        )
+
+    low.terminal = True
+    solved = solve_ivp(
+        slope,
+        (0.0, 1200.0),
+        np.concatenate(start()),
+        method="DOP853",
+        rtol=1e-11,
+        atol=1e-6,
+        events=low,
+    )
+    return solved.t[-1], solved.y[:3, -1], solved.y[3:, -1]
+
+
+def test_the_motion_is_that_of_newtons_law():
+    flown = with_leaf(scenario(), lambda s: s.guidance, ConstantBank(BANK))
+    flight = fly_compiled(flown)
+    time, place, velocity = by_hand()
+    end = flight.state
+    frame = axes(float(end.longitude), float(end.latitude))
+    radius = float(end.altitude) + TOOLBOX["earth"]["radius_m"]
+    # Steps of 0.5 s, of fourth order.
+    assert float(flight.time) == pytest.approx(time, abs=1e-3)
+    assert radius * frame[0] == pytest.approx(place, abs=0.5)
+    speed = float(end.velocity)
+    ours = velocity_of(frame, speed, float(end.flight_path_angle), float(end.heading))
+    assert ours == pytest.approx(velocity, abs=1e-3)
+
+
+# What the README says.
+
+
+def saved(variant, heading, reading="everything"):
+    return populations.saved()["apollo-10", variant, reading, heading]
+
+
+def test_the_table_of_the_readme():
+    table = rows("| of 16 sets of 50 runs | downrange")
+    assert len(table) == len(populations.ROWS["apollo-10"])
+    for row, (name, *cells) in zip(populations.ROWS["apollo-10"], table, strict=True):
+        assert name == "`{}`, `{}`".format(*row)
+        variant, reading = row
+        for cell, what in zip(
+            cells, ("downrange error", "crossrange error", "miss"), strict=False
+        ):
+            sets = [
+                saved(variant, f"{what}, {of}, km", reading)
+                for of in ("median", "99th percentile", "maximum")
+            ]
+            assert_prints(cell, *map(np.mean, sets[:2]), np.max(sets[2]))
+        within, load, heat, pressure = (
+            saved(variant, heading, reading)
+            for heading in (
+                "within 1 km, %",
+                "load factor, maximum",
+                "heat rate, maximum, MW/m2",
+                "dynamic pressure, maximum, kPa",
+            )
+        )
+        assert_prints(cells[3], np.mean(within))
+        for cell, sets in zip(cells[4:], (load, heat, pressure), strict=True):
+            assert_prints(cell, np.max(sets))
+        assert np.all(saved(variant, "lost, %", reading) == 0.0)
+        assert np.all(saved(variant, "within 10 km, %", reading) == 100.0)
+
+
+def test_what_is_said_of_apollo_10():
+    within = [row for row in populations.ROWS["apollo-10"] if row[0] != "unlimited"]
+    misses, loads, rates, pressures = (
+        max(np.max(saved(variant, heading, reading)) for variant, reading in within)
+        for heading in (
+            "miss, maximum, km",
+            "load factor, maximum",
+            "heat rate, maximum, MW/m2",
+            "dynamic pressure, maximum, kPa",
+        )
+    )
+    misses = max(misses, np.max(saved("unlimited", "miss, maximum, km")))
+    limits = TOOLBOX["limits"]
+    assert "All of these flights end within 1.3 km" in README and 1.2 < misses < 1.3
+    assert loads < limits["load_factor"] and rates < 1e-3 * limits["heat_rate_kW_m2"]
+    over = 100.0 * (pressures / limits["dynamic_pressure_kPa"] - 1.0)
+    assert_says("exceeds its own by up to 2.6 %", over)
+    capsule = TOOLBOX["capsule"]
+    ratio = capsule["lift_coefficient"] / capsule["drag_coefficient"]
+    assert_says("5498 kg and a lift-to-drag ratio of 0.325", capsule["mass_kg"], ratio)
+    along = float(scenario().target.downrange) / km
+    high = TOOLBOX["target"]["altitude_m"] / km
+    assert_says("a point 2340 km away and 5.7 km high", along, high)
+    assert float(scenario().guidance.lateral.most) == 10.0
+    away = float(MISSION.scenario("skip").target.downrange) / km
+    assert_says("to a point 5000 km away", away)
+    assert_says("the ceiling of 125 km", float(scenario().guidance.end.ceiling) / km)
