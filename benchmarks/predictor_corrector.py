@@ -8,6 +8,7 @@ turns. Prints medians of the processor time, flights a second, and ratios.
 """
 
 import argparse
+import dataclasses
 import statistics
 
 import jax
@@ -54,9 +55,15 @@ def main() -> None:
     for name in options.missions:
         mission = jentry.find_mission(name)
         table = mission.dispersion_table()
+        scenarios = {variant: mission.scenario(variant) for variant in VARIANTS[name]}
+        for variant, scenario in list(scenarios.items()):
+            if getattr(scenario.guidance, "foresees_limits", False):
+                law = dataclasses.replace(scenario.guidance, foresees_limits=False)
+                blind = dataclasses.replace(scenario, guidance=law)
+                scenarios[f"{variant}, limits not foreseen"] = blind
         programs = {
-            variant: drawn_program(mission.scenario(variant), table, options.flights)
-            for variant in VARIANTS[name]
+            variant: drawn_program(scenario, table, options.flights)
+            for variant, scenario in scenarios.items()
         }
         times: dict[str, list[float]] = {variant: [] for variant in programs}
         for _ in range(ROUNDS):

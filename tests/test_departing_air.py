@@ -109,18 +109,51 @@ def test_what_is_not_known_yet_or_is_varied_stays():
     assert spared == [False, False, True]
 
 
-class NotAsked(DensityWave):
-    """A wave that nobody must ask."""
+class AtItsOwn(DensityWave):
+    """A wave that departs by more than its amplitude."""
 
     def departure(self, altitude):
+        return self.amplitude + 0.5
+
+
+class DenserAir(PerturbedAtmosphere):
+    """Air that departs by more than its waves and its trend."""
+
+    def factor(self, altitude):
+        return super().factor(altitude) + 0.5
+
+
+@pytest.mark.parametrize(
+    "air",
+    [
+        DenserAir(AT_REST.undisturbed),
+        dataclasses.replace(AT_REST, waves=(AtItsOwn(0.0, 8e3),)),
+    ],
+)
+def test_what_departs_by_more_than_its_amplitude_stays(air):
+    altitude = jnp.asarray(40e3)
+    spared = without_zero_departures(air)
+    ratio = spared.density(altitude) / AT_REST.undisturbed.density(altitude)
+    assert float(ratio) == pytest.approx(1.5, rel=1e-12)
+
+
+def test_air_within_air():
+    within = dataclasses.replace(AT_REST, undisturbed=AT_REST)
+    assert without_zero_departures(within) == AT_REST.undisturbed
+    departing = eqx.tree_at(lambda a: a.trend, within, jnp.asarray(0.1))
+    spared = without_zero_departures(departing)
+    assert spared.undisturbed == AT_REST.undisturbed and spared.waves == ()
+    assert without_zero_departures(AT_REST, ["waves.0.amplitude"]) is AT_REST
+
+
+def test_what_does_not_depart_is_not_computed(monkeypatch):
+    def departure(wave, altitude):
         raise AssertionError("a wave of amplitude zero is computed")
 
-
-def test_what_does_not_depart_is_not_computed():
+    monkeypatch.setattr(DensityWave, "departure", departure)
     scenario = free_scenario(time_limit=60.0)
     known = scenario.planet.atmosphere
-    waves = (NotAsked(0.0, 8e3), DensityWave(0.0, 25e3))
-    air = dataclasses.replace(AT_REST, undisturbed=known, waves=waves)
+    air = dataclasses.replace(AT_REST, undisturbed=known)
     scenario = eqx.tree_at(lambda s: s.planet.atmosphere, scenario, air)
     jax.eval_shape(lambda mass: fly(with_mass(scenario, mass)), jnp.asarray(900.0))
     inputs = {"vehicle.mass": [900.0, 990.0]}

@@ -272,15 +272,17 @@ def test_any_mapping_is_a_table(key):
     assert list(given) == ["vehicle.mass"]
 
 
-# Of apollo-10, which falls almost vertically at the end.
-@pytest.mark.filterwarnings("ignore:.*decisions without prediction")
+# apollo-10 falls almost vertically at the end.
+MARKS = {
+    "cav-h": [pytest.mark.slow],
+    "apollo-10": [pytest.mark.filterwarnings("ignore:.*decisions without prediction")],
+}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "mission",
-    [
-        pytest.param(m, marks=pytest.mark.slow if name == "cav-h" else [], id=name)
-        for name, m in ALL.items()
-    ],
+    [pytest.param(m, marks=MARKS.get(name, []), id=name) for name, m in ALL.items()],
 )
 def test_every_declared_dispersion_changes_the_flight_when_it_alone_is_drawn_anew(
     mission, key

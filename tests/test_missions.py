@@ -9,7 +9,8 @@ from helpers import truths
 from jentry.addresses import addresses_of, leaves_by_address
 from jentry.campaign import Normal, OneOfSeveral, Uniform, add, multiply, replace
 from jentry.campaign.dispersions import draw
-from jentry.missions import find_mission
+from jentry.flight.scenario import checked
+from jentry.missions import ALL, find_mission
 from jentry.missions.mars import (
     drag_tracking as mars_drag_tracking,
     range_tracking as mars_range_tracking,
@@ -98,6 +99,16 @@ def mars_target(prefix="target"):
         downrange=target["downrange_m"],
         crossrange=target["latitude_deg"] * YAN_HE["implied"]["radius_m"] * degree,
     )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ALL)
+def test_every_number_of_a_mission_is_a_leaf(name):
+    """Of whatever a variant is made, each of its numbers has its address from the start."""
+    mission = ALL[name]
+    for variant in mission.variants:
+        scenario = mission.scenario(variant)
+        assert [*leaves_by_address(scenario)] == [*leaves_by_address(checked(scenario))]
 
 
 MONTE_CARLO = "monte_carlo_gains", "monte_carlo_observer"

@@ -27,6 +27,7 @@ from jentry.guidance import (
 )
 from jentry.guidance.bounded_step import least_squares_step
 from jentry.guidance.lateral import PredictedCrossrange
+from jentry.guidance.path_limits import PathLimits
 from jentry.missions.mars import predictor_corrector as mars
 from jentry.missions.mars.drag_tracking import entry, independent
 from jentry.missions.x_33.predictor_corrector import in_plane as x_33
@@ -441,6 +442,10 @@ def test_without_a_prediction_the_numbers_stay_and_it_is_said():
         ({"step": 0.0}, "steps of 0.0 s"),
         ({"steps": 0}, "0 steps"),
         ({"foresees_limits": True}, "limits is None"),
+        (
+            {"foresees_limits": True, "limits": PathLimits(), "step": 3.0},
+            "step is 3.0 s and the guidance cycle 2.0 s",
+        ),
     ],
 )
 def test_what_cannot_predict_is_refused(changes, said):

@@ -239,14 +239,14 @@ def test_mars_lander_reverses_its_bank_six_times_at_most():
 
 @pytest.mark.slow
 def test_apollo_10_keeps_its_limits_and_comes_to_its_point():
-    """Those of the saved first set; 31 kPa is what the pressure exceeds its 30 by."""
+    """All flights of the first set. The pressure exceeds its limit of 30 kPa a little."""
     runs = populations.runs_of("apollo-10", "predictor-corrector")
     _, flown = campaign("apollo-10", "predictor-corrector", "everything", runs)
     assert np.all(flown.flights.outcome == Outcome.REACHED)
     peaks = flown.flights.peaks
     assert np.max(peaks["load_factor"]) < 10.0 and np.max(peaks["heat_rate"]) < 6e6
     assert np.max(peaks["dynamic_pressure"]) < 31e3
-    assert np.max(np.hypot(flown.misses.downrange, flown.misses.crossrange)) < 2e3
+    assert np.max(np.hypot(flown.misses.downrange, flown.misses.crossrange)) < 1.3e3
 
 
 @pytest.mark.slow

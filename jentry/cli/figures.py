@@ -47,8 +47,8 @@ for all is taken at the start, some 50 MB for a batch, and a figure is 1000 dots
 
 _TRAJECTORIES = 2 * LANES - 1
 """Runs whose trajectories make the bands, if the campaign has not kept them. With the
-nominal flight they are whole batches. Of twice as many the edges of a band would be two
-thirds as uncertain, and a figure would look the same and wait for twice the flights."""
+nominal flight they are whole batches. Of twice as many the edges of a band would be seven
+tenths as uncertain, and a figure would look the same and wait for twice the flights."""
 
 
 class Histories:

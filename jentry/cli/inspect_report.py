@@ -157,7 +157,7 @@ def fly_again(
         named = ", ".join(f"{name} by {by:.1e}" for name, by in different.items())
         console.print(
             f"run {run} flown again differs from what is stored: {named}. It was flown on "
-            "another processor, or by another version of what jentry stands on"
+            "another processor, or by another version of jentry or of what it stands on"
         )
     else:
         console.print(f"run {run} flown again: every stored number, to the last bit")

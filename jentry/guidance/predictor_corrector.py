@@ -163,8 +163,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     end, or in the vertical plane. What a lateral logic predicts is in three dimensions"""
     foresees_limits: bool = eqx.field(default=False, static=True)
     """Whether the limits bound the bank in the prediction too, at the start of each of its
-    steps as in flight at each guidance cycle: `step` should be the period of that. Else it
-    has none, and the numbers go by a bank that is not flown where the limits bind. What is
+    steps as in flight at each guidance cycle, of which `step` is the period. Else it has
+    none, and the numbers go by a bank that is not flown where the limits bind. What is
     foreseen costs several times as much"""
     corrections: int = eqx.field(default=2, static=True)
     """In one guidance cycle; each is a prediction"""
@@ -199,6 +199,13 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             raise ValueError(
                 "foresees_limits is True and limits is None: give the limits, such as "
                 "PathLimits(), or leave it at False"
+            )
+        period = self.cycle.period
+        if self.foresees_limits and period != self.step:
+            raise ValueError(
+                f"step is {self.step} s and the guidance cycle {period} s: limits "
+                "that are foreseen bound the bank at the start of each step of the "
+                "prediction, in flight at each cycle; give the same for both"
             )
         turns = self.model.planet.rotation_rate
         at_rest = isinstance(turns, Tracer) or not eqx.is_array(turns) or turns == 0.0

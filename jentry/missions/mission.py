@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from .._setup import needs_float64
+from ..addresses import with_leaves
 from ..campaign.dispersions import Dispersion
 from ..flight.scenario import Scenario
 from ..planning.flight_problem import FlightProblem
@@ -145,7 +146,7 @@ class Mission:
                 f"a variant of mission {self.name} is a {type(scenario).__name__}: it "
                 "must be a function that returns a Scenario"
             )
-        return scenario
+        return with_leaves(scenario)
 
     def dispersion_table(self, reading: str | None = None) -> Mapping[str, Dispersion]:
         """The table of dispersions of a reading.

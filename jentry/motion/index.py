@@ -15,9 +15,9 @@ class AbstractIndex(eqx.Module):
     """What a reference, a gain schedule or a segment of a flight is a function of.
 
     An index says its value and nothing else: its rates along a flight are taken by
-    forward differentiation. A law that turns the bank needs an index whose rate does not
-    depend on the bank, as that of every function of time, position and velocity. One of
-    your own:
+    forward differentiation, but for those of `EnergyIndex`, which are known. A law that
+    turns the bank needs an index whose rate does not depend on the bank, as that of every
+    function of time, position and velocity. One of your own:
 
         class MachIndex(AbstractIndex):
             def value(self, planet, time, state):

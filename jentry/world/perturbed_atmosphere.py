@@ -134,28 +134,36 @@ def without_zero_departures(tree: Tree, varied: Iterable[str] = ()) -> Tree:
     """
     varied = tuple(varied)
 
+    # What is derived from these may depart otherwise.
     def is_perturbed(node: Any) -> bool:
-        return isinstance(node, PerturbedAtmosphere)
+        return type(node) is PerturbedAtmosphere
 
-    def still(path: tuple, node: Any) -> Any:
-        inside = f"{address_of(path)}."
+    def spared(path: tuple, node: Any) -> Any:
+        inside = f"{address_of(path)}." if path else ""
         if not is_perturbed(node) or any(each.startswith(inside) for each in varied):
             return node
-        return _still(node)
+        return _spared(node)
 
-    return jtu.tree_map_with_path(still, tree, is_leaf=is_perturbed)
+    return jtu.tree_map_with_path(spared, tree, is_leaf=is_perturbed)
 
 
-def _still(air: PerturbedAtmosphere) -> AbstractAtmosphere:
+def _spared(air: PerturbedAtmosphere) -> AbstractAtmosphere:
     """Without its departures that are known to be zero, and undisturbed without any."""
     moving, along = [
-        () if all(_is_zero(wave.amplitude) for wave in waves) else waves
+        () if all(_is_at_rest(wave) for wave in waves) else waves
         for waves in (air.waves, air.ground_waves)
     ]
+    undisturbed = without_zero_departures(air.undisturbed)
     level = _is_zero(air.trend) or _is_zero(air.share_low) and _is_zero(air.share_high)
     if level and not moving and not along:
-        return air.undisturbed
-    return dataclasses.replace(air, waves=moving, ground_waves=along)
+        return undisturbed
+    return dataclasses.replace(
+        air, undisturbed=undisturbed, waves=moving, ground_waves=along
+    )
+
+
+def _is_at_rest(wave: DensityWave | GroundWave) -> bool:
+    return type(wave) in (DensityWave, GroundWave) and _is_zero(wave.amplitude)
 
 
 def _is_zero(number: Any) -> bool:

@@ -64,8 +64,10 @@ STEP = 0.5
 
 _HEATING = 20e-9 * 11_356.539
 """Of a formula of Young and Smith's (1967) as the toolbox has it: 20 sqrt(density) times
-the cube of the velocity in km/s, in Btu/(ft2 s), where the toolbox prints the unit with
-these digits"""
+the cube of the velocity, in Btu/(ft2 s), the toolbox's digits of which are these, with the
+density in kg/m3 and the velocity in km/s. The number looks like one for slug/ft3 and
+thousands of ft/s, in which Detra, Kemp and Riddell have 20.5 for a nose of one foot; heat
+rates would be 1.56 times as large then"""
 
 
 def earth() -> Planet:
@@ -82,7 +84,7 @@ def earth() -> Planet:
 def capsule() -> Vehicle:
     """5498.22 kg and 12.017 m2, with a lift-to-drag ratio of 0.325 at every speed.
 
-    The formula of the heat rate has no nose radius: here it is one of 1 m.
+    The formula of the heat rate has no nose radius: where jentry divides by one it is 1 m.
     """
     return Vehicle(
         mass=5498.22,
@@ -137,7 +139,8 @@ def lateral() -> PredictedCrossrange:
 def guided() -> Scenario:
     """A bank that is linear over the energy, within the limits, down to the altitude.
 
-    The toolbox ends at an energy, that of this altitude and velocity; a capsule falls at
+    The toolbox ends at an energy, that of this altitude and velocity, or within 100 m of
+    the target; a capsule falls at
     its terminal velocity by then, so that it is the altitude which ends it. There the lift
     is held upwards for 90 s, which keeps the load; here the limits do so (`PathLimits`).
     """
