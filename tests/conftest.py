@@ -71,8 +71,10 @@ def in_memory() -> float:
 
 
 def give_back() -> None:
-    """Have the C library, if it is glibc, give back what is free: else all that follow
-    would be beyond what is allowed as well, and would find nothing compiled."""
+    """Throw away what nobody needs, and have the C library, if it is glibc, give back what
+    is free: else all that follow would be beyond what is allowed as well, and would find
+    nothing compiled."""
+    gc.collect()
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
 
@@ -82,9 +84,10 @@ def forgetting(request):
     """What slow tests have traced and compiled would fill the memory, gigabytes in all."""
     yield
     if request.node.get_closest_marker("slow") and in_memory() > _MOST:
-        jax.clear_caches()
-        gc.collect()
         give_back()
+        if in_memory() > _MOST:  # and no rubbish
+            jax.clear_caches()
+            give_back()
 
 
 @pytest.fixture

@@ -237,3 +237,35 @@ print(*{"optax", "pandas", "matplotlib", "scipy", "pint"} & set(sys.modules))
     call = [sys.executable, "-c", program]
     run = subprocess.run(call, capture_output=True, text=True, check=True)
     assert run.stdout == "\n"
+
+
+TORN = """
+import signal
+from jentry.cli.ending import rounding_off
+
+class Torn:
+    def __del__(self):
+        raise ValueError("half of it is missing")
+
+def write():
+    torn = Torn()
+    try:
+        signal.raise_signal(signal.SIGINT)
+    except KeyboardInterrupt as interruption:
+        raise {raised}
+    return torn
+
+with rounding_off("the same command resumes"):
+    write()
+"""
+
+
+@pytest.mark.parametrize("raised", ["interruption", "OSError"])
+def test_what_an_interruption_has_torn_says_nothing(raised):
+    """As a file that was being written, which cannot be closed any more."""
+    program = TORN.format(raised=raised)
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert ended.returncode == 130
+    assert ended.stderr == "jentry: interrupted; the same command resumes\n"

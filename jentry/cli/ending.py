@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterator
 from typing import NoReturn
 
@@ -98,7 +99,8 @@ def rounding_off(advice: str) -> Iterator[Callable[[], None]]:
             raise KeyboardInterrupt
 
     def not_passed_on(lost, hook=sys.unraisablehook):
-        if not isinstance(lost.exc_value, KeyboardInterrupt):
+        # What the interruption has torn, such as a half-written file, may fail to close.
+        if not pressed and not isinstance(lost.exc_value, KeyboardInterrupt):
             hook(lost)
 
     before, hook = signal.getsignal(signal.SIGINT), sys.unraisablehook
@@ -106,10 +108,12 @@ def rounding_off(advice: str) -> Iterator[Callable[[], None]]:
     signal.signal(signal.SIGINT, press)
     try:
         yield look
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interruption:
+        traceback.clear_frames(interruption.__traceback__)
         fail(f"interrupted; {advice}", 130)
-    except Exception:
+    except Exception as error:
         if pressed:  # what JAX has made of it
+            traceback.clear_frames(error.__traceback__)
             fail(f"interrupted; {advice}", 130)
         raise
     finally:
