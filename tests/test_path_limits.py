@@ -366,6 +366,7 @@ def within():
         lateral=FixedSide(),
         limits=wish.limits,
         foresees_limits=True,
+        cycle=wish.cycle,
         step=wish.cycle.period,
         steps=1600,
     )
