@@ -13,8 +13,8 @@ import jax
 import pytest
 
 
-# As the command does: in a process that has traced much, to look for rubbish is a sixth
-# of all that it does.
+# As the command does: in a process that has traced much, to look for rubbish is up to a
+# sixth of what it does.
 gc.set_threshold(100_000)
 
 # What XLA has compiled is kept beside what pytest keeps, for the other worker and for the
