@@ -28,6 +28,7 @@ from jentry.guidance import (
 from jentry.guidance.bounded_step import least_squares_step
 from jentry.guidance.lateral import PredictedCrossrange
 from jentry.guidance.path_limits import PathLimits
+from jentry.guidance.predictor_corrector import _End, _with_effects
 from jentry.missions.mars import predictor_corrector as mars
 from jentry.missions.mars.drag_tracking import entry, independent
 from jentry.missions.x_33.predictor_corrector import in_plane as x_33
@@ -551,3 +552,17 @@ def test_the_memory_of_the_factors_is_tuned(monkeypatch):
     std = mars_reach.downrange_std(found.judgement)
     assert std.after.value < 0.8 * std.before.value
     assert std.change.high < 0.0
+
+
+@pytest.mark.parametrize("in_turn", [False, True])
+def test_a_number_has_its_effects_in_its_column(in_turn):
+    def missed(numbers):
+        x, y = numbers
+        return jnp.array([x * y, 5.0 * y]), _End(x > y, x < y)
+
+    misses, effects, end = jax.jit(
+        lambda numbers: _with_effects(missed, numbers, in_turn)
+    )(jnp.array([2.0, 3.0]))
+    assert np.array_equal(misses, [6.0, 15.0])
+    assert not end.is_there and end.skips
+    assert np.array_equal(effects, [[3.0, 2.0], [0.0, 5.0]])
