@@ -129,9 +129,9 @@ def linear_bank() -> LinearBankShape:
 def lateral() -> PredictedCrossrange:
     """Our own: up to ten reversals.
 
-    With six at most, and a factor of 2, they are used up before the end: the crossrange is
-    missed by up to 7 km then, and the range by 30 m. The reversals that come last leave
-    half a kilometre along the track, since the bank can do no more about it.
+    With six at most, and a factor of 2, they are used up before the end, and the crossrange
+    is missed by more than the range is now: the reversals that come last leave an error
+    along the track, since the bank can do no more about it.
     """
     return PredictedCrossrange(factor=2.0, most=10.0)
 
@@ -140,9 +140,9 @@ def guided() -> Scenario:
     """A bank that is linear over the energy, within the limits, down to the altitude.
 
     The toolbox ends at an energy, that of this altitude and velocity, or within 100 m of
-    the target; a capsule falls at
-    its terminal velocity by then, so that it is the altitude which ends it. There the lift
-    is held upwards for 90 s, which keeps the load; here the limits do so (`PathLimits`).
+    the target; a capsule falls at its terminal velocity by then, so that it is the altitude
+    which ends it. There the lift is held upwards for 90 s, which keeps the load; here the
+    limits do so (`PathLimits`).
     """
     planet = earth()
     start = entry_state(planet)
@@ -191,7 +191,7 @@ def guided() -> Scenario:
 def skip() -> Scenario:
     """Out of the air and in again, to a point 5000 km straight ahead, a choice of our own.
 
-    It rises to 100 to 108 km. From some 6000 km on the ceiling would have to be higher.
+    Far beyond it the ceiling would have to be higher.
     """
     return eqx.tree_at(
         lambda s: (
