@@ -265,12 +265,13 @@ def check_dispersions(
         if isinstance(distribution, TruncatedNormal):
             _refuse_empty_interval(name, distribution)
     require_felt(scenario, moved)
-    noise = leaves.get("accelerometers.noise", 0.0)
-    if "accelerometers.noise_seed" not in moved and np.any(np.asarray(noise) > 0.0):
-        raise ValueError(
-            f"accelerometers.noise is {float(noise):g} m/s2, and all runs would have the "
-            "same: disperse accelerometers.noise_seed by Uniform(0, 1)"
-        )
+    for sensors, unit in (("accelerometers", " m/s2"), ("flow_sensors", "")):
+        noise = leaves.get(f"{sensors}.noise", 0.0)
+        if f"{sensors}.noise_seed" not in moved and np.any(np.asarray(noise) > 0.0):
+            raise ValueError(
+                f"{sensors}.noise is {float(noise):g}{unit}, and all runs would have the "
+                f"same: disperse {sensors}.noise_seed by Uniform(0, 1)"
+            )
 
 
 def _refuse_factor_on_zero(name: str, address: str, leaf: Array) -> None:

@@ -174,6 +174,7 @@ def _measured(
         sampled_at,
         scenario.constraints,
         bank,
+        scenario.flow_sensors,
     )
     error = scenario.angle_of_attack_error
     if error is None:

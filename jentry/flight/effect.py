@@ -98,7 +98,15 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
     integrals = {n: time for n in integrals_of(scenario.constraints)}
     moving = Moving(state, None, None, integrals)
     sensors, angle = scenario.accelerometers, controls.angle_of_attack
-    sensed = measure(planet, vehicle, state, angle, sensors, sampled_at)
+    sensed = measure(
+        planet,
+        vehicle,
+        state,
+        angle,
+        sensors,
+        sampled_at,
+        flow_sensors=scenario.flow_sensors,
+    )
     return (
         state,
         scenario.dynamics.rates(planet, vehicle, state, controls),
@@ -106,6 +114,7 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
         scenario.termination.margins(time, state),
         sensed.lift,
         sensed.drag,
+        sensed.air_velocity,
     )
 
 

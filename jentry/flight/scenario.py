@@ -26,6 +26,7 @@ from ..motion.constraints import (
 )
 from ..motion.dynamics import AbstractDynamics, EntryDynamics
 from ..motion.state import EntryState
+from ..onboard.flow_sensing import FlowSensors
 from ..onboard.navigation import (
     AbstractAccelerometers,
     Accelerometers,
@@ -71,6 +72,8 @@ class Scenario(eqx.Module):
     termination: Termination
     target: Target
     accelerometers: AbstractAccelerometers = PerfectAccelerometers()
+    flow_sensors: FlowSensors | None = None
+    """What guidance is told of its velocity over the air; None for nothing"""
     angle_of_attack_error: Scalar | None = optional_scalar(unit="rad")
     """What guidance is told of the angle of attack that is flown, less that angle; None
     for the truth. The attitude does not feel it"""

@@ -17,6 +17,7 @@ from ..onboard.reference import DragReference
 from ..world.aerodynamics import ConstantAerodynamics, PolynomialAerodynamics
 from ..world.atmosphere import ExponentialAtmosphere
 from ..world.gravity import InverseSquareGravity
+from ..world.wind import StillAir
 from .lateral import AbstractLateralLogic, FixedSide
 from .law import AbstractBankLaw, Tracked
 from .open_loop import vertical_lift_command
@@ -75,6 +76,7 @@ def _is_of_the_paper(model: OnboardModel) -> bool:
     planet, vehicle = model.planet, model.vehicle
     return (
         isinstance(planet.atmosphere, ExponentialAtmosphere)
+        and isinstance(planet.wind, StillAir)
         and isinstance(planet.gravity, InverseSquareGravity)
         and isinstance(
             vehicle.aerodynamics, ConstantAerodynamics | PolynomialAerodynamics

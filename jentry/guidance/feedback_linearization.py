@@ -19,7 +19,7 @@ from ..motion.dynamics import rates_under
 from ..motion.quantities import energy, ground_track
 from ..motion.state import Controls, EntryState
 from ..onboard.estimation import Factors
-from ..onboard.model import OnboardModel
+from ..onboard.model import OnboardModel, require_still_air
 from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile, QuinticTable
 from ..world.planet import Planet
@@ -103,6 +103,7 @@ class GroundTrackModel(eqx.Module):
         self, state: EntryState, factors: Factors
     ) -> tuple[Scalar, Scalar, Scalar]:
         """Lift upwards and to the right, and drag, under the reference controls; m/s2."""
+        require_still_air(self.onboard.planet, "the law of the ground track")
         here = self.energy(state)
         lift, drag = self.forces(state, self.angle_of_attack(here), factors)
         sine, cosine = sincos(self.bank(here))

@@ -39,11 +39,13 @@ from ..onboard.estimation import (
     Factors,
 )
 from ..onboard.longitudinal import LongitudinalState
-from ..onboard.model import OnboardModel
+from ..onboard.model import OnboardModel, require_still_air
 from ..onboard.navigation import Measurement, measure
+from ..onboard.profile_estimation import Learnt
 from ..onboard.profiles import AbstractProfile
 from ..onboard.propagation import Command, Prediction, SampledCommand, propagate
 from ..onboard.turning import BankTurning
+from ..onboard.wind_estimation import WindEstimator
 from .bank_shapes import AbstractBankShape, ConstantBankShape, Numbers
 from .bounded_step import least_squares_step, within_bounds
 from .cycle import FixedCycle
@@ -80,6 +82,8 @@ class Corrected(eqx.Module):
     bounds: BankBounds
     """Within which the path constraints are kept"""
     estimate: AbstractFactorEstimate
+    wind: Learnt | None
+    """What is known of the wind; None where it is not estimated"""
     decisions: Scalar
     """How many corrections there have been"""
     without_prediction: Scalar
@@ -145,6 +149,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     index: AbstractIndex = EnergyIndex()
     """Of the shape and of the angle of attack"""
     estimator: AbstractFactorEstimator = eqx.field(default_factory=FactorEstimator)
+    wind: WindEstimator | None = None
+    """Of the wind, by the flow sensors of the scenario; None where that of the model is
+    believed. What is seen of a head wind is then none of the factors'"""
     gate: Scalar = scalar(0.2, unit="m/s2", positive=True)
     """Sensed drag below which the number stays: there is nothing to steer by"""
     least_effect: Scalar = scalar(100.0, unit="m", positive=True)
@@ -195,6 +202,11 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 f"{self.damping}, turning is {self.turning}, foresees_limits is "
                 f"{self.foresees_limits}, end is {self.end}"
             )
+        if self.wind is not None and not self.in_space:
+            raise ValueError(
+                "wind is estimated and in_space is False: a prediction in the vertical "
+                "plane knows no wind; take in_space=True, or leave wind at None"
+            )
         if self.foresees_limits and self.limits is None:
             raise ValueError(
                 "foresees_limits is True and limits is None: give the limits, such as "
@@ -223,6 +235,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             side=self.lateral.init(measurement),
             bounds=BankBounds(nothing - 1.0, nothing + 1.0),
             estimate=self.estimator.start(nothing),
+            wind=None if self.wind is None else self.wind.start(nothing),
             decisions=nothing,
             without_prediction=nothing,
         )
@@ -234,6 +247,10 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         memory: tuple[()],
         held: Corrected,
     ) -> tuple[tuple[()], Corrected]:
+        if self.wind is not None:
+            learnt = self._seen(self.wind, measurement, held.wind)
+            _, decided = self._in_wind(learnt).update(time, measurement, memory, held)
+            return (), dataclasses.replace(decided, wind=learnt)
         state, planet = measurement.state, self.model.planet
         senses = measurement.drag > self.gate
         estimate = self._estimate(measurement, held.estimate, senses)
@@ -286,6 +303,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 lambda a, b: jnp.where(senses, a, b), bounds, held.bounds
             ),
             estimate=estimate,
+            wind=held.wind,
             decisions=held.decisions + jnp.where(senses, 1.0, 0.0),
             without_prediction=held.without_prediction + lacks,
         )
@@ -297,6 +315,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         memory: tuple[()],
         held: Corrected,
     ) -> tuple[Controls, tuple[()]]:
+        if self.wind is not None:
+            return self._in_wind(held.wind)(time, measurement, memory, held)
         state, factors = measurement.state, held.estimate.factors
         here = self.index.value(self.model.planet, time, state)
         sign, _ = self._side(time, held)
@@ -336,6 +356,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         now = self.index.value(planet, time, state)
         dynamics: AbstractDynamics = EntryDynamics()
         if not in_space:
+            require_still_air(
+                planet, "a prediction in the vertical plane", ", or take in_space=True"
+            )
             state = LongitudinalState.of(planet, state).eastward()
             dynamics = EquatorialDynamics()
 
@@ -383,6 +406,27 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             factors=factors,
             dynamics=dynamics,
         )
+
+    def _seen(
+        self, wind: WindEstimator, measurement: Measurement, before: Learnt | None
+    ) -> Learnt:
+        if measurement.air_velocity is None:
+            raise ValueError(
+                "the PredictorCorrector estimates the wind, and nothing tells it of the "
+                "flow: give the scenario flow_sensors, such as FlowSensors(), or leave "
+                "wind at None"
+            )
+        assert before is not None
+        mean, state = self.model.planet.wind, measurement.state
+        return wind.update(before, mean, state, measurement.air_velocity)
+
+    def _in_wind(self, learnt: Learnt | None) -> "PredictorCorrector":
+        """The law that believes in the wind as it is estimated."""
+        assert self.wind is not None and learnt is not None
+        planet = self.model.planet
+        blows = dataclasses.replace(planet, wind=self.wind.wind(planet.wind, learnt))
+        model = dataclasses.replace(self.model, planet=blows)
+        return dataclasses.replace(self, model=model, wind=None)
 
     def range_to_go(self, state: EntryState) -> Scalar:
         """Arc to the target, m; negative where it lies behind."""

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from ..fields import Flag, Scalar, Vector, table
 from ..motion.state import EntryState
 from ..onboard.estimation import Factors
-from ..onboard.model import OnboardModel
+from ..onboard.model import OnboardModel, require_still_air
 from ..onboard.navigation import measure
 from ..onboard.network import Network
 
@@ -118,6 +118,7 @@ def basis(
     Lift and drag are looked at in two places, so that they tell the air as well. Of the
     state only what these have nothing to do with counts.
     """
+    require_still_air(model.planet, "a network of the range")
     seen = []
     for altitude in _ALTITUDES:
         there = dataclasses.replace(

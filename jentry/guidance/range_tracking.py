@@ -15,7 +15,7 @@ from ..fields import Scalar, scalar
 from ..motion.index import EnergyIndex
 from ..motion.quantities import ground_track
 from ..motion.state import Controls, EntryState
-from ..onboard.model import OnboardModel
+from ..onboard.model import OnboardModel, require_still_air
 from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
 from ..onboard.reference import DragReference
@@ -111,6 +111,7 @@ def scale_to_reach(
     NaN where the search meets what is not finite.
     """
     planet = model.planet
+    require_still_air(planet, "the range of a scaled reference")
     radius = planet.radius + aim.altitude
     gravity = planet.gravity.acceleration(radius)
     flown = range_flown(energy)

@@ -7,7 +7,7 @@ from .._math import sincos
 from ..fields import Scalar
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
-from ..world.wind import StillAir
+from ..world.wind import AbstractWind, StillAir
 from .state import Controls, EntryState
 
 
@@ -27,11 +27,13 @@ class AirData(eqx.Module):
     """Specific force along the relative wind, m/s2"""
 
 
-def _velocity_over_air(planet: Planet, state: EntryState) -> tuple:
+def velocity_over_air(
+    wind: AbstractWind, state: EntryState
+) -> tuple[Scalar, Scalar, Scalar]:
     """Velocity relative to the air towards east, north and up, m/s."""
     sin_path, cos_path = sincos(state.flight_path_angle)
     sin_heading, cos_heading = sincos(state.heading)
-    east, north, up = planet.wind.velocity(state.altitude)
+    east, north, up = wind.velocity(state.altitude)
     horizontal = state.velocity * cos_path
     return (
         horizontal * sin_heading - east,
@@ -40,10 +42,11 @@ def _velocity_over_air(planet: Planet, state: EntryState) -> tuple:
     )
 
 
-def _airspeed(planet: Planet, state: EntryState) -> Scalar:
-    if isinstance(planet.wind, StillAir):
+def speed_over_air(wind: AbstractWind, state: EntryState) -> Scalar:
+    """Speed relative to the air, m/s; in still air the velocity itself."""
+    if isinstance(wind, StillAir):
         return state.velocity
-    east, north, up = _velocity_over_air(planet, state)
+    east, north, up = velocity_over_air(wind, state)
     return jnp.sqrt(east * east + north * north + up * up)
 
 
@@ -53,7 +56,7 @@ def air_data(
     """Flow and specific forces at an angle of attack (rad)."""
     here = planet.above(state.longitude, state.latitude)
     density = here.density(state.altitude)
-    airspeed = _airspeed(planet, state)
+    airspeed = speed_over_air(planet.wind, state)
     mach = airspeed / here.atmosphere.speed_of_sound(state.altitude)
     dynamic_pressure = 0.5 * density * airspeed * airspeed
     lift, drag = vehicle.coefficients(angle_of_attack, mach, airspeed)
@@ -82,7 +85,7 @@ def aerodynamic_acceleration(
     if isinstance(planet.wind, StillAir):
         return -air.drag, above, right
 
-    east, north, up = _velocity_over_air(planet, state)
+    east, north, up = velocity_over_air(planet.wind, state)
     ground = jnp.sqrt(east * east + north * north)
     sin_path, cos_path = up / air.airspeed, ground / air.airspeed
     sin_heading, cos_heading = east / ground, north / ground

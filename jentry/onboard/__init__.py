@@ -14,6 +14,7 @@ from .flow import (
     sensed_flow as sensed_flow,
     twice_along as twice_along,
 )
+from .flow_sensing import AirVelocity as AirVelocity, FlowSensors as FlowSensors
 from .longitudinal import (
     LongitudinalModel as LongitudinalModel,
     LongitudinalReference as LongitudinalReference,
@@ -73,4 +74,8 @@ from .velocity_domain import (
     Deviations as Deviations,
     GlidePoint as GlidePoint,
     VelocityDomain as VelocityDomain,
+)
+from .wind_estimation import (
+    EstimatedWind as EstimatedWind,
+    WindEstimator as WindEstimator,
 )

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from ..fields import Scalar
 from ..motion.dynamics import rates_under
 from ..motion.state import EntryState
-from .model import OnboardModel
+from .model import OnboardModel, require_still_air
 from .navigation import Measurement
 
 
@@ -44,7 +44,11 @@ def sensed_flow(
     lift is added by `twice_along`. The sensed drag is one of the coordinates. It changes
     in proportion to the drag of the model; where its rate (m/s3) is known already it is
     given as `drag_rate`.
+
+    **Raises:** `ValueError` for a model with a wind.
     """
+
+    require_still_air(model.planet, "the motion under a sensed drag")
 
     def flow(point: SensedPoint) -> SensedPoint:
         rates = rates_under(model.planet, point.state, -point.drag)

@@ -15,7 +15,7 @@ from ..motion.dynamics import rates_under
 from ..motion.quantities import ground_track
 from ..motion.state import EntryState
 from ..world.planet import Planet
-from .model import OnboardModel
+from .model import OnboardModel, require_still_air
 from .navigation import measure
 from .profiles import AbstractProfile
 
@@ -68,13 +68,13 @@ class LongitudinalModel(eqx.Module):
     def lift_to_drag(self, state: LongitudinalState) -> Scalar:
         """All of it: that upwards is at most this."""
         angle = self.angle_of_attack(state.velocity)
-        return self.onboard.lift_to_drag(state.eastward(), angle)
+        return self.onboard.lift_to_drag(self._here(state), angle)
 
     def rates(
         self, state: LongitudinalState, lift_to_drag_up: Scalar
     ) -> LongitudinalState:
         """Equations (1) to (3) and (10), the last corrected by the factor r_E / r."""
-        planet, here = self.onboard.planet, state.eastward()
+        planet, here = self.onboard.planet, self._here(state)
         angle = self.angle_of_attack(state.velocity)
         drag = measure(planet, self.onboard.vehicle, here, angle).drag
         rates = rates_under(planet, here, -drag, lift_to_drag_up * drag)
@@ -84,6 +84,11 @@ class LongitudinalModel(eqx.Module):
             rates.flight_path_angle,
             planet.radius * rates.longitude,
         )
+
+    def _here(self, state: LongitudinalState) -> EntryState:
+        """To the east, where a wind is not that of where the vehicle flies to."""
+        require_still_air(self.onboard.planet, "the motion in the vertical plane")
+        return state.eastward()
 
 
 class Units(eqx.Module):

@@ -6,10 +6,12 @@ import jax.numpy as jnp
 
 from .._newton import by_jvp, newton
 from ..fields import Scalar
+from ..motion.forces import speed_over_air
 from ..motion.state import EntryState
 from ..world.aerodynamics import AbstractInvertibleAerodynamics
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
+from ..world.wind import StillAir
 
 
 _INVERSIONS = 5
@@ -48,31 +50,32 @@ class OnboardModel(eqx.Module):
         return self.vehicle.mass / (drag * self.vehicle.reference_area)
 
     def logarithm_of_drag(self, state: EntryState, angle_of_attack: Scalar) -> Scalar:
-        """Natural logarithm of the drag, up to a constant; in still air.
+        """Natural logarithm of the drag, up to a constant.
 
         Its rate is that of the drag in units of the drag, whatever factor the actual
         drag has on the modelled one.
         """
         _, drag = self._coefficients(state, angle_of_attack)
         density = self._above(state).density(state.altitude)
-        return jnp.log(density) + 2.0 * jnp.log(state.velocity) + jnp.log(drag)
+        airspeed = speed_over_air(self.planet.wind, state)
+        return jnp.log(density) + 2.0 * jnp.log(airspeed) + jnp.log(drag)
 
     def angle_of_attack_for(
         self, state: EntryState, lift: Scalar, least: Scalar, largest: Scalar
     ) -> Scalar:
         """Angle of attack between two bounds (rad) at which there is a lift (m/s2).
 
-        In still air. The lift coefficient must rise between the bounds; where no angle
+        The lift coefficient must rise between the bounds; where no angle
         between them has the lift it is the bound that comes nearest.
         """
-        here, velocity = self._above(state), state.velocity
-        pressure = 0.5 * here.density(state.altitude) * velocity * velocity
+        here, airspeed = self._above(state), speed_over_air(self.planet.wind, state)
+        pressure = 0.5 * here.density(state.altitude) * airspeed * airspeed
         wanted = lift * self.vehicle.mass / (pressure * self.vehicle.reference_area)
         aerodynamics = self.vehicle.aerodynamics
         if isinstance(aerodynamics, AbstractInvertibleAerodynamics):
-            mach = velocity / here.atmosphere.speed_of_sound(state.altitude)
+            mach = airspeed / here.atmosphere.speed_of_sound(state.altitude)
             wanted = wanted / self.vehicle.lift_scale
-            angle = aerodynamics.angle_of_attack(wanted, mach, velocity)
+            angle = aerodynamics.angle_of_attack(wanted, mach, airspeed)
             return jnp.clip(angle, least, largest)
 
         def excess(angle: Scalar) -> Scalar:
@@ -99,5 +102,22 @@ class OnboardModel(eqx.Module):
         self, state: EntryState, angle_of_attack: Scalar
     ) -> tuple[Scalar, Scalar]:
         sound = self._above(state).atmosphere.speed_of_sound(state.altitude)
-        velocity = state.velocity
-        return self.vehicle.coefficients(angle_of_attack, velocity / sound, velocity)
+        airspeed = speed_over_air(self.planet.wind, state)
+        return self.vehicle.coefficients(angle_of_attack, airspeed / sound, airspeed)
+
+
+def require_still_air(planet: Planet, what: str, instead: str = "") -> None:
+    """Refuse a planet of a model whose wind would be left out, where it is computed.
+
+    **Arguments:**
+
+    - `what`: that takes the air to be still, as the subject of a sentence.
+    - `instead`: what to do beside taking the wind off.
+
+    **Raises:** `ValueError` for any wind but `StillAir`.
+    """
+    if not isinstance(planet.wind, StillAir):
+        raise ValueError(
+            f"the planet of the onboard model has a {type(planet.wind).__name__}, and "
+            f"{what} takes the air to be still: give the model StillAir(){instead}"
+        )

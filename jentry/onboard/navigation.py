@@ -3,8 +3,6 @@
 from abc import abstractmethod
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 
 from ..fields import NOT_NEGATIVE, Scalar, scalar
 from ..motion.attitude import Swing
@@ -13,6 +11,8 @@ from ..motion.forces import AirData, air_data
 from ..motion.state import EntryState
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
+from .flow_sensing import AirVelocity, FlowSensors
+from .sampling import normal_sample
 
 
 class Measurement(eqx.Module):
@@ -32,6 +32,9 @@ class Measurement(eqx.Module):
     bank: Swing | None = None
     """Bank that is flown, positive to the right, and how it turns; None where commands are
     flown at once, and before the first one"""
+    air_velocity: AirVelocity | None = None
+    """Velocity over the air as sensed at a guidance cycle; None between cycles, and where
+    the scenario has no flow sensors"""
 
 
 class AbstractAccelerometers(eqx.Module):
@@ -73,20 +76,8 @@ class Accelerometers(AbstractAccelerometers):
         drag = air.drag * (1.0 + self.drag_scale_error) + self.drag_bias
         if sampled_at is None:
             return lift, drag
-        seed = jnp.asarray(self.noise_seed * 2.0**31).astype(jnp.uint32)
-        millisecond = jnp.round(1e3 * jnp.asarray(sampled_at)).astype(jnp.uint32)
-        key = jax.random.fold_in(
-            jax.random.fold_in(jax.random.key(0), seed), millisecond
-        )
-
-        def error(axis: int) -> Scalar:
-            # Drawn alone: read out of one array for both, side by side with other runs,
-            # the compiler treats the last runs of a block in another way than the rest.
-            return self.noise * jax.random.normal(
-                jax.random.fold_in(key, axis), dtype=float
-            )
-
-        return lift + error(0), drag + error(1)
+        error = normal_sample(self.noise_seed, sampled_at)
+        return lift + self.noise * error(0), drag + self.noise * error(1)
 
 
 def measure(
@@ -98,8 +89,9 @@ def measure(
     sampled_at: Scalar | None = None,
     constraints: Constraints | None = None,
     bank: Swing | None = None,
+    flow_sensors: FlowSensors | None = None,
 ) -> Measurement:
-    """Perfect navigation, and the accelerometers, at an angle of attack (rad).
+    """Perfect navigation, accelerometers and flow sensors, at an angle of attack (rad).
 
     `sampled_at` as of `AbstractAccelerometers.read`; `constraints` and `bank` are told as
     they are.
@@ -107,6 +99,9 @@ def measure(
     air = air_data(planet, vehicle, state, angle_of_attack)
     lift, drag = accelerometers.read(air, sampled_at)
     trim = vehicle.trim_angle_of_attack
+    flow = None
+    if flow_sensors is not None and sampled_at is not None:
+        flow = flow_sensors.read(planet, state, air, sampled_at)
     return Measurement(
-        state, lift, drag, angle_of_attack, trim, constraints or {}, bank
+        state, lift, drag, angle_of_attack, trim, constraints or {}, bank, flow
     )

@@ -34,9 +34,10 @@ _SPECTRUM = 1e-4
 
 
 class Departure(eqx.Module):
-    """What a factor may be, before anything is sensed: one, and a random departure.
+    """How a factor may depart from one, or a wind from its mean, before anything is sensed.
 
-    A constant, a slope and waves over the altitude, with independent normal amplitudes.
+    By a constant, a slope and waves over the altitude, with independent normal amplitudes:
+    of a factor in shares, of a wind in m/s.
     """
 
     wavelengths: Vector = table(unit="m", positive=True)
@@ -44,7 +45,7 @@ class Departure(eqx.Module):
     """Standard deviation of the sine, and of the cosine, of each wavelength: a wave whose
     amplitude is known and whose phase is not has its amplitude over the square root of 2"""
     constant: Scalar = scalar(0.1, range=NOT_NEGATIVE)
-    """Standard deviation, in shares as all of them"""
+    """Standard deviation"""
     slope: Scalar = scalar(0.0, unit="1/m", range=NOT_NEGATIVE)
     """Standard deviation of the slope over the altitude"""
     pivot: Scalar = scalar(0.0, unit="m")
@@ -125,20 +126,19 @@ class Learnt(eqx.Module):
 
     def refined(
         self,
-        basis: Float[Array, " weights"],
-        sensed: Scalar,
-        expected: Scalar,
+        row: Float[Array, " weights"],
+        departed: Scalar,
         variance: Scalar,
     ) -> tuple["Learnt", Scalar]:
-        """After a sample of a force (m/s2), and how far it was from what was believed.
+        """After a sample, and how far it was from what was believed.
 
         In standard deviations of what was believed and of the sample, whose variance is
-        given.
+        given. What is sampled is off by `departed` from what it would be with weights of
+        zero, and a weight of one changes it by what `row` has.
         """
-        row = expected * basis
         spread = self.covariance @ row
         per_variance = 1.0 / (jnp.sum(row * spread) + variance)
-        surprise = sensed - expected - jnp.sum(row * self.weights)
+        surprise = departed - jnp.sum(row * self.weights)
         weights = self.weights + spread * (per_variance * surprise)
         covariance = self.covariance - per_variance * jnp.outer(spread, spread)
         return Learnt(weights, covariance), jnp.abs(surprise) * safe_sqrt(per_variance)
@@ -159,7 +159,7 @@ class FactorProfile(AbstractFactors):
         def factor(learnt: Learnt) -> Scalar:
             found = 1.0 + jnp.sum(basis * learnt.weights)
             if self.caution is not None:
-                found = found - self.caution * _deviation(basis, learnt)
+                found = found - self.caution * deviation_of(basis, learnt)
             return jnp.maximum(found, _LEAST_FACTOR)
 
         return Factors(factor(self.lift), factor(self.drag))
@@ -167,10 +167,11 @@ class FactorProfile(AbstractFactors):
     def deviations(self, altitude: Scalar) -> Factors:
         """Standard deviations of the factors at an altitude (m), as the estimate has it."""
         basis = self.departure.basis(altitude)
-        return Factors(_deviation(basis, self.lift), _deviation(basis, self.drag))
+        return Factors(deviation_of(basis, self.lift), deviation_of(basis, self.drag))
 
 
-def _deviation(basis: Float[Array, " weights"], learnt: Learnt) -> Scalar:
+def deviation_of(basis: Float[Array, " weights"], learnt: Learnt) -> Scalar:
+    """Standard deviation of what the weights make of a basis."""
     # By rounding it may become negative where nothing is left to be learnt.
     return safe_sqrt(basis @ learnt.covariance @ basis)
 
@@ -241,7 +242,8 @@ class ProfileEstimator(AbstractFactorEstimator[ProfileEstimate]):
 
         def refined(learnt: Learnt, axis: int) -> tuple[Learnt, Scalar]:
             variance = self.noise * self.noise + (self.misfit * expected[axis]) ** 2
-            return learnt.refined(basis, sensed[axis], expected[axis], variance)
+            departed = sensed[axis] - expected[axis]
+            return learnt.refined(expected[axis] * basis, departed, variance)
 
         lift, by_lift = refined(profile.lift, 0)
         drag, by_drag = refined(profile.drag, 1)

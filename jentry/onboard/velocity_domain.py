@@ -14,7 +14,7 @@ from jaxtyping import Array, Float, Int
 from .._math import sincos
 from ..fields import Scalar, scalar
 from ..motion.state import EntryState
-from .model import OnboardModel
+from .model import OnboardModel, require_still_air
 
 
 class GlidePoint(eqx.Module):
@@ -67,6 +67,7 @@ class VelocityDomain(eqx.Module):
             state, angle
         )
         planet = self.model.planet
+        require_still_air(planet, "a glide over the velocity")
         return GlidePoint(
             velocity=state.velocity / self.circular_velocity,
             radius=1.0 + value["altitude"] / planet.radius,
