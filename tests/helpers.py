@@ -71,6 +71,8 @@ from jentry.missions.cav_h.scenario import stored
 from jentry.motion import Controls, EntryDynamics, EntryState, EquatorialDynamics
 from jentry.motion.index import EnergyIndex, VelocityIndex
 from jentry.onboard import (
+    Departure,
+    EstimatedWind,
     LongitudinalModel,
     LongitudinalReference,
     OnboardModel,
@@ -80,6 +82,7 @@ from jentry.onboard import (
     VelocityDomain,
     quintic_table,
 )
+from jentry.onboard.profile_estimation import Learnt
 from jentry.units import degree, km
 from jentry.world import (
     ConstantAerodynamics,
@@ -571,6 +574,11 @@ all_winds = {
         RandomAltitudeProfile(8e3, -1.3e3, seed=0.1, nodes=21),
         RandomAltitudeProfile(8e3, -1.3e3, seed=0.9, nodes=21),
         15.0,
+    ),
+    "estimated": lambda: EstimatedWind(
+        ConstantWind(10.0, -4.0, 0.5),
+        Departure([20e3, 7e3], [8.0, 3.0], 5.0, 1e-4),
+        Learnt(jnp.linspace(-1.0, 2.0, 12), jnp.eye(12)),
     ),
 }
 
