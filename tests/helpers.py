@@ -71,7 +71,6 @@ from jentry.missions.cav_h.scenario import stored
 from jentry.motion import Controls, EntryDynamics, EntryState, EquatorialDynamics
 from jentry.motion.index import EnergyIndex, VelocityIndex
 from jentry.onboard import (
-    Departure,
     EstimatedWind,
     LongitudinalModel,
     LongitudinalReference,
@@ -80,6 +79,8 @@ from jentry.onboard import (
     Reference,
     ScheduledAerodynamics,
     VelocityDomain,
+    WindEstimate,
+    WindPrior,
     quintic_table,
 )
 from jentry.onboard.profile_estimation import Learnt
@@ -577,8 +578,8 @@ all_winds = {
     ),
     "estimated": lambda: EstimatedWind(
         ConstantWind(10.0, -4.0, 0.5),
-        Departure([20e3, 7e3], [8.0, 3.0], 5.0, 1e-4),
-        Learnt(jnp.linspace(-1.0, 2.0, 12), jnp.eye(12)),
+        WindPrior(20.0, 30e3),
+        WindEstimate(120e3, Learnt(jnp.array([-7.0, 12.0]), jnp.eye(2))),
     ),
 }
 

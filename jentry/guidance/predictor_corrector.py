@@ -41,11 +41,10 @@ from ..onboard.estimation import (
 from ..onboard.longitudinal import LongitudinalState
 from ..onboard.model import OnboardModel, require_still_air
 from ..onboard.navigation import Measurement, measure
-from ..onboard.profile_estimation import Learnt
 from ..onboard.profiles import AbstractProfile
 from ..onboard.propagation import Command, Prediction, SampledCommand, propagate
 from ..onboard.turning import BankTurning
-from ..onboard.wind_estimation import WindEstimator
+from ..onboard.wind_estimation import WindEstimate, WindEstimator
 from .bank_shapes import AbstractBankShape, ConstantBankShape, Numbers
 from .bounded_step import least_squares_step, within_bounds
 from .cycle import FixedCycle
@@ -82,7 +81,7 @@ class Corrected(eqx.Module):
     bounds: BankBounds
     """Within which the path constraints are kept"""
     estimate: AbstractFactorEstimate
-    wind: Learnt | None
+    wind: WindEstimate | None
     """What is known of the wind; None where it is not estimated"""
     decisions: Scalar
     """How many corrections there have been"""
@@ -408,8 +407,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         )
 
     def _seen(
-        self, wind: WindEstimator, measurement: Measurement, before: Learnt | None
-    ) -> Learnt:
+        self, wind: WindEstimator, measurement: Measurement, before: WindEstimate | None
+    ) -> WindEstimate:
         if measurement.air_velocity is None:
             raise ValueError(
                 "the PredictorCorrector estimates the wind, and nothing tells it of the "
@@ -420,7 +419,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         mean, state = self.model.planet.wind, measurement.state
         return wind.update(before, mean, state, measurement.air_velocity)
 
-    def _in_wind(self, learnt: Learnt | None) -> "PredictorCorrector":
+    def _in_wind(self, learnt: WindEstimate | None) -> "PredictorCorrector":
         """The law that believes in the wind as it is estimated."""
         assert self.wind is not None and learnt is not None
         planet = self.model.planet

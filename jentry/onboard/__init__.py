@@ -77,5 +77,7 @@ from .velocity_domain import (
 )
 from .wind_estimation import (
     EstimatedWind as EstimatedWind,
+    WindEstimate as WindEstimate,
     WindEstimator as WindEstimator,
+    WindPrior as WindPrior,
 )

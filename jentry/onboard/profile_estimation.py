@@ -34,10 +34,9 @@ _SPECTRUM = 1e-4
 
 
 class Departure(eqx.Module):
-    """How a factor may depart from one, or a wind from its mean, before anything is sensed.
+    """What a factor may be, before anything is sensed: one, and a random departure.
 
-    By a constant, a slope and waves over the altitude, with independent normal amplitudes:
-    of a factor in shares, of a wind in m/s.
+    A constant, a slope and waves over the altitude, with independent normal amplitudes.
     """
 
     wavelengths: Vector = table(unit="m", positive=True)
@@ -45,7 +44,7 @@ class Departure(eqx.Module):
     """Standard deviation of the sine, and of the cosine, of each wavelength: a wave whose
     amplitude is known and whose phase is not has its amplitude over the square root of 2"""
     constant: Scalar = scalar(0.1, range=NOT_NEGATIVE)
-    """Standard deviation"""
+    """Standard deviation, in shares as all of them"""
     slope: Scalar = scalar(0.0, unit="1/m", range=NOT_NEGATIVE)
     """Standard deviation of the slope over the altitude"""
     pivot: Scalar = scalar(0.0, unit="m")
@@ -159,7 +158,7 @@ class FactorProfile(AbstractFactors):
         def factor(learnt: Learnt) -> Scalar:
             found = 1.0 + jnp.sum(basis * learnt.weights)
             if self.caution is not None:
-                found = found - self.caution * deviation_of(basis, learnt)
+                found = found - self.caution * _deviation(basis, learnt)
             return jnp.maximum(found, _LEAST_FACTOR)
 
         return Factors(factor(self.lift), factor(self.drag))
@@ -167,11 +166,10 @@ class FactorProfile(AbstractFactors):
     def deviations(self, altitude: Scalar) -> Factors:
         """Standard deviations of the factors at an altitude (m), as the estimate has it."""
         basis = self.departure.basis(altitude)
-        return Factors(deviation_of(basis, self.lift), deviation_of(basis, self.drag))
+        return Factors(_deviation(basis, self.lift), _deviation(basis, self.drag))
 
 
-def deviation_of(basis: Float[Array, " weights"], learnt: Learnt) -> Scalar:
-    """Standard deviation of what the weights make of a basis."""
+def _deviation(basis: Float[Array, " weights"], learnt: Learnt) -> Scalar:
     # By rounding it may become negative where nothing is left to be learnt.
     return safe_sqrt(basis @ learnt.covariance @ basis)
 

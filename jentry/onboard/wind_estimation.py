@@ -12,7 +12,7 @@ the difference. What each sample can tell of it:
   w sin(gamma) / V, at a path angle gamma.
 
 So the wind is hidden at the start of an entry and plain at its end. How far down a sample
-counts is told by the prior of the wind over the altitude.
+counts is told by the correlation length of the wind.
 """
 
 import equinox as eqx
@@ -24,75 +24,102 @@ from ..motion.forces import velocity_over_air
 from ..motion.state import EntryState
 from ..world.wind import AbstractWind
 from .flow_sensing import AirVelocity
-from .profile_estimation import Departure, Learnt, deviation_of
+from .profile_estimation import Learnt
+
+
+class WindPrior(eqx.Module):
+    """A horizontal wind before anything is sensed: a Gauss-Markov process of the altitude.
+
+    Towards east and towards north it departs from its mean independently and with one
+    standard deviation. Two departures are normal with the correlation
+    exp(-distance / correlation_length), as those of `RandomAltitudeProfile`: what is below
+    hangs on the last departure alone.
+    """
+
+    deviation: Scalar = scalar(unit="m/s", positive=True)
+    """Standard deviation of each component"""
+    correlation_length: Scalar = scalar(unit="m", positive=True)
+
+    def carried(self, learnt: Learnt, distance: Scalar) -> Learnt:
+        """What is known at a distance (m) from where something is known."""
+        likeness = jnp.exp(-jnp.abs(distance) / self.correlation_length)
+        square = likeness * likeness
+        fresh = self.deviation * self.deviation * (1.0 - square)
+        return Learnt(
+            likeness * learnt.weights, square * learnt.covariance + fresh * jnp.eye(2)
+        )
+
+
+class WindEstimate(eqx.Module):
+    """What is known of the wind where it was last sensed."""
+
+    altitude: Scalar
+    """Of the sample, m"""
+    learnt: Learnt
+    """Departures towards east and north (m/s), with their covariance"""
 
 
 class EstimatedWind(AbstractWind):
-    """A wind, and a horizontal departure from it with weights."""
+    """A wind, and what is known of a horizontal departure from it."""
 
     mean: AbstractWind
-    departure: Departure
-    learnt: Learnt
-    """Of the weights towards east, and of those towards north behind them"""
+    prior: WindPrior
+    estimate: WindEstimate
 
     def velocity(self, altitude: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        east, north, up = self.mean.velocity(altitude)
-        basis = self.departure.basis(altitude)
-        weights = self.learnt.weights.reshape(2, -1)
-        return (
-            east + jnp.sum(basis * weights[0]),
-            north + jnp.sum(basis * weights[1]),
-            up,
-        )
+        mean_east, mean_north, up = self.mean.velocity(altitude)
+        east, north = self._at(altitude).weights
+        return mean_east + east, mean_north + north, up
 
     def deviations(self, altitude: Scalar) -> tuple[Scalar, Scalar]:
         """Standard deviations towards east and north (m/s), as the estimate has it."""
-        basis = self.departure.basis(altitude)
-        nothing = jnp.zeros_like(basis)
-        return (
-            deviation_of(jnp.concatenate([basis, nothing]), self.learnt),
-            deviation_of(jnp.concatenate([nothing, basis]), self.learnt),
-        )
+        east, north = jnp.sqrt(jnp.diag(self._at(altitude).covariance))
+        return east, north
+
+    def _at(self, altitude: Scalar) -> Learnt:
+        known = self.estimate
+        return self.prior.carried(known.learnt, altitude - known.altitude)
 
 
 class WindEstimator(eqx.Module):
-    """Recursive least squares of a horizontal wind over the altitude, by its direction.
+    """A Kalman filter of the horizontal wind, over the altitude, by the sensed flow.
 
-    `departure` says in m/s what the wind may be towards east, and independently towards
-    north, before anything is sensed; a wind of the onboard model is its mean. Errors that
-    last, such as a misaligned sensor, are taken for wind: state them in the deviations,
-    which are those of independent samples.
+    A wind of the onboard model is the mean. Errors that last, such as a misaligned sensor,
+    are taken for wind: state them in the deviations, which are those of independent
+    samples. A vehicle that climbs again knows of the air below as much as of that above.
     """
 
-    departure: Departure
-    angle_deviation: Scalar = scalar(unit="rad", range=NOT_NEGATIVE)
+    prior: WindPrior
+    angle_deviation: Scalar = scalar(unit="rad", positive=True)
     """Standard deviation of a sample of the flow's direction, along each of two axes"""
     speed_deviation: Scalar | None = optional_scalar(range=NOT_NEGATIVE)
     """Of a sample of the airspeed, as a share of it; None where the direction alone is
     read"""
-    misfit: Scalar = scalar(1.0, unit="m/s", positive=True)
-    """Standard deviation of what the departure cannot be"""
 
-    def start(self, like: Scalar) -> Learnt:
+    def start(self, like: Scalar) -> WindEstimate:
         """Before the first sample."""
         nothing = 0.0 * like
-        count = 2 * self.departure.basis(nothing).shape[0]
-        return Learnt(nothing + jnp.zeros(count), nothing + jnp.eye(count))
+        variance = self.prior.deviation * self.prior.deviation
+        known = Learnt(nothing + jnp.zeros(2), (nothing + variance) * jnp.eye(2))
+        return WindEstimate(nothing, known)
 
-    def wind(self, mean: AbstractWind, learnt: Learnt) -> EstimatedWind:
+    def wind(self, mean: AbstractWind, estimate: WindEstimate) -> EstimatedWind:
         """As it is believed to be over the altitude; `mean` is that of the model."""
-        return EstimatedWind(mean, self.departure, learnt)
+        return EstimatedWind(mean, self.prior, estimate)
 
     def update(
-        self, before: Learnt, mean: AbstractWind, state: EntryState, sensed: AirVelocity
-    ) -> Learnt:
+        self,
+        before: WindEstimate,
+        mean: AbstractWind,
+        state: EntryState,
+        sensed: AirVelocity,
+    ) -> WindEstimate:
         """After one more sample of the velocity over the air, in a state.
 
         Where nothing is sensed it is what it was.
         """
         # In the wind of the model, from which the estimate departs.
         expected = velocity_over_air(mean, state)
-        basis = self.departure.basis(state.altitude)
         along, right, above = sensed.axes()
         across = self.angle_deviation * sensed.speed
         axes = [(right, across), (above, across)]
@@ -101,12 +128,12 @@ class WindEstimator(eqx.Module):
         off_east = expected[0] - sensed.east
         off_north = expected[1] - sensed.north
         off_up = expected[2] - sensed.up
-        learnt = before
+        learnt = self.prior.carried(before.learnt, state.altitude - before.altitude)
         for (east, north, up), deviation in axes:
-            row = jnp.concatenate([east * basis, north * basis])
+            row = jnp.stack([east, north])
             departed = east * off_east + north * off_north + up * off_up
-            variance = deviation * deviation + self.misfit * self.misfit
-            learnt, _ = learnt.refined(row, departed, variance)
+            learnt, _ = learnt.refined(row, departed, deviation * deviation)
+        after = WindEstimate(state.altitude, learnt)
         return jax.tree.map(
-            lambda a, b: jnp.where(sensed.is_sensed, a, b), learnt, before
+            lambda a, b: jnp.where(sensed.is_sensed, a, b), after, before
         )
