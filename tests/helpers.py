@@ -579,7 +579,7 @@ all_winds = {
     "estimated": lambda: EstimatedWind(
         ConstantWind(10.0, -4.0, 0.5),
         WindPrior(20.0, 30e3),
-        WindEstimate(120e3, Learnt(jnp.array([-7.0, 12.0]), jnp.eye(2))),
+        WindEstimate(jnp.asarray(120e3), Learnt(jnp.array([-7.0, 12.0]), jnp.eye(2))),
     ),
 }
 
