@@ -395,7 +395,7 @@ def _taught(
     right = _RIGHT[0] + _RIGHT[1] * ranges
 
     def loss(network: Network, chosen: Array) -> Array:
-        outputs = jax.vmap(network)(read[chosen])
+        outputs = jnp.asarray(jax.vmap(network)(read[chosen]))
         lengths = jnp.asarray(lesson.of_output(outputs, chosen))
         return robust((lengths - lesson.lengths[chosen]) / right[chosen])
 

@@ -70,10 +70,12 @@ def range_network_in_space(folder: Path = FOLDER) -> RangeNetwork:
     not been trained for the same model and the same end."""
     ahead, of = _stored(folder, _AHEAD, AHEAD)
     across, of_across = _stored(folder, _ACROSS, ACROSS)
-    if not np.array_equal(of, of_across):
+    both = zip(BASIS, np.asarray(of), np.asarray(of_across), strict=True)
+    unlike = [f"{name} {a:.9g} and {b:.9g}" for name, a, b in both if a != b]
+    if unlike:
         raise ValueError(
-            f"{_AHEAD}.npz and {_ACROSS}.npz of {folder} are of {of} and of {of_across} "
-            f"({', '.join(BASIS)}): train both again with `jentry train "
+            f"{_AHEAD}.npz and {_ACROSS}.npz of {folder} are not of the same predictions: "
+            f"{', '.join(unlike)}; train both again with `jentry train "
             "mars-range-tracking`"
         )
     return RangeNetwork(ahead, of, across)
