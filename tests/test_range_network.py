@@ -14,7 +14,11 @@ import jentry
 from jentry.addresses import leaves_by_address, replace_leaves
 from jentry.guidance.bank_shapes import ConstantBankShape, LinearBankShape
 from jentry.guidance.glide_damping import GlideDamping
-from jentry.guidance.lateral import PredictedCrossrange
+from jentry.guidance.lateral import (
+    AbstractLateralLogic,
+    PredictedCrossrange,
+    PredictedPassage,
+)
 from jentry.guidance.range_network import INPUTS, RangeNetwork, basis, features
 from jentry.learning.range_network import (
     LEAST,
@@ -273,6 +277,36 @@ def test_a_decision_in_three_dimensions_is_that_of_the_network(nearer):
     assert float(after.side.reversals) == turned
     assert float(after.side.sign) == (-1.0 if turned else 1.0)
     assert float(law.caveats(after)["decisions_without_prediction"]) == 0.0
+
+
+class Told(AbstractLateralLogic[PredictedPassage]):
+    """Remembers what it is told of a bank to the left, and banks to the right."""
+
+    def init(self, measurement):
+        nothing = 0.0 * measurement.drag
+        return PredictedPassage(nothing, nothing)
+
+    def update(self, time, measurement, side, destination):
+        return destination.predicted(-1.0 + 0.0 * time)
+
+    def sign(self, side):
+        return 1.0
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_a_lateral_logic_is_told_what_the_corrected_bank_makes_of_it(known):
+    """And no number where the networks know nothing."""
+    network = leading_aside(ALL if known else [*ALL[:1], (0.5, 2.0), *ALL[2:]])
+    law, seen = aimed(50e3, network, lateral=Told())
+    _, after = decided(law, seen)
+    passage = after.side
+    assert np.isnan(float(passage.time))
+    if not known:
+        assert np.isnan(float(passage.crossrange_error))
+        return
+    _, crossrange = aside(seen, float(after.numbers[0]), -1.0)
+    expected = crossrange - 50e3
+    assert float(passage.crossrange_error) == pytest.approx(expected, abs=1e-3)
 
 
 @pytest.mark.parametrize("which", ["ahead", "across"])
