@@ -221,6 +221,7 @@ ROWS = {
         ("predictor-corrector", "independent"),
         ("predictor-corrector-in-plane", "independent"),
         ("predictor-corrector-network", "independent"),
+        ("predictor-corrector-network-3d", "independent"),
     ),
     "sx-2": tuple(
         (variant, reading)

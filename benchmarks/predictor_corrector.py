@@ -26,6 +26,7 @@ VARIANTS = {
         "predictor-corrector-network",
         "three-dimensional",
         "predictor-corrector",
+        "predictor-corrector-network-3d",
     ),
     "sx-2": ("full", "predictor-corrector"),
     "x-33": ("with-range", "predictor-corrector", "predictor-corrector-limited"),

@@ -196,12 +196,13 @@ def test_mars_by_a_predictor_corrector():
         ("predictor-corrector", EntryDynamics),
         ("predictor-corrector-in-plane", EquatorialDynamics),
         ("predictor-corrector-network", EquatorialDynamics),
+        ("predictor-corrector-network-3d", EntryDynamics),
     ):
         scenario = RANGE.scenario(variant)
         assert_has(scenario, expected)
         assert type(scenario.dynamics) is dynamics
         assert scenario.guidance.in_space == (dynamics is EntryDynamics)
-    assert len(RANGE.variants) == 5
+    assert len(RANGE.variants) == 6
 
 
 def test_downrange_of_the_paper_is_its_longitude():

@@ -38,6 +38,7 @@ FIRST_SETS = [
     ("mars-range-tracking", "predictor-corrector", "independent"),
     ("mars-range-tracking", "predictor-corrector-in-plane", "independent"),
     ("mars-range-tracking", "predictor-corrector-network", "independent"),
+    ("mars-range-tracking", "predictor-corrector-network-3d", "independent"),
     ("sx-2", "predictor-corrector", "air-and-vehicle"),
     ("x-33", "predictor-corrector", "initial-errors"),
     ("x-33", "predictor-corrector-limited", "initial-errors"),
@@ -105,6 +106,31 @@ def test_a_network_beside_the_prediction():
     assert_says("Of 10438 predictions", card["held out samples"])
     said = "it misses the range by 660 m in the mean, and by 191 m"
     assert_says(said, round(whole, -1), near)
+
+
+def test_networks_beside_the_prediction_in_three_dimensions():
+    table, saved = rows("| prediction, in three dim"), populations.saved()
+    variants = "predictor-corrector", "predictor-corrector-network-3d"
+    headings = (
+        "downrange error, median, km",
+        "95th percentile",
+        "maximum",
+        "crossrange std",
+    )
+    for (_, *cells), variant in zip(table, variants, strict=True):
+        for cell, heading in zip(cells, headings, strict=True):
+            sets = saved["mars-range-tracking", variant, "independent", heading]
+            most = (np.max(sets),) if heading == "maximum" else ()
+            assert_prints(cell, np.mean(sets), np.std(sets, ddof=1), *most)
+    cards = [load_network(FOLDER / f"{name}.npz")[1] for name in ("ahead", "across")]
+    assert_says("Of 10635 predictions", cards[0]["held out samples"])
+    ahead, aside = (
+        [card[f"held out mean error{of}, m"] for of in ("", " below 100 km")]
+        for card in cards
+    )
+    said = "range ahead by 770 m in the mean and that to the side by 70 m"
+    assert_says(said, round(ahead[0], -1), aside[0])
+    assert_says("100 km by 187 and 14 m", 100, ahead[1], aside[1])
 
 
 def test_what_is_said_of_limits_and_of_the_rlv():

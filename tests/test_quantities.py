@@ -32,6 +32,7 @@ from jentry.motion import (
     energy,
     entry_dynamics,
     equatorial_dynamics,
+    from_ground_track,
     ground_track,
     load_factor,
 )
@@ -252,6 +253,9 @@ def test_ground_track_is_ahead_and_to_the_left(start, heading):
         # On the surface, wherever above it the vehicle is.
         expected = np.radians([along, left]) * 3397e3
         np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-7)
+        back = np.degrees(from_ground_track(planet, origin, *scalars(*expected)))
+        turned = (back[0] - place[0] + 180.0) % 360.0 - 180.0
+        np.testing.assert_allclose([turned, back[1] - place[1]], 0.0, atol=1e-11)
 
 
 def test_what_the_onboard_model_says_of_itself():

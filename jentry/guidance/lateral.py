@@ -29,7 +29,7 @@ class PredictedPassage(eqx.Module):
     crossrange_error: Scalar
     """At the end, m; NaN where the law cannot predict"""
     time: Scalar
-    """From now to the end, s"""
+    """From now to the end, s; NaN where the law cannot tell"""
 
 
 class Destination(eqx.Module):

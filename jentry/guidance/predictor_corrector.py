@@ -29,7 +29,7 @@ from ..fields import Flag, Scalar, scalar
 from ..motion.attitude import Swing
 from ..motion.dynamics import AbstractDynamics, EntryDynamics, EquatorialDynamics
 from ..motion.index import AbstractIndex, EnergyIndex
-from ..motion.quantities import ground_track
+from ..motion.quantities import from_ground_track, ground_track
 from ..motion.state import Controls, EntryState
 from ..onboard.estimation import (
     AbstractFactorEstimate,
@@ -45,15 +45,21 @@ from ..onboard.profiles import AbstractProfile
 from ..onboard.propagation import Command, Prediction, SampledCommand, propagate
 from ..onboard.turning import BankTurning
 from ..onboard.wind_estimation import WindEstimate, WindEstimator
+from ..world.wind import StillAir
 from .bank_shapes import AbstractBankShape, ConstantBankShape, Numbers
 from .bounded_step import least_squares_step, within_bounds
 from .cycle import FixedCycle
 from .glide_damping import GlideDamping
 from .guided_end import GuidedEnd
-from .lateral import AbstractLateralLogic, Destination, PredictedPassage
+from .lateral import (
+    AbstractLateralLogic,
+    Destination,
+    PredictedCrossrange,
+    PredictedPassage,
+)
 from .law import AbstractSampledLaw
 from .path_limits import BankBounds, PathLimits
-from .range_network import Answer, RangeNetwork
+from .range_network import RangeNetwork
 
 
 _FAR = 100.0
@@ -162,8 +168,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     """Of the number, in one correction"""
     cycle: FixedCycle = FixedCycle(2.0)
     network: RangeNetwork | None = None
-    """In place of the prediction, for a constant bank in the vertical plane; where it knows
-    nothing, the number stays"""
+    """In place of the prediction, for a constant bank; where it knows nothing, the number
+    stays, and the side. One of the vertical plane leaves what a lateral logic predicts to
+    the model"""
     in_space: bool = eqx.field(default=True, static=True)
     """Whether the range is predicted in three dimensions, with the bank on its side to the
     end, or in the vertical plane. What a lateral logic predicts is in three dimensions"""
@@ -187,20 +194,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 f"a prediction has {self.steps} steps of {self.step} s: both must be "
                 "positive"
             )
-        plain = isinstance(self.shape, ConstantBankShape) and not self.in_space
-        by_velocity = self.end.velocity is not None and self.end.energy is None
-        plain = plain and self.angle_of_attack is None and self.damping is None
-        plain = plain and self.turning is None and not self.foresees_limits
-        if self.network is not None and not (plain and by_velocity):
-            raise ValueError(
-                "a network takes the place of the prediction of a constant bank to a "
-                "velocity, in the vertical plane, at the trim angle of attack and without "
-                "damping, turning or limits that are foreseen: shape is "
-                f"{type(self.shape).__name__}, in_space is "
-                f"{self.in_space}, angle_of_attack is {self.angle_of_attack}, damping is "
-                f"{self.damping}, turning is {self.turning}, foresees_limits is "
-                f"{self.foresees_limits}, end is {self.end}"
-            )
+        if self.network is not None:
+            self._check_network(self.network)
         if self.wind is not None and not self.in_space:
             raise ValueError(
                 "wind is estimated and in_space is False: a prediction in the vertical "
@@ -218,13 +213,53 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 "that are foreseen bound the bank at the start of each step of the "
                 "prediction, in flight at each cycle; give the same for both"
             )
-        turns = self.model.planet.rotation_rate
-        at_rest = isinstance(turns, Tracer) or not eqx.is_array(turns) or turns == 0.0
-        if not self.in_space and not at_rest:
+        if not self.in_space and not self._at_rest:
             raise ValueError(
                 "in_space is False and the planet of the model turns: a prediction in the "
                 "vertical plane is one over a planet at rest; take in_space=True"
             )
+
+    def _check_network(self, network: RangeNetwork) -> None:
+        plain = isinstance(self.shape, ConstantBankShape)
+        by_velocity = self.end.velocity is not None and self.end.energy is None
+        plain = plain and self.angle_of_attack is None and self.damping is None
+        plain = plain and self.turning is None and not self.foresees_limits
+        if not (plain and by_velocity):
+            raise ValueError(
+                "a network takes the place of the prediction of a constant bank to a "
+                "velocity, at the trim angle of attack and without damping, turning or "
+                f"limits that are foreseen: shape is {type(self.shape).__name__}, "
+                f"angle_of_attack is {self.angle_of_attack}, damping is {self.damping}, "
+                f"turning is {self.turning}, foresees_limits is {self.foresees_limits}, "
+                f"end is {self.end}"
+            )
+        if network.in_space != self.in_space:
+            learnt = "three dimensions" if network.in_space else "the vertical plane"
+            raise ValueError(
+                "a network takes the place of the prediction that it has learnt: this one "
+                f"is of flights in {learnt}, and in_space is {self.in_space}"
+            )
+        if not network.in_space:
+            return
+        wind = self.model.planet.wind
+        if not (self._at_rest and isinstance(wind, StillAir)):
+            raise ValueError(
+                "a network in three dimensions has learnt flights that are alike in every "
+                "direction, over a planet at rest and in still air: the planet of the "
+                f"model turns by {self.model.planet.rotation_rate} rad/s, with the wind "
+                f"{type(wind).__name__}"
+            )
+        if isinstance(self.lateral, PredictedCrossrange) and self.lateral.foresees:
+            raise ValueError(
+                "a network tells where the flight ends and not when, and the lateral "
+                "logic foresees the time of a reversal by that: take foresees=False"
+            )
+
+    @property
+    def _at_rest(self) -> bool:
+        turns = self.model.planet.rotation_rate
+        known = eqx.is_array(turns) and not isinstance(turns, Tracer)
+        return not known or bool(turns == 0.0)
 
     def init(self, measurement: Measurement) -> tuple[tuple[()], Corrected]:
         nothing = 0.0 * measurement.drag
@@ -265,14 +300,21 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
 
         def passage(sign: Scalar) -> PredictedPassage:
             def predict(unknown: PredictedPassage) -> PredictedPassage:
-                end = self.predicted(
-                    time, measurement, estimate.ahead, numbers, sign, in_space=True
-                )
-                _, reached = ground_track(planet, self.origin, end.state)
+                if self.network is not None and self.in_space:
+                    place, known = self._asked(
+                        self.network, measurement, estimate.ahead, numbers, sign
+                    )
+                    lasts = jnp.full_like(sign, jnp.nan)
+                else:
+                    end = self.predicted(
+                        time, measurement, estimate.ahead, numbers, sign, in_space=True
+                    )
+                    place, known, lasts = end.state, end.has_end, end.time
+                _, reached = ground_track(planet, self.origin, place)
                 error = jnp.where(
-                    end.has_end, reached - self.crossrange, unknown.crossrange_error
+                    known, reached - self.crossrange, unknown.crossrange_error
                 )
-                return PredictedPassage(error, end.time)
+                return PredictedPassage(error, lasts)
 
             unknown = PredictedPassage(jnp.full_like(sign, jnp.nan), 0.0 * sign)
             return where_due(senses, predict, unknown)
@@ -482,22 +524,24 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             jnp.array(bounds) for bounds in zip(*shape.bounds, strict=True)
         )
 
+        def too_far(place: EntryState) -> Scalar:
+            if not self.in_space:
+                return planet.radius * place.longitude - to_go
+            reached, _ = ground_track(planet, self.origin, place)
+            return reached - self.downrange
+
         def missed(numbers: Numbers) -> tuple[Numbers, _End]:
             if self.network is not None:
-                found = self._asked(self.network, measurement, factors, numbers)
-                return jnp.stack([found.range - to_go]), _End(
-                    found.knows, found.range < 0
+                place, known = self._asked(
+                    self.network, measurement, factors, numbers, sign
                 )
+                skips = jnp.zeros_like(known)
+                return jnp.stack([too_far(place)]), _End(known, skips)
             end = self.predicted(
                 time, measurement, factors, numbers, sign, self.in_space, reverses_in
             )
-            if self.in_space:
-                reached, _ = ground_track(planet, self.origin, end.state)
-                too_far = reached - self.downrange
-            else:
-                too_far = planet.radius * end.state.longitude - to_go
             high = end.state.altitude - self.altitude
-            both = too_far, self.altitude_weight * high
+            both = too_far(end.state), self.altitude_weight * high
             goes_on = end.time > (self.steps - 1) * self.step
             skips = self.end.is_skip(end.ended_by)
             is_there = end.has_end & jnp.logical_not(skips)
@@ -509,7 +553,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             misses, effects, end = _with_effects(
                 missed, numbers, in_turn=self.foresees_limits
             )
-            too_far, effect = misses[0], effects[0, 0]
+            missed_by, effect = misses[0], effects[0, 0]
             ends, skips = end
             # On both sides of the `where`, so that no derivative comes from there.
             tells = ends & (effect > self.least_effect)
@@ -519,8 +563,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 jnp.maximum(least - numbers, -most),
                 jnp.minimum(largest - numbers, most),
             )
-            far = skips | (jnp.abs(too_far) > _FAR * self.least_effect)
-            blind = jnp.where(skips | (too_far > 0.0), -most, most)
+            far = skips | (jnp.abs(missed_by) > _FAR * self.least_effect)
+            blind = jnp.where(skips | (missed_by > 0.0), -most, most)
             blind = jnp.where(far, blind, 0.0) * jnp.eye(numbers.shape[0])[0]
             known = (ends | skips) & jnp.all(jnp.isfinite(misses))
             step = jnp.where(known, jnp.where(tells, best, blind), 0.0)
@@ -536,14 +580,28 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         measurement: Measurement,
         factors: AbstractFactors,
         numbers: Numbers,
-    ) -> Answer:
-        """The range to the end, of the network."""
+        sign: Scalar | float,
+    ) -> tuple[EntryState, Flag]:
+        """Where the flight ends, by the network, and whether that is known.
+
+        Of the state only the place has that of the end: in the vertical plane, as of a
+        prediction, a longitude from zero on.
+        """
         state, angle = measurement.state, measurement.trim_angle_of_attack
         known, end = factors.at(state.altitude), self.end.first()
         # The number of a shape whose largest bank is half a turn, as it has been trained.
         nothing = jnp.zeros_like(numbers[0])
         number = 0.5 * (1.0 + self.shape.cos_bank(numbers, nothing, nothing))
-        return network(self.model, state, angle, known, number, end)
+        found = network(self.model, state, angle, known, number, end)
+        planet = self.model.planet
+        if not self.in_space:
+            there = dataclasses.replace(state, longitude=found.range / planet.radius)
+            return there, found.knows
+        longitude, latitude = from_ground_track(
+            planet, state, found.range, -sign * found.across
+        )
+        there = dataclasses.replace(state, longitude=longitude, latitude=latitude)
+        return there, found.knows
 
     def _banked(
         self,

@@ -1,7 +1,8 @@
-"""Training of a network that predicts the range of a flight, on predictions of the model.
+"""Training of networks that predict where a flight ends, on predictions of the model.
 
 Flights of the predictor-corrector say where a vehicle comes along. About these places the
-rest of the flight is predicted, as the law would, under banks of all sizes.
+rest of the flight is predicted, as the law would, under banks of all sizes: in the vertical
+plane, or in three dimensions with the bank to the right.
 """
 
 import time
@@ -24,18 +25,26 @@ from ..flight.solver import AbstractSolver, FixedStep
 from ..guidance.bank_shapes import ConstantBankShape
 from ..guidance.predictor_corrector import PredictorCorrector
 from ..guidance.range_network import (
+    ACROSS,
+    AHEAD,
     BASIS,
     INPUTS,
     OUTPUT,
+    OUTPUT_ACROSS,
     PURPOSE,
     RangeNetwork,
+    across_of,
     basis,
     features,
+    full_turn,
+    range_of,
 )
+from ..motion.quantities import ground_track
 from ..motion.state import EntryState
 from ..onboard.estimation import Factors
 from ..onboard.navigation import Measurement, measure
 from ..onboard.network import Network
+from ..world.wind import StillAir
 from .descent import descended, robust
 
 
@@ -70,7 +79,9 @@ class RangeSamples(eqx.Module):
     numbers: Float[np.ndarray, " n"]
     """Of the constant bank"""
     ranges: Float[np.ndarray, " n"]
-    """m"""
+    """m; in three dimensions along the great circle flown at the beginning"""
+    across: Float[np.ndarray, " n"]
+    """From that great circle to the end, m, to the side of the bank; 0 in the plane"""
     flights: np.ndarray
     """Number of the flight that each has its place from"""
     left_out: dict[str, int] = eqx.field(static=True)
@@ -106,7 +117,8 @@ def predict_samples(
 
     **Arguments:**
 
-    - `scenario`: flown by a `PredictorCorrector` in the vertical plane.
+    - `scenario`: flown by a `PredictorCorrector`, in the vertical plane or in three
+      dimensions as its predictions are.
     - `flights`: from the entry.
     - `again`: predictions, each from a place of one of these flights, moved a little, with
       factors that are moved too, and with any bank.
@@ -139,13 +151,14 @@ def predict_samples(
     drawn = jax.random.uniform(keys[4], (again,), float, -_BEYOND, 1.0 + _BEYOND)
     numbers = np.clip(np.asarray(drawn), 0.0, 1.0)
     places = _Place(state, Factors(jnp.asarray(lift), jnp.asarray(drag)), numbers)
-    ranges, ends = over_runs(_predicted, law, places)
+    ranges, across, ends = over_runs(_predicted, law, places)
     far = ranges >= LEAST
     samples = RangeSamples(
         jax.tree.map(np.asarray, state),
         jax.tree.map(np.asarray, places.factors),
         numbers,
         ranges,
+        across,
         flight,
         {
             "have no end, or skip": int(np.sum(~ends)),
@@ -157,21 +170,30 @@ def predict_samples(
 
 def _law(scenario: Scenario) -> PredictorCorrector:
     law = scenario.guidance
-    if not isinstance(law, PredictorCorrector) or law.in_space:
+    if not isinstance(law, PredictorCorrector):
         raise ValueError(
-            f"the law is {type(law).__name__}: expected a PredictorCorrector with "
-            "in_space=False, whose predictions are learnt"
+            f"the law is {type(law).__name__}: expected a PredictorCorrector, whose "
+            "predictions are learnt"
         )
     if not isinstance(law.shape, ConstantBankShape) or law.shape.lowest != -1.0:
         raise ValueError(
             f"the shape of the bank is {law.shape}: the range is learnt of a "
             "ConstantBankShape with lowest=-1.0"
         )
+    planet = law.model.planet
+    alike = planet.rotation_rate == 0.0 and isinstance(planet.wind, StillAir)
+    if law.in_space and not alike:
+        raise ValueError(
+            "in three dimensions predictions are learnt that are alike in every direction, "
+            "over a planet at rest and in still air: that of the model turns by "
+            f"{planet.rotation_rate} rad/s, with the wind {type(planet.wind).__name__}"
+        )
     return law
 
 
-def _predicted(law: PredictorCorrector, place: _Place) -> tuple[Scalar, Flag]:
-    """Range of one prediction, and whether it has an end at all."""
+def _predicted(law: PredictorCorrector, place: _Place) -> tuple[Scalar, Scalar, Flag]:
+    """Range of one prediction, how far it leads to the side of the bank, and whether it
+    has an end at all."""
     state = place.state
     angle = law.model.vehicle.trim_angle_of_attack
     sensed = measure(law.model.planet, law.model.vehicle, state, angle)
@@ -182,17 +204,53 @@ def _predicted(law: PredictorCorrector, place: _Place) -> tuple[Scalar, Flag]:
         place.factors,
         jnp.stack([place.number]),
         1.0,
-        in_space=False,
+        in_space=law.in_space,
     )
     ends = end.has_end & jnp.logical_not(law.end.is_skip(end.ended_by))
-    return law.model.planet.radius * end.state.longitude, ends
+    if not law.in_space:
+        ahead = law.model.planet.radius * end.state.longitude
+        return ahead, jnp.zeros_like(ahead), ends
+    ahead, to_the_left = ground_track(law.model.planet, state, end.state)
+    return ahead, -to_the_left, ends
 
 
 class TrainedRange(eqx.Module):
     """A network, and how well it predicts flights that it was not trained on."""
 
     network: RangeNetwork
-    card: dict[str, Any] = eqx.field(static=True)
+    cards: dict[str, dict[str, Any]] = eqx.field(static=True)
+    """By name: that of the range, `range`, or in three dimensions those of the range
+    `ahead` and `across`"""
+
+    @property
+    def networks(self) -> dict[str, Network]:
+        """By name, as the cards."""
+        return dict(zip(self.cards, self.network.networks, strict=True))
+
+
+class _Lesson(NamedTuple):
+    """A length that a network is to learn; every array is over the samples."""
+
+    purpose: str
+    output: str
+    lengths: Array
+    """m"""
+    of_output: Callable[[Array, Array], Scalar]
+    """The length, of the output of the network for some of the samples and of their
+    indices, m"""
+    outputs: Array
+    """Those that give the lengths; not finite where a length has none"""
+
+
+class _Class(NamedTuple):
+    """What every network learns from; every array has the samples in front."""
+
+    read: Array
+    """Inputs"""
+    ranges: Array
+    """m"""
+    out: np.ndarray
+    """Which are held out"""
 
 
 def train_range_network(
@@ -207,11 +265,11 @@ def train_range_network(
     held_out: float = 0.1,
     report: Callable[[str], None] = lambda line: None,
 ) -> TrainedRange:
-    """Fit a network to predictions: Adam to begin with, then L-BFGS on a part of them.
+    """Fit networks to predictions: Adam to begin with, then L-BFGS on a part of them.
 
-    The loss is that of `robust`, of the error of the range in units that grow with the
-    range. One share of the flights, with all places about them, is held out and tells the
-    error.
+    The loss is that of `robust`, of the error in units that grow with the range. In three
+    dimensions one network learns the range ahead, and another one that to the side. One
+    share of the flights, with all places about them, is held out and tells the error.
 
     **Arguments:**
 
@@ -221,40 +279,129 @@ def train_range_network(
     - `held_out`: share of the flights.
     - `report`: is told how it goes.
     """
-    began = time.perf_counter()
     law = _law(scenario)
     end = law.end.first()
-    network_key, split_key, batch_key, part_key = jax.random.split(key, 4)
-    flights = int(np.max(samples.flights)) + 1
-    out = np.asarray(jax.random.uniform(split_key, (flights,))) < held_out
-    out = out[samples.flights]
-    inside = np.flatnonzero(~out)
     angle = law.model.vehicle.trim_angle_of_attack
+    flights = int(np.max(samples.flights)) + 1
 
     @eqx.filter_jit
     def prepared(state: EntryState, factors: Factors, number: Array):
         def one(state, factors, number):
             return features(law.model, state, angle, factors, number)
 
-        square = jnp.asarray(0.5 * (state.velocity**2 - end[0] ** 2))
-        return jax.vmap(one)(state, factors, number), square
+        square = jnp.asarray(state.velocity**2 - end[0] ** 2)
+        turn = jnp.asarray(full_turn(number, state.velocity / end[0]))
+        return jax.vmap(one)(state, factors, number), square, turn
 
     given = samples.states, samples.factors, samples.numbers
-    read, square = prepared(*jax.tree.map(jnp.asarray, given))
-    ranges = jnp.asarray(samples.ranges)
-    outputs = np.asarray(jnp.log(square / ranges))
+    read, square, turn = prepared(*jax.tree.map(jnp.asarray, given))
+    ranges, across = jnp.asarray(samples.ranges), jnp.asarray(samples.across)
+    along = AHEAD if law.in_space else PURPOSE
+    lessons = {
+        "ahead" if law.in_space else "range": _Lesson(
+            along,
+            OUTPUT,
+            ranges,
+            lambda outputs, chosen: range_of(square[chosen], outputs),
+            jnp.log(0.5 * square / ranges),
+        )
+    }
+    if law.in_space:
+        # Without a bank to the side there is nothing to learn, and no number that says so.
+        lessons["across"] = _Lesson(
+            ACROSS,
+            OUTPUT_ACROSS,
+            across,
+            lambda outputs, chosen: across_of(ranges[chosen], turn[chosen], outputs),
+            jnp.log(across / (ranges * turn)),
+        )
+    keys = {n: jax.random.fold_in(key, i) if i else key for i, n in enumerate(lessons)}
+    split = jax.random.split(key, 4)[1]
+    out = np.asarray(jax.random.uniform(split, (flights,))) < held_out
+    taught = _Class(read, ranges, out[samples.flights])
+    of = basis(law.model, scenario.initial_state, angle, end)
+    networks, took = [], []
+    for name, lesson in lessons.items():
+
+        def told(line: str, name: str = name) -> None:
+            report(f"{name}: {line}")
+
+        began = time.perf_counter()
+        networks.append(
+            _taught(lesson, taught, keys[name], hidden, warm_up, iterations, part, told)
+        )
+        took.append(round(time.perf_counter() - began, 1))
+    first, *more = networks
+    network = RangeNetwork(first, of, *more)
+
+    @eqx.filter_jit
+    @jax.vmap
+    def asked(state: EntryState, factors: Factors, number: Array):
+        return network(law.model, state, angle, factors, number, end)
+
+    # As it is asked in flight: what leads to the side has the error of the range ahead.
+    answers = jax.tree.map(np.asarray, asked(*jax.tree.map(jnp.asarray, given)))
+    held = taught.out & answers.knows
+    near = samples.ranges[held] < _NEAR
+    cards = {}
+    for name, seconds, found in zip(lessons, took, answers, strict=False):
+        lesson = lessons[name]
+        error = np.abs(found - np.asarray(lesson.lengths))[held]
+        cards[name] = {
+            "purpose": lesson.purpose,
+            "output": lesson.output,
+            "of": dict(zip(BASIS, np.asarray(of).tolist(), strict=True)),
+            "samples": int(np.sum(~taught.out)),
+            "flights": flights,
+            "left out": samples.left_out,
+            "held out samples": int(taught.out.sum()),
+            "held out samples outside of the ranges": int(
+                np.sum(taught.out & ~answers.knows)
+            ),
+            "held out mean error, m": float(error.mean()),
+            "held out 95 % error, m": float(np.percentile(error, 95)),
+            "held out mean error below 100 km, m": float(error[near].mean()),
+            "held out 95 % error below 100 km, m": float(
+                np.percentile(error[near], 95)
+            ),
+            "steps of Adam, iterations of L-BFGS": [warm_up, iterations],
+            "training, s": seconds,
+        }
+    return TrainedRange(network, cards)
+
+
+def _taught(
+    lesson: _Lesson,
+    samples: _Class,
+    key: Key[Array, ""],
+    hidden: tuple[int, ...],
+    warm_up: int,
+    iterations: int,
+    part: int,
+    report: Callable[[str], None],
+) -> Network:
+    """A network that has learnt a length."""
+    read, ranges, out = samples
+    network_key, _, batch_key, part_key = jax.random.split(key, 4)
+    inside = np.flatnonzero(~out)
+    outputs = np.asarray(lesson.outputs)[inside]
     untrained = Network.untrained(
-        INPUTS, np.asarray(read)[inside], outputs[inside], hidden, network_key
+        INPUTS,
+        np.asarray(read)[inside],
+        outputs[np.isfinite(outputs)],
+        hidden,
+        network_key,
     )
-
-    def errors(network: Network, chosen: Array) -> Array:
-        x = jax.vmap(network)(read[chosen])
-        return square[chosen] * jnp.exp(-x) - ranges[chosen]
-
     right = _RIGHT[0] + _RIGHT[1] * ranges
-    network = descended(
+
+    def loss(network: Network, chosen: Array) -> Array:
+        outputs = jnp.asarray(jax.vmap(network)(read[chosen]))
+        lengths = jnp.asarray(lesson.of_output(outputs, chosen))
+        return robust((lengths - lesson.lengths[chosen]) / right[chosen])
+
+    return descended(
         untrained,
-        lambda network, chosen: robust(errors(network, chosen) / right[chosen]),
+        loss,
         jnp.asarray(inside),
         batch_key,
         part_key,
@@ -263,25 +410,3 @@ def train_range_network(
         part=part,
         report=report,
     )
-    known = np.asarray(jax.vmap(network.knows)(read))
-    held = np.flatnonzero(out & known)
-    error = np.abs(np.asarray(errors(network, jnp.asarray(held))))
-    of = basis(law.model, scenario.initial_state, angle, end)
-    near = np.asarray(samples.ranges)[held] < _NEAR
-    card = {
-        "purpose": PURPOSE,
-        "output": OUTPUT,
-        "of": dict(zip(BASIS, np.asarray(of).tolist(), strict=True)),
-        "samples": len(inside),
-        "flights": flights,
-        "left out": samples.left_out,
-        "held out samples": int(out.sum()),
-        "held out samples outside of the ranges": int(np.sum(out & ~known)),
-        "held out mean error, m": float(error.mean()),
-        "held out 95 % error, m": float(np.percentile(error, 95)),
-        "held out mean error below 100 km, m": float(error[near].mean()),
-        "held out 95 % error below 100 km, m": float(np.percentile(error[near], 95)),
-        "steps of Adam, iterations of L-BFGS": [warm_up, iterations],
-        "training, s": round(time.perf_counter() - began, 1),
-    }
-    return TrainedRange(RangeNetwork(network, of), card)

@@ -49,6 +49,7 @@ from .quantities import (
     convective_heat_rate as convective_heat_rate,
     detra_kemp_riddell_heat_rate as detra_kemp_riddell_heat_rate,
     energy as energy,
+    from_ground_track as from_ground_track,
     ground_track as ground_track,
     load_factor as load_factor,
 )

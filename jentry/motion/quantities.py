@@ -86,3 +86,19 @@ def ground_track(
     downrange = planet.radius * jnp.arctan2(ahead, up)
     crossrange = planet.radius * jnp.arcsin(left)
     return downrange, crossrange
+
+
+def from_ground_track(
+    planet: Planet, origin: EntryState, downrange: Scalar, crossrange: Scalar
+) -> tuple[Scalar, Scalar]:
+    """Longitude and latitude, rad, of what `ground_track` has the two of, m."""
+    sin_along, cos_along = sincos(downrange / planet.radius)
+    left, cos_across = sincos(crossrange / planet.radius)
+    up, ahead = cos_across * cos_along, cos_across * sin_along
+    sin_latitude, cos_latitude = sincos(origin.latitude)
+    sin_heading, cos_heading = sincos(origin.heading)
+    north = ahead * cos_heading + left * sin_heading
+    x = up * cos_latitude - north * sin_latitude
+    y = ahead * sin_heading - left * cos_heading
+    z = up * sin_latitude + north * cos_latitude
+    return origin.longitude + jnp.arctan2(y, x), jnp.arcsin(z)

@@ -12,16 +12,18 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
+from ...fields import Vector
 from ...flight.scenario import Scenario
 from ...guidance.bank_shapes import ConstantBankShape
 from ...guidance.guided_end import GuidedEnd
 from ...guidance.lateral import AbstractLateralLogic, FixedSide, PredictedCrossrange
 from ...guidance.predictor_corrector import PredictorCorrector
-from ...guidance.range_network import BASIS, PURPOSE, RangeNetwork
+from ...guidance.range_network import ACROSS, AHEAD, BASIS, PURPOSE, RangeNetwork
 from ...motion.dynamics import AbstractDynamics, EntryDynamics, EquatorialDynamics
 from ...onboard.model import OnboardModel
-from ...onboard.network import load_network, save_network
+from ...onboard.network import Network, load_network, save_network
 from ...units import km
 from .drag_tracking import entry, independent
 
@@ -29,7 +31,8 @@ from .drag_tracking import entry, independent
 FOLDER = Path(__file__).parent / "networks"
 """Folder of the weights that come with the package"""
 
-_FILE = "range.npz"
+_RANGE, _AHEAD, _ACROSS = "range", "ahead", "across"
+"""Files of the networks: of the vertical plane, and two of three dimensions"""
 
 
 def _guided(dynamics: AbstractDynamics, lateral: AbstractLateralLogic) -> Scenario:
@@ -58,23 +61,53 @@ def in_plane() -> Scenario:
 @functools.cache
 def range_network(folder: Path = FOLDER) -> RangeNetwork:
     """The stored network of `networked`. Raises `ValueError` for another one."""
-    network, card = load_network(folder / _FILE, PURPOSE)
+    return RangeNetwork(*_stored(folder, _RANGE, PURPOSE))
+
+
+@functools.cache
+def range_network_in_space(folder: Path = FOLDER) -> RangeNetwork:
+    """Those of `networked_in_space`. Raises `ValueError` for others, and for two that have
+    not been trained for the same model and the same end."""
+    ahead, of = _stored(folder, _AHEAD, AHEAD)
+    across, of_across = _stored(folder, _ACROSS, ACROSS)
+    both = zip(BASIS, np.asarray(of), np.asarray(of_across), strict=True)
+    unlike = [f"{name} {a:.9g} and {b:.9g}" for name, a, b in both if a != b]
+    if unlike:
+        raise ValueError(
+            f"{_AHEAD}.npz and {_ACROSS}.npz of {folder} are not of the same predictions: "
+            f"{', '.join(unlike)}; train both again with `jentry train "
+            "mars-range-tracking`"
+        )
+    return RangeNetwork(ahead, of, across)
+
+
+def _stored(folder: Path, name: str, purpose: str) -> tuple[Network, Vector]:
+    """A network, and what it is of."""
+    path = folder / f"{name}.npz"
+    network, card = load_network(path, purpose)
     told = card.get("of")
     if not isinstance(told, dict) or set(told) != set(BASIS):
         raise ValueError(
-            f"{folder / _FILE} does not say what it is of ({', '.join(BASIS)}): train it "
+            f"{path} does not say what it is of ({', '.join(BASIS)}): train it "
             "again with `jentry train mars-range-tracking`"
         )
-    return RangeNetwork(network, jnp.array([float(told[name]) for name in BASIS]))
+    return network, jnp.array([float(told[name]) for name in BASIS])
 
 
 def networked() -> Scenario:
     """As `in_plane`, with a network in place of the prediction."""
+    return _asking(in_plane(), range_network())
+
+
+def networked_in_space() -> Scenario:
+    """As `three_dimensional`, with networks in place of the prediction, of the lateral
+    logic as well."""
+    return _asking(three_dimensional(), range_network_in_space())
+
+
+def _asking(scenario: Scenario, network: RangeNetwork) -> Scenario:
     return eqx.tree_at(
-        lambda s: s.guidance.network,
-        in_plane(),
-        range_network(),
-        is_leaf=lambda x: x is None,
+        lambda s: s.guidance.network, scenario, network, is_leaf=lambda x: x is None
     )
 
 
@@ -87,11 +120,12 @@ def train(
     iterations: int = 5000,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict[str, dict[str, Any]]:
-    """Fly the data, train the network of `networked` and store it; gives its card by name.
+    """Fly the data, train the networks of `networked` and of `networked_in_space` and store
+    them; gives their cards by name.
 
     **Arguments:**
 
-    - `flights`, `again`: as of `predict_samples`.
+    - `flights`, `again`: as of `predict_samples`, for each of the two.
     - `iterations`: of L-BFGS.
     - `report`: is told what is done.
     """
@@ -99,19 +133,25 @@ def train(
     from ...learning.range_network import predict_samples, train_range_network
 
     flights_key, key = jax.random.split(jax.random.key(seed))
-    scenario = in_plane()
-    report(f"{flights} flights and {again} predictions")
-    samples = predict_samples(scenario, independent(), flights, again, flights_key)
-    trained = train_range_network(
-        scenario, samples, key, iterations=iterations, report=report
-    )
-    card = trained.card | {
+    made = {
         "seed": seed,
         "command": f"jentry train mars-range-tracking --seed {seed} --flights {flights} "
         f"--again {again} --iterations {iterations}",
     }
-    save_network(folder / _FILE, trained.network.network, card)
-    return {"range": card}
+    cards = {}
+    for scenario in (in_plane(), three_dimensional()):
+        in_space = scenario.dynamics.has_crossrange
+        where = "three dimensions" if in_space else "the plane"
+        report(f"{flights} flights and {again} predictions in {where}")
+        samples = predict_samples(scenario, independent(), flights, again, flights_key)
+        trained = train_range_network(
+            scenario, samples, key, iterations=iterations, report=report
+        )
+        for name, card in trained.cards.items():
+            network = trained.networks[name]
+            cards[name] = card | made
+            save_network(folder / f"{name}.npz", network, cards[name])
+    return cards
 
 
 def three_dimensional() -> Scenario:

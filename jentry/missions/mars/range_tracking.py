@@ -113,6 +113,7 @@ MISSION = Mission(
         "predictor-corrector": predictor_corrector.three_dimensional,
         "predictor-corrector-in-plane": predictor_corrector.in_plane,
         "predictor-corrector-network": predictor_corrector.networked,
+        "predictor-corrector-network-3d": predictor_corrector.networked_in_space,
     },
     dispersions={
         "lift-to-drag-held": lift_to_drag_held,
