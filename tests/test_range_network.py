@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import with_leaf
 
 import jentry
 from jentry.addresses import leaves_by_address, replace_leaves
@@ -217,6 +218,9 @@ def test_a_network_of_another_prediction_is_refused():
             ValueError, match="a network takes the place of the predict"
         ):
             dataclasses.replace(law, network=linear(), **changes)
+    turning = with_leaf(law, lambda law: law.model.planet.rotation_rate, 7e-5)
+    with pytest.raises(ValueError, match="over a planet at rest"):
+        dataclasses.replace(turning, network=linear())
 
 
 def test_shipped_network_says_how_it_was_trained():

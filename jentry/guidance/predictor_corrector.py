@@ -103,6 +103,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     from `origin`. Or it is predicted in the vertical plane (`in_space=False`), where the
     range to go is the arc to the target: this costs half as much, and for a vehicle that
     turns far to the sides it is the better guess of what reversals will make of its path.
+    Of the rotation of the planet that counts there which is about the axis of the great
+    circle that is flown.
 
     Where `turning` says how a bank turns that takes its time, the prediction flies that,
     and the reversal that the lateral logic tells of; without `turning` it flies none that

@@ -55,7 +55,7 @@ STEP = 0.5
 """s, our own; the bank is smooth within a guidance cycle"""
 
 _HEATING = 9.4369e-5
-"""Times sqrt(density) times velocity^3.15, in SI: to 1e-4 the formula of Detra, Kemp and
+"""Times sqrt(density) times velocity^3.15, in SI: to 2e-4 the formula of Detra, Kemp and
 Riddell for a nose with a radius of one foot, which is not named there"""
 
 
