@@ -31,6 +31,6 @@ MISSION = Mission(
         "entry-errors": entry_errors,
         "air-and-vehicle": air_and_vehicle,
     },
-    gains=("guidance.shape", "guidance.estimator"),
+    gains=("guidance.shape.final", "guidance.damping.ratio"),
     figures=GLIDE,
 )
