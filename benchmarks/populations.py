@@ -11,6 +11,7 @@ README. Campaigns are stored below --out, and are resumed or read again from the
     python benchmarks/populations.py mars-drag-tracking
     python benchmarks/populations.py sx-2
     python benchmarks/populations.py apollo-10
+    python benchmarks/populations.py cav-h-glide
 
 `populations.csv` beside this file has each statistic of each set: `--save` writes it anew.
 The tests compare the README with it, and its first sets with what they fly.
@@ -80,6 +81,13 @@ _END = tuple(
 )
 """Of a mission whose laws are compared by where they end"""
 
+_PEAKS = (
+    Column("heat rate, maximum, MW/m2", "peak_heat_rate", 1e6, np.max),
+    Column("load factor, maximum", "peak_load_factor", 1.0, np.max),
+    Column("dynamic pressure, maximum, kPa", PRESSURE, 1e3, np.max),
+)
+"""Of a mission with these limits"""
+
 COLUMNS = {
     "cav-h": (
         Column("velocity error, mean, m/s", VELOCITY, 1.0, np.mean),
@@ -109,10 +117,14 @@ COLUMNS = {
         Column("miss, maximum, km", "miss_distance", km, np.max),
         Column("within 1 km, %", "miss_distance", km, within(1.0)),
         Column("within 10 km, %", "miss_distance", km, within(10.0)),
-        Column("heat rate, maximum, MW/m2", "peak_heat_rate", 1e6, np.max),
-        Column("load factor, maximum", "peak_load_factor", 1.0, np.max),
-        Column("dynamic pressure, maximum, kPa", PRESSURE, 1e3, np.max),
+        *_PEAKS,
         Column("load factor, median", "peak_load_factor", 1.0, np.median),
+    ),
+    "cav-h-glide": (
+        *_END,
+        *_PEAKS,
+        Column("velocity error, median, m/s", VELOCITY, 1.0, np.median),
+        Column("velocity error, maximum, m/s", VELOCITY, 1.0, np.max),
     ),
 }
 
@@ -128,6 +140,26 @@ def share_of_limit(name: str) -> Callable[..., float]:
         return float(np.max(results[f"peak_{name}"].values) / limit)
 
     return share
+
+
+def over_ground(statistic: Callable[[np.ndarray], float]) -> Callable[..., float]:
+    """Of the distance from the target over the ground, km."""
+
+    def of(results) -> float:
+        errors = (results[name].values for name in (DOWNRANGE, CROSSRANGE))
+        return float(statistic(np.hypot(*errors) / km))
+
+    return of
+
+
+def beyond_limits(results) -> float:
+    """Share of the flights that exceed a limit of the mission `cav-h-glide`, %"""
+    constraints = find_mission("cav-h-glide").scenario().constraints
+    over = [
+        results[f"peak_{name}"].values > float(constraint.limit)
+        for name, constraint in constraints.items()
+    ]
+    return 100.0 * float(np.mean(np.any(over, axis=0)))
 
 
 CROSSINGS = {
@@ -186,6 +218,13 @@ OTHERS = {
     },
     "rlv": {"downrange std, km": deviation(DOWNRANGE)},
     "apollo-10": {"lost, %": lost},
+    "cav-h-glide": {
+        "miss over ground, median, km": over_ground(np.median),
+        "miss over ground, 99th percentile, km": over_ground(percentile(99)),
+        "miss over ground, maximum, km": over_ground(np.max),
+        "lost, %": lost,
+        "beyond a limit, %": beyond_limits,
+    },
     "mars-drag-tracking": {
         value.name: value.statistic
         for value in find_mission("mars-drag-tracking").published
@@ -251,6 +290,16 @@ ROWS = {
         ("unlimited", "everything"),
         ("us-1976", "everything"),
     ),
+    "cav-h-glide": (
+        ("predictor-corrector", "everything"),
+        ("predictor-corrector", "entry-errors"),
+        ("predictor-corrector", "air-and-vehicle"),
+        ("two-ended", "everything"),
+        ("undamped", "everything"),
+        ("undamped-unlimited", "everything"),
+        ("at-rest", "everything"),
+        ("us-1976", "everything"),
+    ),
     "mars-drag-tracking": tuple(
         (variant, "lift-to-drag-held")
         for variant in (
@@ -272,6 +321,7 @@ RUNS = {
     "x-33": 50,
     "rlv": 25,
     "apollo-10": 50,
+    "cav-h-glide": 50,
 }
 """In a set"""
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import truths
 
-from jentry.addresses import addresses_of, leaves_by_address
+from jentry.addresses import addresses_of, field_metadata, leaves_by_address
 from jentry.campaign import Normal, OneOfSeveral, Uniform, add, multiply, replace
 from jentry.campaign.dispersions import draw
 from jentry.flight.scenario import checked
@@ -19,6 +19,7 @@ from jentry.missions.sx_2.scenario import entry
 from jentry.motion import EntryDynamics, EquatorialDynamics
 from jentry.motion.index import EnergyIndex, TimeIndex, VelocityIndex
 from jentry.onboard import DragReference, PolynomialProfile, quintic_profile
+from jentry.parameters.maps import map_of
 from jentry.units import degree, foot, nautical_mile
 
 
@@ -523,3 +524,14 @@ def test_every_case_of_the_truths_is_compared():
     assert set(YAN_HE) == elsewhere | here
     here = {"vehicle", "start", "target", "parameters", "limits", "study", "assumed"}
     assert set(ZHOU) == here | {"dispersions", "table_3", "fit", "polynomial"}
+
+
+@pytest.mark.parametrize("name", ["apollo-10", "cav-h-glide"])
+def test_what_is_tuned_by_default_has_a_size_to_move_by(name):
+    mission = ALL[name]
+    scenario = mission.scenario()
+    leaves = leaves_by_address(scenario)
+    assert len(mission.gains) == 2
+    for address in mission.gains:
+        assert float(leaves[address]) > 0.0
+        map_of(address, leaves[address], field_metadata(scenario, address), None)

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import ahead, fly_compiled, predictor_corrector, with_leaf
+from scipy.integrate import solve_ivp
 from scipy.optimize import lsq_linear
 
 from jentry.campaign import monte_carlo
@@ -29,6 +30,7 @@ from jentry.guidance.bounded_step import least_squares_step
 from jentry.guidance.lateral import PredictedCrossrange
 from jentry.guidance.path_limits import PathLimits
 from jentry.guidance.predictor_corrector import _End, _with_effects
+from jentry.missions import find_mission
 from jentry.missions.mars import predictor_corrector as mars
 from jentry.missions.mars.drag_tracking import entry, independent
 from jentry.missions.x_33.predictor_corrector import in_plane as x_33
@@ -454,13 +456,75 @@ def test_what_cannot_predict_is_refused(changes, said):
         dataclasses.replace(predictor_corrector(), **changes)
 
 
-def test_a_plane_over_a_planet_that_turns_is_refused():
-    turning = with_leaf(
-        predictor_corrector(), lambda law: law.model.planet.rotation_rate, 7e-5
+def test_a_plane_over_a_planet_that_turns_is_that_of_the_great_circle():
+    """By scipy: polar coordinates in the plane, of the air that turns with the planet."""
+    mission = find_mission("cav-h-glide").scenario("undamped")
+    planet, craft, law = mission.planet, mission.vehicle, mission.guidance
+    turns, heading, latitude = float(planet.rotation_rate), 1.1, 0.5
+    state = dataclasses.replace(
+        mission.initial_state,
+        altitude=jnp.asarray(46e3),
+        latitude=jnp.asarray(latitude),
+        velocity=jnp.asarray(6000.0),
+        flight_path_angle=jnp.asarray(-1e-3),
+        heading=jnp.asarray(heading),
     )
-    with pytest.raises(ValueError, match="in_space=True"):
-        dataclasses.replace(turning, steps=81)
-    assert dataclasses.replace(turning, in_space=True).in_space
+    seen = measure(planet, craft, state, craft.trim_angle_of_attack)
+    law = dataclasses.replace(law, step=4.0, steps=600)
+    found = predicted(law, seen, jnp.array([0.25]), 1.0, False)
+    # The axis of the great circle, by vectors: longitude zero is as good as any.
+    here = np.array([np.cos(latitude), 0.0, np.sin(latitude)])
+    north = np.array([-np.sin(latitude), 0.0, np.cos(latitude)])
+    axis = np.cross(
+        here, np.sin(heading) * np.array([0, 1, 0]) + np.cos(heading) * north
+    )
+    rate, area = turns * axis[2], float(craft.reference_area / craft.mass)
+    radius = float(planet.radius)
+    parameter = float(planet.gravity.gravitational_parameter)
+    lift, drag = (
+        float(getattr(craft.aerodynamics, f"{n}_coefficient")) for n in ("lift", "drag")
+    )
+    last = float(law.end.energy)
+    first = 0.5 * 6000.0**2 - parameter / (radius + 46e3)
+
+    def relative(y):
+        return np.array([y[2], y[0] * (y[3] - rate)])
+
+    def energy(y):
+        return 0.5 * np.sum(relative(y) ** 2) - parameter / y[0]
+
+    def slope(_, y):
+        rise, along = relative(y)
+        speed, density = (
+            np.hypot(rise, along),
+            1.225 * np.exp(-0.14e-3 * (y[0] - radius)),
+        )
+        share = (energy(y) - first) / (last - first)
+        bank = np.pi / 2 * 0.75 + share * (np.pi / 3 - np.pi / 2 * 0.75)
+        push = 0.5 * density * speed * area
+        up = push * (lift * np.cos(bank) * along - drag * rise)
+        ahead = push * (-lift * np.cos(bank) * rise - drag * along)
+        climbs = up - parameter / y[0] ** 2 + y[0] * y[3] ** 2
+        return [y[2], y[3], climbs, (ahead - 2.0 * y[2] * y[3]) / y[0]]
+
+    def spent(_, y):
+        return energy(y) - last
+
+    spent.terminal = True
+    level = 6000.0 * np.cos(1e-3)
+    start = [radius + 46e3, 0.0, -6000.0 * np.sin(1e-3), rate + level / (radius + 46e3)]
+    solved = solve_ivp(
+        slope, (0, 2400), start, method="DOP853", rtol=1e-10, atol=1e-12, events=spent
+    )
+    end = solved.y[:, -1]
+    # Steps of 4 s, of fourth order.
+    assert float(found.time) == pytest.approx(solved.t[-1], rel=1e-5)
+    along = end[1] - rate * solved.t[-1]
+    assert float(found.state.longitude) == pytest.approx(along, rel=1e-5)
+    assert float(found.state.altitude) == pytest.approx(end[0] - radius, abs=10.0)
+    still = with_leaf(law, lambda law: law.model.planet.rotation_rate, 0.0)
+    found = predicted(still, seen, jnp.array([0.25]), 1.0, False)
+    assert float(found.state.longitude) < 0.97 * along
 
 
 def test_an_end_must_be_given():

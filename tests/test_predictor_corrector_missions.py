@@ -48,6 +48,7 @@ FIRST_SETS = [
     ("cav-h", "learning", "waves-sensed"),
     ("cav-h", "learning-correlated", "waves-sensed"),
     ("apollo-10", "predictor-corrector", "everything"),
+    ("cav-h-glide", "predictor-corrector", "everything"),
 ]
 
 
@@ -273,6 +274,17 @@ def test_apollo_10_keeps_its_limits_and_comes_to_its_point():
     assert np.max(peaks["load_factor"]) < 10.0 and np.max(peaks["heat_rate"]) < 6e6
     assert np.max(peaks["dynamic_pressure"]) < 31e3
     assert np.max(np.hypot(flown.misses.downrange, flown.misses.crossrange)) < 1.3e3
+
+
+@pytest.mark.slow
+def test_cav_h_glide_keeps_its_limits_and_comes_to_its_point():
+    """All flights of the first set, with the damping far within the limits."""
+    runs = populations.runs_of("cav-h-glide", "predictor-corrector")
+    scenario, flown = campaign("cav-h-glide", "predictor-corrector", "everything", runs)
+    assert np.all(flown.flights.outcome == Outcome.REACHED)
+    for name, limit in scenario.constraints.items():
+        assert np.max(flown.flights.peaks[name]) < 0.95 * float(limit.limit)
+    assert np.max(np.hypot(flown.misses.downrange, flown.misses.crossrange)) < 800.0
 
 
 @pytest.mark.slow

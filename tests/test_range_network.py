@@ -425,6 +425,9 @@ def test_a_network_of_another_prediction_is_refused():
             ValueError, match="a network takes the place of the predict"
         ):
             dataclasses.replace(law, network=linear(), **changes)
+    turning = with_leaf(law, lambda law: law.model.planet.rotation_rate, 7e-5)
+    with pytest.raises(ValueError, match="over a planet at rest"):
+        dataclasses.replace(turning, network=linear())
 
 
 def test_shipped_network_says_how_it_was_trained():

@@ -112,6 +112,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     from `origin`. Or it is predicted in the vertical plane (`in_space=False`), where the
     range to go is the arc to the target: this costs half as much, and for a vehicle that
     turns far to the sides it is the better guess of what reversals will make of its path.
+    Of the rotation of the planet that counts there which is about the axis of the great
+    circle that is flown.
 
     Where `turning` says how a bank turns that takes its time, the prediction flies that,
     and the reversal that the lateral logic tells of; without `turning` it flies none that
@@ -213,11 +215,6 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 "that are foreseen bound the bank at the start of each step of the "
                 "prediction, in flight at each cycle; give the same for both"
             )
-        if not self.in_space and not self._at_rest:
-            raise ValueError(
-                "in_space is False and the planet of the model turns: a prediction in the "
-                "vertical plane is one over a planet at rest; take in_space=True"
-            )
 
     def _check_network(self, network: RangeNetwork) -> None:
         plain = isinstance(self.shape, ConstantBankShape)
@@ -240,6 +237,11 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 f"is of flights in {learnt}, and in_space is {self.in_space}"
             )
         if not network.in_space:
+            if not self._at_rest:
+                raise ValueError(
+                    "a network tells the range over a planet at rest, and that of the "
+                    "model turns: leave network at None"
+                )
             return
         wind = self.model.planet.wind
         if not (self._at_rest and isinstance(wind, StillAir)):
@@ -331,7 +333,14 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 here = self.index.value(planet, time, state)
                 sign = self.lateral.sign(side)
                 return self._banked(
-                    here, since, measurement, numbers, sign, state, factors
+                    self.model,
+                    here,
+                    since,
+                    measurement,
+                    numbers,
+                    sign,
+                    state,
+                    factors,
                 )
 
             factors = estimate.factors
@@ -362,7 +371,14 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         here = self.index.value(self.model.planet, time, state)
         sign, _ = self._side(time, held)
         wanted = self._banked(
-            here, held.since, measurement, held.numbers, sign, state, factors
+            self.model,
+            here,
+            held.since,
+            measurement,
+            held.numbers,
+            sign,
+            state,
+            factors,
         )
         if self.limits is None:
             return wanted, ()
@@ -393,19 +409,25 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         - `in_space`: in three dimensions, or in the vertical plane, from longitude zero.
         - `reverses_in`: time to a reversal of a bank that takes a time to turn, s.
         """
-        planet, state = self.model.planet, measurement.state
-        now = self.index.value(planet, time, state)
+        model, state = self.model, measurement.state
+        now = self.index.value(model.planet, time, state)
         dynamics: AbstractDynamics = EntryDynamics()
         if not in_space:
             require_still_air(
-                planet, "a prediction in the vertical plane", ", or take in_space=True"
+                model.planet,
+                "a prediction in the vertical plane",
+                ", or take in_space=True",
             )
-            state = LongitudinalState.of(planet, state).eastward()
+            model = _in_plane(model, state)
+            state = LongitudinalState.of(model.planet, state).eastward()
             dynamics = EquatorialDynamics()
+        planet = model.planet
 
         def banked(elapsed: Scalar, known: Factors, state: EntryState) -> Controls:
             here = self.index.value(planet, time + elapsed, state)
-            return self._banked(here, now, measurement, numbers, sign, state, known)
+            return self._banked(
+                model, here, now, measurement, numbers, sign, state, known
+            )
 
         def flown(
             bounds: BankBounds | None, elapsed: Scalar, state: EntryState
@@ -432,13 +454,13 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 there = dataclasses.replace(measurement, state=state)
                 known = factors.at(state.altitude)
                 wish = functools.partial(banked, elapsed, known)
-                bounds = limits.bounds(self.model, there, known, wish, dynamics)
+                bounds = limits.bounds(model, there, known, wish, dynamics)
                 return functools.partial(flown, bounds)
 
             command = SampledCommand(within_limits)
 
         return propagate(
-            self.model,
+            model,
             state,
             command,
             self.end.margins(planet),
@@ -605,6 +627,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
 
     def _banked(
         self,
+        model: OnboardModel,
         here: Scalar,
         since: Scalar,
         measurement: Measurement,
@@ -618,13 +641,26 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             angle = self.angle_of_attack(here)
         cosine = self.shape.cos_bank(numbers, here, since)
         if self.damping is not None:
-            cosine = self.damping.cos_bank(self.model, factors, state, angle, cosine)
+            cosine = self.damping.cos_bank(model, factors, state, angle, cosine)
         return _banked_to(cosine, angle, sign)
 
 
 _INSIDE = 1.0 - 1e-6
 """Cosine of 0.08 degrees, from where on an angle keeps the derivative by it that it has
 there: that of the sine would go beyond all bounds"""
+
+
+def _in_plane(model: OnboardModel, state: EntryState) -> OnboardModel:
+    """The model for a flight along the equator in place of the great circle that is flown
+    now: of the rotation, what is about the axis of that circle.
+
+    The rest pushes to the side, which reversals make up for, and so does a part of the
+    centrifugal acceleration, of 0.02 m/s2 for the Earth.
+    """
+    share = sincos(state.latitude)[1] * sincos(state.heading)[0]
+    return eqx.tree_at(
+        lambda m: m.planet.rotation_rate, model, model.planet.rotation_rate * share
+    )
 
 
 def _bank_of(cosine: Scalar) -> Scalar:

@@ -6,6 +6,7 @@ from pathlib import Path
 from ..addresses import nearest
 from .apollo_10 import MISSION as APOLLO_10
 from .cav_h import MISSION as CAV_H
+from .cav_h_glide import MISSION as CAV_H_GLIDE
 from .mars.drag_tracking_mission import MISSION as DRAG_TRACKING
 from .mars.range_tracking import MISSION as RANGE_TRACKING
 from .mission import Mission as Mission, PublishedValue as PublishedValue
@@ -33,6 +34,7 @@ ALL = {
         X_33,
         SHUTTLE,
         APOLLO_10,
+        CAV_H_GLIDE,
     )
 }
 """Every mission of jentry by its name."""

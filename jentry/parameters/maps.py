@@ -157,7 +157,8 @@ def _scale(address: str, start: Array, given: Scale | None) -> Array:
         if not scale > 0.0:
             raise ValueError(
                 f"{address} is 0, which does not tell how much of it is a lot: give "
-                f'ranges={{"{address}": Scale(...)}}, in its unit, or Bounds(...)'
+                f'ranges={{"{address}": Scale(...)}}, in its unit, or Bounds(...); to a '
+                "command --scale or --bounds"
             )
         return jnp.broadcast_to(scale, start.shape)
     try:

@@ -21,5 +21,5 @@ MISSION = Mission(
         "entry-errors": entry_errors,
         "air-and-vehicle": air_and_vehicle,
     },
-    gains=("guidance.shape", "guidance.estimator"),
+    gains=("guidance.shape.final", "guidance.limits.frequency"),
 )

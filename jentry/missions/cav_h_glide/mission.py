@@ -1,0 +1,36 @@
+"""The mission CAV-H glide: its variants and its dispersions."""
+
+from ...plots import GLIDE
+from ..mission import Mission
+from .dispersions import air_and_vehicle, entry_errors, everything
+from .scenario import (
+    at_rest,
+    guided,
+    two_ended,
+    undamped,
+    undamped_unlimited,
+    us_1976,
+)
+
+
+MISSION = Mission(
+    name="cav-h-glide",
+    title="CAV-H glider to a point, numerical predictor-corrector",
+    source='Lu, Forbes and Baldwin, "Gliding Guidance of High L/D Hypersonic Vehicles", '
+    "AIAA 2013-4648, as in the NPCG Toolbox of Lee, Lee and Wie",
+    variants={
+        "predictor-corrector": guided,
+        "two-ended": two_ended,
+        "undamped": undamped,
+        "undamped-unlimited": undamped_unlimited,
+        "at-rest": at_rest,
+        "us-1976": us_1976,
+    },
+    dispersions={
+        "everything": everything,
+        "entry-errors": entry_errors,
+        "air-and-vehicle": air_and_vehicle,
+    },
+    gains=("guidance.shape.final", "guidance.damping.ratio"),
+    figures=GLIDE,
+)
