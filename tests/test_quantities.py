@@ -258,6 +258,20 @@ def test_ground_track_is_ahead_and_to_the_left(start, heading):
         np.testing.assert_allclose([turned, back[1] - place[1]], 0.0, atol=1e-11)
 
 
+def test_the_pole_has_its_latitude_from_everywhere():
+    """Also where rounding makes its sine a little more than 1."""
+    planet, latitudes = mars_planet(), np.linspace(-80.0, 80.0, 2001) * degree
+
+    @jax.vmap
+    def of_the_pole(latitude):
+        origin = EntryState(*scalars(0.0, 0.0), latitude, *scalars(5e3, 0.0, 0.0))
+        north = planet.radius * (0.5 * np.pi - latitude)
+        return from_ground_track(planet, origin, north, jnp.zeros_like(latitude))[1]
+
+    # An angle is as far from it as the root of twice what its sine lacks.
+    np.testing.assert_allclose(of_the_pole(latitudes), 0.5 * np.pi, atol=5e-8)
+
+
 def test_what_the_onboard_model_says_of_itself():
     aerodynamics = PolynomialAerodynamics([0.1, 0.8], [0.4, 0.0, 0.9])
     vehicle = Vehicle(

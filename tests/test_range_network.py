@@ -28,7 +28,7 @@ from jentry.learning.range_network import (
 from jentry.missions.mars import predictor_corrector as mars
 from jentry.missions.mars.drag_tracking import independent
 from jentry.motion.quantities import ground_track
-from jentry.onboard import Factors
+from jentry.onboard import Factors, WindEstimator, WindPrior
 from jentry.onboard.navigation import Measurement, measure
 from jentry.onboard.network import Network, load_network, save_network
 from jentry.onboard.profiles import PolynomialProfile
@@ -323,9 +323,12 @@ def test_what_one_of_two_networks_does_not_know_is_not_known(which):
     assert float(law.caveats(after)["decisions_without_prediction"]) == 1.0
 
 
-def test_of_a_planet_that_turns_a_network_in_three_dimensions_knows_nothing():
+@pytest.mark.parametrize("in_three_dimensions", [True, False])
+def test_of_a_planet_that_turns_a_network_knows_nothing(in_three_dimensions):
     """Where that is not known before it is asked, as in a campaign."""
     law, seen = aimed()
+    if not in_three_dimensions:
+        law, seen = with_network(linear(2.0)), underway()
 
     @jax.vmap
     def knows(rate):
@@ -350,6 +353,12 @@ def windy(law):
     [
         (lambda law: turning(law), "planet of the model turns by 7e-05 rad/s"),
         (lambda law: windy(law), "with the wind ConstantWind"),
+        (
+            lambda law: dataclasses.replace(
+                law, wind=WindEstimator(WindPrior(30.0, 8e3), 0.01)
+            ),
+            "wind is estimated, and a network has learnt flights in still air",
+        ),
         (
             lambda law: dataclasses.replace(
                 law, lateral=PredictedCrossrange(foresees=True)
@@ -668,7 +677,8 @@ def test_only_predictions_of_a_constant_bank_can_be_learnt():
         shape = ConstantBankShape(lowest=-0.5)
         learnt(dataclasses.replace(in_space().guidance, shape=shape))
     for change in (turning, windy):
-        with pytest.raises(
-            ValueError, match="learnt that are alike in every direction"
-        ):
-            learnt(change(in_space().guidance))
+        for law in (in_space().guidance, in_plane().guidance):
+            with pytest.raises(
+                ValueError, match="learnt that are alike in every direction"
+            ):
+                learnt(change(law))

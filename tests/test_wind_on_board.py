@@ -478,6 +478,18 @@ def test_the_estimate_comes_to_the_wind():
 
 
 @pytest.mark.slow
+def test_a_flow_without_sides_tells_nothing():
+    """Straight down: which way is right is not defined, and nothing becomes NaN of it."""
+    estimator = WindEstimator(WindPrior(30.0, 8 * km), 0.01, 0.01)
+    before = estimator.start(one(0.0))
+    straight = AirVelocity(one(0.0), one(0.0), one(-300.0), jnp.asarray(True))
+    after = estimator.update(before, StillAir(), STATE, straight)
+    for kept, known in zip(
+        jax.tree.leaves(after), jax.tree.leaves(before), strict=True
+    ):
+        np.testing.assert_array_equal(kept, known)
+
+
 def test_the_law_believes_what_it_has_seen():
     """One good sample of a head wind, so that little is left for the factors."""
     wind = WINDS["head"]

@@ -230,6 +230,11 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 f"turning is {self.turning}, foresees_limits is {self.foresees_limits}, "
                 f"end is {self.end}"
             )
+        if self.wind is not None:
+            raise ValueError(
+                "wind is estimated, and a network has learnt flights in still air: leave "
+                "wind or network at None"
+            )
         if network.in_space != self.in_space:
             learnt = "three dimensions" if network.in_space else "the vertical plane"
             raise ValueError(

@@ -133,11 +133,9 @@ class RangeNetwork(eqx.Module):
         square = state.velocity**2 - end[0] ** 2
         asked = basis(model, state, angle_of_attack, end)
         same = jnp.all(jnp.abs(asked - self.of) <= _SAME * jnp.abs(self.of))
-        knows = same & (square > 0.0)
+        knows = same & (square > 0.0) & (model.planet.rotation_rate == 0.0)
         for network in self.networks:
             knows &= network.knows(read)
-        if self.in_space:
-            knows &= model.planet.rotation_rate == 0.0
         # On both sides of what is chosen, so that no derivative comes from out there.
         inside = jnp.where(knows, read, self.network.input_mean)
         square = jnp.where(knows, square, 0.0)

@@ -181,12 +181,11 @@ def _law(scenario: Scenario) -> PredictorCorrector:
             "ConstantBankShape with lowest=-1.0"
         )
     planet = law.model.planet
-    alike = planet.rotation_rate == 0.0 and isinstance(planet.wind, StillAir)
-    if law.in_space and not alike:
+    if planet.rotation_rate != 0.0 or not isinstance(planet.wind, StillAir):
         raise ValueError(
-            "in three dimensions predictions are learnt that are alike in every direction, "
-            "over a planet at rest and in still air: that of the model turns by "
-            f"{planet.rotation_rate} rad/s, with the wind {type(planet.wind).__name__}"
+            "predictions are learnt that are alike in every direction, over a planet at "
+            f"rest and in still air: that of the model turns by {planet.rotation_rate} "
+            f"rad/s, and its wind is {type(planet.wind).__name__}"
         )
     return law
 

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from .._interpolation import clamp
 from .._math import sincos
 from ..fields import Scalar
 from ..units import standard_gravity
@@ -101,4 +102,6 @@ def from_ground_track(
     x = up * cos_latitude - north * sin_latitude
     y = ahead * sin_heading - left * cos_heading
     z = up * sin_latitude + north * cos_latitude
-    return origin.longitude + jnp.arctan2(y, x), jnp.arcsin(z)
+    # By rounding it may be a little more than 1 at a pole.
+    latitude = jnp.arcsin(clamp(z, -1.0, 1.0))
+    return origin.longitude + jnp.arctan2(y, x), latitude

@@ -41,7 +41,11 @@ class WindPrior(eqx.Module):
     correlation_length: Scalar = scalar(unit="m", positive=True)
 
     def carried(self, learnt: Learnt, distance: Scalar) -> Learnt:
-        """What is known at a distance (m) from where something is known."""
+        """What is known at a distance (m) from where something is known.
+
+        The mean falls off to both sides, so that it has no slope just there: until the
+        vehicle has gone on, a derivative by the altitude sees no shear of the wind.
+        """
         likeness = jnp.exp(-jnp.abs(distance) / self.correlation_length)
         square = likeness * likeness
         fresh = self.deviation * self.deviation * (1.0 - square)
@@ -134,6 +138,6 @@ class WindEstimator(eqx.Module):
             departed = east * off_east + north * off_north + up * off_up
             learnt, _ = learnt.refined(row, departed, deviation * deviation)
         after = WindEstimate(state.altitude, learnt)
-        return jax.tree.map(
-            lambda a, b: jnp.where(sensed.is_sensed, a, b), after, before
-        )
+        # A flow that is exactly vertical has no sides.
+        tells = sensed.is_sensed & (sensed.east**2 + sensed.north**2 > 0.0)
+        return jax.tree.map(lambda a, b: jnp.where(tells, a, b), after, before)
