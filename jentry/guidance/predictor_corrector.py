@@ -29,7 +29,7 @@ from ..fields import Flag, Scalar, scalar
 from ..motion.attitude import Swing
 from ..motion.dynamics import AbstractDynamics, EntryDynamics, EquatorialDynamics
 from ..motion.index import AbstractIndex, EnergyIndex
-from ..motion.quantities import from_ground_track, ground_track
+from ..motion.quantities import ground_track
 from ..motion.state import Controls, EntryState
 from ..onboard.estimation import (
     AbstractFactorEstimate,
@@ -38,7 +38,7 @@ from ..onboard.estimation import (
     FactorEstimator,
     Factors,
 )
-from ..onboard.longitudinal import LongitudinalState
+from ..onboard.longitudinal import along_equator
 from ..onboard.model import OnboardModel, require_still_air
 from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
@@ -423,8 +423,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 "a prediction in the vertical plane",
                 ", or take in_space=True",
             )
-            model = _in_plane(model, state)
-            state = LongitudinalState.of(model.planet, state).eastward()
+            model, state = along_equator(model, state)
             dynamics = EquatorialDynamics()
         planet = model.planet
 
@@ -609,26 +608,13 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         numbers: Numbers,
         sign: Scalar | float,
     ) -> tuple[EntryState, Flag]:
-        """Where the flight ends, by the network, and whether that is known.
-
-        Of the state only the place has that of the end: in the vertical plane, as of a
-        prediction, a longitude from zero on.
-        """
+        """Where the flight ends, by the network, and whether that is known."""
         state, angle = measurement.state, measurement.trim_angle_of_attack
-        known, end = factors.at(state.altitude), self.end.first()
         # The number of a shape whose largest bank is half a turn, as it has been trained.
         nothing = jnp.zeros_like(numbers[0])
         number = 0.5 * (1.0 + self.shape.cos_bank(numbers, nothing, nothing))
-        found = network(self.model, state, angle, known, number, end)
-        planet = self.model.planet
-        if not self.in_space:
-            there = dataclasses.replace(state, longitude=found.range / planet.radius)
-            return there, found.knows
-        longitude, latitude = from_ground_track(
-            planet, state, found.range, -sign * found.across
-        )
-        there = dataclasses.replace(state, longitude=longitude, latitude=latitude)
-        return there, found.knows
+        known, end = factors.at(state.altitude), self.end.first()
+        return network.place(self.model, state, angle, known, number, sign, end)
 
     def _banked(
         self,
@@ -653,19 +639,6 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
 _INSIDE = 1.0 - 1e-6
 """Cosine of 0.08 degrees, from where on an angle keeps the derivative by it that it has
 there: that of the sine would go beyond all bounds"""
-
-
-def _in_plane(model: OnboardModel, state: EntryState) -> OnboardModel:
-    """The model for a flight along the equator in place of the great circle that is flown
-    now: of the rotation, what is about the axis of that circle.
-
-    The rest pushes to the side, which reversals make up for, and so does a part of the
-    centrifugal acceleration, of 0.02 m/s2 for the Earth.
-    """
-    share = sincos(state.latitude)[1] * sincos(state.heading)[0]
-    return eqx.tree_at(
-        lambda m: m.planet.rotation_rate, model, model.planet.rotation_rate * share
-    )
 
 
 def _bank_of(cosine: Scalar) -> Scalar:

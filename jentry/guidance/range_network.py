@@ -15,6 +15,7 @@ from jaxtyping import Array, Float
 
 from .._math import safe_sqrt
 from ..fields import Flag, Scalar, Vector, table
+from ..motion.quantities import from_ground_track
 from ..motion.state import EntryState
 from ..onboard.estimation import Factors
 from ..onboard.model import OnboardModel, require_still_air
@@ -144,6 +145,31 @@ class RangeNetwork(eqx.Module):
             return Answer(ahead, jnp.zeros_like(ahead), knows)
         turned = full_turn(number, jnp.where(knows, state.velocity / end[0], 1.0))
         return Answer(ahead, across_of(ahead, turned, self.across(inside)), knows)
+
+    def place(
+        self,
+        model: OnboardModel,
+        state: EntryState,
+        angle_of_attack: Scalar,
+        factors: Factors,
+        number: Scalar,
+        sign: Scalar | float,
+        end: tuple[Scalar, Scalar],
+    ) -> tuple[EntryState, Flag]:
+        """Where such a flight ends, with a bank of a sign, and whether that is known.
+
+        Of the state only the place has that of the end: in the vertical plane, as of a
+        prediction, a longitude from zero on.
+        """
+        found = self(model, state, angle_of_attack, factors, number, end)
+        if not self.in_space:
+            there = found.range / model.planet.radius
+            return dataclasses.replace(state, longitude=there), found.knows
+        longitude, latitude = from_ground_track(
+            model.planet, state, found.range, -sign * found.across
+        )
+        there = dataclasses.replace(state, longitude=longitude, latitude=latitude)
+        return there, found.knows
 
 
 def range_of(square: Scalar, output: Scalar) -> Scalar:

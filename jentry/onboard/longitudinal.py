@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from .._collocation import interpolate
 from .._interpolation import interval
+from .._math import sincos
 from ..fields import Count, Scalar, Vector, scalar, table
 from ..motion.dynamics import rates_under
 from ..motion.quantities import ground_track
@@ -53,6 +54,23 @@ class LongitudinalState(eqx.Module):
             self.flight_path_angle,
             EAST + nothing,
         )
+
+
+def along_equator(
+    model: OnboardModel, state: EntryState
+) -> tuple[OnboardModel, EntryState]:
+    """Model and state of a flight along the equator, from longitude zero, in place of that
+    along the great circle that is flown now: of the rotation, what is about the axis of
+    that circle.
+
+    The rest pushes to the side, which reversals of a bank make up for, and so does a part
+    of the centrifugal acceleration, of 0.02 m/s2 for the Earth.
+    """
+    share = sincos(state.latitude)[1] * sincos(state.heading)[0]
+    turned = eqx.tree_at(
+        lambda m: m.planet.rotation_rate, model, model.planet.rotation_rate * share
+    )
+    return turned, LongitudinalState.of(model.planet, state).eastward()
 
 
 class LongitudinalModel(eqx.Module):

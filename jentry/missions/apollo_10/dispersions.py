@@ -1,39 +1,9 @@
-"""What is uncertain in the Apollo 10 mission. All of it is our own: round numbers."""
+"""What is uncertain in the Apollo 10 mission: all of it is the toolbox missions' own."""
 
 import functools
 
-from ...campaign.dispersions import Dispersion, add
-from ...campaign.distributions import Normal
-from ...units import degree
-
-
-def _initial(name: str, three_sigma: float) -> Dispersion:
-    where = lambda s: getattr(s.initial_state, name)
-    return Dispersion(where, Normal(0.0, three_sigma / 3.0), apply=add)
-
-
-@functools.cache
-def entry_errors() -> dict[str, Dispersion]:
-    """Of the state at entry: a tenth of a degree of each angle, and 10 m/s, at 3 sigma."""
-    tenth = 0.1 * degree
-    return {
-        "longitude": _initial("longitude", tenth),
-        "latitude": _initial("latitude", tenth),
-        "velocity": _initial("velocity", 10.0),
-        "flight-path angle": _initial("flight_path_angle", tenth),
-        "heading": _initial("heading", tenth),
-    }
-
-
-@functools.cache
-def air_and_vehicle() -> dict[str, Dispersion]:
-    """At 3 sigma 30 % of the density and 10 % of each coefficient."""
-    coefficient = Normal(1.0, 0.1 / 3.0)
-    return {
-        "density": Dispersion(lambda s: s.planet.density_scale, Normal(1.0, 0.3 / 3.0)),
-        "lift": Dispersion(lambda s: s.vehicle.lift_scale, coefficient),
-        "drag": Dispersion(lambda s: s.vehicle.drag_scale, coefficient),
-    }
+from ...campaign.dispersions import Dispersion
+from ..npcg_toolbox import air_and_coefficients as air_and_vehicle, entry_errors
 
 
 @functools.cache

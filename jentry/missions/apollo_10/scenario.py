@@ -19,22 +19,19 @@ from ...flight.termination import (
     AltitudeBelow,
     Termination,
 )
-from ...guidance.bank_shapes import LinearBankShape
 from ...guidance.guided_end import GuidedEnd
 from ...guidance.lateral import PredictedCrossrange
 from ...guidance.path_limits import PathLimits
 from ...guidance.predictor_corrector import PredictorCorrector
 from ...motion.constraints import DynamicPressure, HeatRate, LoadFactor
-from ...motion.quantities import energy, ground_track
+from ...motion.quantities import ground_track
 from ...motion.state import EntryState
 from ...onboard.model import OnboardModel
 from ...units import degree, km
 from ...world.aerodynamics import ConstantAerodynamics
-from ...world.atmosphere import ExponentialAtmosphere
-from ...world.gravity import InverseSquareGravity
 from ...world.planet import Planet
-from ...world.us_standard_atmosphere import USStandardAtmosphere1976
 from ...world.vehicle import Vehicle
+from .. import npcg_toolbox as toolbox
 
 
 RADIUS_AT_ENTRY = 6498.270 * km
@@ -48,10 +45,6 @@ TARGET_LONGITUDE, TARGET_LATITUDE = 194.8501 * degree, -15.4121 * degree
 END_ALTITUDE, END_VELOCITY = 5683.0, 119.67
 """m, m/s"""
 SKIP_RANGE = 5000.0 * km
-ROTATION_RATE = 7.292115e-5
-"""rad/s, of WGS 84; the toolbox has a turn in 86 400 s, which is 0.3 % slower"""
-CEILING = 125.0 * km
-"""Above which a flight has skipped out; a round number of our own"""
 FIRST_BANK, FINAL_BANK = 70.0 * degree, 30.0 * degree
 """Of the linear bank: where it begins, before the first correction, and at its end"""
 LARGEST_BANK = 85.0 * degree
@@ -59,8 +52,6 @@ LARGEST_BANK = 85.0 * degree
 its end falls vertically, where the state has no heading"""
 LEAST_EFFECT = 1500.0
 """m, our own: where the bank has no more of the range left than that, it stays"""
-STEP = 0.5
-"""s, our own; the bank is smooth within a guidance cycle"""
 
 _HEATING = 20e-9 * 11_356.539
 """Of a formula of Young and Smith's (1967) as the toolbox has it: 20 sqrt(density) times
@@ -72,13 +63,7 @@ rates would be 1.56 times as large then"""
 
 def earth() -> Planet:
     """A rotating sphere with an exponential atmosphere."""
-    return Planet(
-        radius=6378.137 * km,
-        gravity=InverseSquareGravity(3.98600435507e14),
-        atmosphere=ExponentialAtmosphere(1.225, 1.0 * km / 0.14),
-        rotation_rate=ROTATION_RATE,
-        heating_coefficient=_HEATING,
-    )
+    return toolbox.earth(_HEATING)
 
 
 def capsule() -> Vehicle:
@@ -112,20 +97,6 @@ def entry_state(planet: Planet) -> EntryState:
     )
 
 
-def linear_bank() -> LinearBankShape:
-    """Over the energy, from the bank now to that at the end."""
-    planet = earth()
-    end = dataclasses.replace(
-        entry_state(planet), altitude=END_ALTITUDE, velocity=END_VELOCITY
-    )
-    return LinearBankShape(
-        end=energy(planet, end),
-        final=FINAL_BANK,
-        largest=LARGEST_BANK,
-        first=1.0 - FIRST_BANK / LARGEST_BANK,
-    )
-
-
 def lateral() -> PredictedCrossrange:
     """Our own: up to ten reversals.
 
@@ -149,14 +120,17 @@ def guided() -> Scenario:
     there = dataclasses.replace(
         start,
         altitude=END_ALTITUDE,
+        velocity=END_VELOCITY,
         longitude=TARGET_LONGITUDE,
         latitude=TARGET_LATITUDE,
     )
     downrange, crossrange = ground_track(planet, start, there)
     law = PredictorCorrector(
         model=OnboardModel(planet, capsule()),
-        shape=linear_bank(),
-        end=GuidedEnd(altitude=END_ALTITUDE, ceiling=CEILING),
+        shape=toolbox.linear_bank(
+            planet, there, first=FIRST_BANK, final=FINAL_BANK, largest=LARGEST_BANK
+        ),
+        end=GuidedEnd(altitude=END_ALTITUDE, ceiling=toolbox.CEILING),
         origin=start,
         downrange=downrange,
         crossrange=crossrange,
@@ -174,7 +148,7 @@ def guided() -> Scenario:
         termination=Termination(
             {
                 "altitude": AltitudeBelow(altitude=END_ALTITUDE),
-                "skip_out": AltitudeAbove(altitude=CEILING),
+                "skip_out": AltitudeAbove(altitude=toolbox.CEILING),
             },
             time_limit=1200.0,
         ),
@@ -184,7 +158,7 @@ def guided() -> Scenario:
             "load_factor": LoadFactor(10.0),
             "dynamic_pressure": DynamicPressure(30e3),
         },
-        step=STEP,
+        step=toolbox.STEP,
     )
 
 
@@ -214,6 +188,4 @@ def unlimited() -> Scenario:
 
 def us_1976() -> Scenario:
     """Through the US Standard Atmosphere, while the law believes the exponential one."""
-    return eqx.tree_at(
-        lambda s: s.planet.atmosphere, guided(), USStandardAtmosphere1976()
-    )
+    return toolbox.through_us_1976(guided())

@@ -34,25 +34,17 @@ from ...motion.state import EntryState
 from ...onboard.model import OnboardModel
 from ...units import degree, foot, km
 from ...world.aerodynamics import ConstantAerodynamics
-from ...world.atmosphere import ExponentialAtmosphere
-from ...world.gravity import InverseSquareGravity
 from ...world.planet import Planet
-from ...world.us_standard_atmosphere import USStandardAtmosphere1976
 from ...world.vehicle import Vehicle
+from .. import npcg_toolbox as toolbox
 
 
-ROTATION_RATE = 7.292115e-5
-"""rad/s, of WGS 84; the toolbox has a turn in 86 400 s, which is 0.3 % slower"""
 TARGET_LONGITUDE, TARGET_LATITUDE = 64.1166 * degree, 31.4927 * degree
 END_ALTITUDE, END_VELOCITY = 30.0 * km, 2000.0
 """m, m/s: the flight ends at the energy of the two"""
-CEILING = 125.0 * km
-"""Above which a flight has skipped out; a round number of our own"""
 FIRST_BANK, FINAL_BANK = 70.0 * degree, 60.0 * degree
 """Of the linear bank: where it begins, before the first correction, and at its end"""
 LARGEST_BANK = 90.0 * degree
-STEP = 0.5
-"""s, our own; the bank is smooth within a guidance cycle"""
 
 _HEATING = 9.4369e-5
 """Times sqrt(density) times velocity^3.15, in SI: to 2e-4 the formula of Detra, Kemp and
@@ -61,14 +53,7 @@ Riddell for a nose with a radius of one foot, which is not named there"""
 
 def earth() -> Planet:
     """A rotating sphere with an exponential atmosphere."""
-    return Planet(
-        radius=6378.137 * km,
-        gravity=InverseSquareGravity(3.98600435507e14),
-        atmosphere=ExponentialAtmosphere(1.225, 1.0 * km / 0.14),
-        rotation_rate=ROTATION_RATE,
-        heating_coefficient=_HEATING * math.sqrt(foot),
-        heating_exponent=3.15,
-    )
+    return toolbox.earth(_HEATING * math.sqrt(foot), heating_exponent=3.15)
 
 
 def glider() -> Vehicle:
@@ -106,11 +91,13 @@ def target_state() -> EntryState:
 
 def linear_bank(kind: type[LinearBankShape] = LinearBankShape) -> LinearBankShape:
     """Over the energy, from the bank now to that at the end."""
-    return kind(
-        end=energy(earth(), target_state()),
+    return toolbox.linear_bank(
+        earth(),
+        target_state(),
+        first=FIRST_BANK,
         final=FINAL_BANK,
         largest=LARGEST_BANK,
-        first=1.0 - FIRST_BANK / LARGEST_BANK,
+        kind=kind,
     )
 
 
@@ -142,7 +129,7 @@ def guided() -> Scenario:
     law = PredictorCorrector(
         model=OnboardModel(planet, glider()),
         shape=linear_bank(),
-        end=GuidedEnd(energy=last, ceiling=CEILING),
+        end=GuidedEnd(energy=last, ceiling=toolbox.CEILING),
         origin=start,
         downrange=downrange,
         crossrange=crossrange,
@@ -164,7 +151,7 @@ def guided() -> Scenario:
                 "energy": EnergyBelow(
                     energy=last, radius=planet.radius, gravity=planet.gravity
                 ),
-                "skip_out": AltitudeAbove(altitude=CEILING),
+                "skip_out": AltitudeAbove(altitude=toolbox.CEILING),
                 "ground": AltitudeBelow(altitude=0.0, outcome=Outcome.CRASHED),
             },
             time_limit=4000.0,
@@ -175,7 +162,7 @@ def guided() -> Scenario:
             "load_factor": LoadFactor(2.5),
             "dynamic_pressure": DynamicPressure(100e3),
         },
-        step=STEP,
+        step=toolbox.STEP,
     )
 
 
@@ -208,9 +195,7 @@ def at_rest() -> Scenario:
 
 def us_1976() -> Scenario:
     """Through the US Standard Atmosphere, while the law believes the exponential one."""
-    return eqx.tree_at(
-        lambda s: s.planet.atmosphere, guided(), USStandardAtmosphere1976()
-    )
+    return toolbox.through_us_1976(guided())
 
 
 def _with(scenario: Scenario, **changes: Any) -> Scenario:

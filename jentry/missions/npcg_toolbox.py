@@ -1,0 +1,99 @@
+"""What the missions of the NPCG Toolbox share: the Earth, the errors, the linear bank.
+
+The Earth is that of the examples `Earth_Apollo10` and `Earth_CAVH` of the NPCG Toolbox of
+Iowa State University (Y. Lee, D. Y. Lee, B. Wie, 2024); the air is "Hicks 2009" there. What
+is uncertain is all our own, in round numbers, and so are step and ceiling.
+"""
+
+import functools
+
+import equinox as eqx
+
+from ..campaign.dispersions import Dispersion, add
+from ..campaign.distributions import Normal
+from ..flight.scenario import Scenario
+from ..guidance.bank_shapes import LinearBankShape
+from ..motion.quantities import energy
+from ..motion.state import EntryState
+from ..units import degree, km
+from ..world.atmosphere import ExponentialAtmosphere
+from ..world.gravity import InverseSquareGravity
+from ..world.planet import Planet
+from ..world.us_standard_atmosphere import USStandardAtmosphere1976
+
+
+ROTATION_RATE = 7.292115e-5
+"""rad/s, of WGS 84; the toolbox has a turn in 86 400 s, which is 0.3 % slower"""
+CEILING = 125.0 * km
+"""Above which a flight has skipped out"""
+STEP = 0.5
+"""s; the bank is smooth within a guidance cycle"""
+
+
+def earth(heating_coefficient: float, heating_exponent: int | float = 3) -> Planet:
+    """A rotating sphere with an exponential atmosphere."""
+    return Planet(
+        radius=6378.137 * km,
+        gravity=InverseSquareGravity(3.98600435507e14),
+        atmosphere=ExponentialAtmosphere(1.225, 1.0 * km / 0.14),
+        rotation_rate=ROTATION_RATE,
+        heating_coefficient=heating_coefficient,
+        heating_exponent=heating_exponent,
+    )
+
+
+def linear_bank(
+    planet: Planet,
+    end: EntryState,
+    *,
+    first: float,
+    final: float,
+    largest: float,
+    kind: type[LinearBankShape] = LinearBankShape,
+) -> LinearBankShape:
+    """Over the energy, from the bank now to that at the end, rad.
+
+    `first` is where it begins, before the first correction.
+    """
+    return kind(
+        end=energy(planet, end),
+        final=final,
+        largest=largest,
+        first=1.0 - first / largest,
+    )
+
+
+def through_us_1976(scenario: Scenario) -> Scenario:
+    """Through the US Standard Atmosphere, while the law believes the exponential one."""
+    return eqx.tree_at(
+        lambda s: s.planet.atmosphere, scenario, USStandardAtmosphere1976()
+    )
+
+
+def _initial(name: str, three_sigma: float) -> Dispersion:
+    where = lambda s: getattr(s.initial_state, name)
+    return Dispersion(where, Normal(0.0, three_sigma / 3.0), apply=add)
+
+
+@functools.cache
+def entry_errors() -> dict[str, Dispersion]:
+    """Of the state at entry: a tenth of a degree of each angle, and 10 m/s, at 3 sigma."""
+    tenth = 0.1 * degree
+    return {
+        "longitude": _initial("longitude", tenth),
+        "latitude": _initial("latitude", tenth),
+        "velocity": _initial("velocity", 10.0),
+        "flight-path angle": _initial("flight_path_angle", tenth),
+        "heading": _initial("heading", tenth),
+    }
+
+
+@functools.cache
+def air_and_coefficients() -> dict[str, Dispersion]:
+    """At 3 sigma 30 % of the density and 10 % of each coefficient."""
+    coefficient = Normal(1.0, 0.1 / 3.0)
+    return {
+        "density": Dispersion(lambda s: s.planet.density_scale, Normal(1.0, 0.3 / 3.0)),
+        "lift": Dispersion(lambda s: s.vehicle.lift_scale, coefficient),
+        "drag": Dispersion(lambda s: s.vehicle.drag_scale, coefficient),
+    }
