@@ -1,5 +1,6 @@
 """Prediction on board: what the onboard model flies under a command, to an end."""
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -142,6 +143,7 @@ def propagate(
             return command.decide(moving.time, moving.state)
         return command
 
+    @functools.partial(jax.jit, static_argnums=1)
     def after(moving: _Moving, flown: Command, length: Scalar) -> _Moving:
         flow = _flow(model, flown, factors, dynamics, integrand)
         return runge_kutta_step(lambda _, m: flow(m), 0.0 * length, moving, length)
