@@ -1,11 +1,14 @@
-"""One answer for all flights that are flown side by side."""
+"""Flights that are flown side by side: one answer for all, and one number for each."""
 
-from collections.abc import Callable
-from typing import TypeVar
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.extend.core import Primitive
+from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool, PyTree
 
 from .fields import Flag
@@ -33,3 +36,62 @@ def where_due(due: Flag, act: Callable[[T], T], otherwise: T) -> T:
     """
     acted = lax.cond(any_lane(jnp.asarray(due)), act, lambda same: same, otherwise)
     return jax.tree.map(lambda a, b: jnp.where(due, a, b), acted, otherwise)
+
+
+def side_by_side(tree: T, by: PyTree = None) -> T:
+    """The same numbers, each of them one for each flight of a batch if any of them is.
+
+    Or if any is of `by`. `vmap` goes through the body of a loop again for as long as this
+    makes more of what is carried differ from flight to flight. Where all of it does from
+    the start, it goes through it once. Nothing of this is left in what is compiled.
+    """
+    leaves, structure = jax.tree.flatten(tree)
+    others = [x for x in jax.tree.leaves(by) if eqx.is_array(x)]
+    out = _alike.bind(*map(jnp.asarray, leaves), *others, count=len(leaves))
+    return jax.tree.unflatten(structure, out)
+
+
+_alike = Primitive("side_by_side")
+"""The first `count` of its operands as they are, in a batch each along a first axis"""
+_alike.multiple_results = True
+
+
+@_alike.def_impl
+def _same(*leaves: Any, count: int) -> list[Any]:
+    return list(leaves[:count])
+
+
+_alike.def_abstract_eval(_same)
+mlir.register_lowering(_alike, mlir.lower_fun(_same, multiple_results=True))
+
+
+def _jvp(primals: Sequence[Any], tangents: Sequence[Any], *, count: int):
+    out = list(tangents[:count])
+    moved = [i for i in range(count) if type(out[i]) is not ad.Zero]
+    if moved:
+        alike = _alike.bind(*(out[i] for i in moved), count=len(moved))
+        for i, tangent in zip(moved, alike, strict=True):
+            out[i] = tangent
+    return _alike.bind(*primals, count=count), out
+
+
+ad.primitive_jvps[_alike] = _jvp
+
+
+def _transpose(cotangents: Sequence[Any], *leaves: Any, count: int) -> list[Any]:
+    return [*cotangents, *[None] * (len(leaves) - count)]
+
+
+ad.primitive_transposes[_alike] = _transpose
+
+
+def _batch(leaves: Sequence[Any], axes: Sequence[Any], *, count: int):
+    size = next(x.shape[a] for x, a in zip(leaves, axes, strict=True) if a is not None)
+    out = [
+        jnp.broadcast_to(x, (size, *x.shape)) if a is None else jnp.moveaxis(x, a, 0)
+        for x, a in zip(leaves[:count], axes[:count], strict=True)
+    ]
+    return _alike.bind(*out, count=count), [0] * count
+
+
+batching.primitive_batchers[_alike] = _batch

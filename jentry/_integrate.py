@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import PyTree
 
+from ._batching import side_by_side
 from .fields import Scalar
 
 
@@ -36,7 +37,8 @@ def runge_kutta_step(slope: Slope, x: Scalar, y: Y, step: Scalar | float) -> Y:
 
     places = jnp.array([0.0, 0.5, 0.5, 1.0])
     weights = jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
-    start = jax.tree.map(jnp.zeros_like, y), y
+    start = side_by_side((jax.tree.map(jnp.zeros_like, y), y))
+    y = start[1]
     (_, after), _ = lax.scan(stage, start, (places, weights))
     return after
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from ._batching import side_by_side
 from .fields import Flag, Scalar
 
 
@@ -98,7 +99,7 @@ def newton(
 
     known = _is_finite(x)
     first = Root(x, jnp.full_like(x, jnp.inf), jnp.full_like(x, jnp.inf), known)
-    start = first, _like(lower, x), _like(upper, x)
+    start = side_by_side((first, _like(lower, x), _like(upper, x)))
     (found, _, _), _ = lax.scan(improve, start, length=steps, unroll=unroll)
     if nan_where_lost:
         found = found._replace(known=_is_finite(found.x))

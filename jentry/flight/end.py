@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from .._batching import side_by_side
 from ..fields import Count
 from .closed_loop import (
     Lane,
@@ -97,13 +98,14 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
 
         nothing = jax.tree.map(jnp.zeros_like, start)
         known = nothing, start, jnp.zeros_like(flown), ended_by, met
+        known = side_by_side(known)
         stages = jnp.arange(4) == 0, jnp.array(_PLACES), jnp.array(_WEIGHTS)
         (_, y, correction, ended_by, met), _ = lax.scan(stage, known, stages)
         return (flown + correction, y, ended_by, met), None
 
     unknown = jnp.full_like(lane.running, -1, int), jnp.zeros_like(lane.running)
     tried = lax.stop_gradient(lane.bracket.trial)
-    landing = lane.flown, asking, *unknown
+    landing = side_by_side((lane.flown, asking, *unknown), lane.running)
     landing, _ = lax.scan(land, landing, length=_LANDINGS)
     flown, moving, ended_by, met = landing
     assert moving.off_a_bank is not None

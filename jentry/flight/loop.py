@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import PyTree
 
-from .._batching import any_lane
+from .._batching import any_lane, side_by_side
 from .._linear_solve import linear_solve
 from ..fields import Count
 
@@ -106,6 +106,7 @@ def _run(parameters, carry, cycle, running, max_cycles, keep):
         return *lax.while_loop(until(last), body, (index, carry)), history
 
     going = until(max_cycles)
+    carry = side_by_side(carry, parameters)
     if not keep:
         count, carry = lax.while_loop(going, body, (0, carry))
         return carry, None, count

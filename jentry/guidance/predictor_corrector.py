@@ -678,6 +678,9 @@ def _with_effects(
         return jax.jvp(missed, (numbers,), (direction,), has_aux=True)
 
     every = jnp.eye(numbers.shape[0])
+    if numbers.shape[0] == 1:
+        misses, effects, end = along(every[0])
+        return misses, effects[:, None], end
     if not in_turn:
         return jax.vmap(along, out_axes=(None, 1, None))(every)
     misses, effects, end = lax.map(along, every)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, PyTree
 
-from .._batching import where_due
+from .._batching import side_by_side, where_due
 from .._integrate import runge_kutta, runge_kutta_step
 from .._newton import by_jvp, newton
 from ..fields import Count, Flag, Scalar
@@ -168,7 +168,7 @@ def propagate(
 
     start = _start(state, decided, integrand)
     running = _is_finite(start) & (jnp.min(margins(state)) > 0.0)
-    carry = start, running, jnp.zeros_like(running)
+    carry = side_by_side((start, running, jnp.zeros_like(running)), (model, factors))
     blocks = math.ceil(steps / _AT_ONCE)
     (last, _, crossed), _ = lax.scan(some, carry, length=blocks)
 
