@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jax.core import Tracer
 
 from .._math import sincos
@@ -313,9 +314,10 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
                 jnp.where(done, -side.sign, side.sign),
                 side.reversals + jnp.where(done, 1.0, 0.0),
             )
-        passage = destination.predicted(side.sign)
-        kept = passage.crossrange_error
-        reversed_now = destination.predicted(-side.sign).crossrange_error
+        # A loop: written twice, the prediction is most of what there is to compile.
+        sides = jnp.stack([side.sign, -side.sign])
+        passages = lax.map(destination.predicted, sides)
+        kept, reversed_now = passages.crossrange_error
         # What is not a number is not smaller.
         better = self.factor * jnp.abs(reversed_now) < jnp.abs(kept)
         turns = better & (jnp.abs(kept) > self.tolerance)
@@ -326,7 +328,7 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
             return CountedSide(sign, reversals)
         after = jnp.where(turns, reversed_now, kept)
         other = jnp.where(turns, kept, reversed_now)
-        comes_in = self._expected(after, other, passage.time, reversals)
+        comes_in = self._expected(after, other, passages.time[0], reversals)
         return CountedSide(sign, reversals, time + comes_in)
 
     def sign(self, side: CountedSide) -> Scalar:
