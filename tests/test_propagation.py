@@ -199,6 +199,32 @@ def test_what_has_no_end_says_so_and_is_finite(changes):
         assert float(end.time) == 0.0
 
 
+class Banked(eqx.Module):
+    """A command that is an object with numbers, of which arrays cannot be hashed."""
+
+    cosine: Scalar
+
+    def __call__(self, time, state):
+        return Controls(0.0 * time, self.cosine + 0.0 * time, 0.0 * time)
+
+
+@pytest.mark.parametrize("as_method", [False, True])
+def test_a_command_may_be_an_object(as_method):
+    @eqx.filter_jit
+    def flown(banked):
+        command = banked.__call__ if as_method else banked
+        dynamics = EquatorialDynamics()
+        return propagate(
+            MODEL, START, command, ENDS, step=3.0, steps=128, dynamics=dynamics
+        )
+
+    found, known = flown(Banked(one(0.6))), predicted(cosine=0.6)
+    assert bool(found.has_end)
+    assert float(downrange(found.state)) == pytest.approx(
+        float(downrange(known.state)), rel=1e-12
+    )
+
+
 def test_skipping_out_is_an_end():
     shallow = with_leaf(START, lambda s: s.flight_path_angle, -5.0 * degree)
     end = predicted(cosine=one(1.0), state=shallow, steps=256)

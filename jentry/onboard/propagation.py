@@ -1,6 +1,5 @@
 """Prediction on board: what the onboard model flies under a command, to an end."""
 
-import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -143,17 +142,27 @@ def propagate(
             return command.decide(moving.time, moving.state)
         return command
 
-    @functools.partial(jax.jit, static_argnums=1)
-    def after(moving: _Moving, flown: Command, length: Scalar) -> _Moving:
+    def stepping(flown: Command) -> Callable[[_Moving, Scalar], _Moving]:
         flow = _flow(model, flown, factors, dynamics, integrand)
-        return runge_kutta_step(lambda _, m: flow(m), 0.0 * length, moving, length)
+
+        # As a function of its own it is traced once for all the places that call it.
+        @jax.jit
+        def after(moving: _Moving, length: Scalar) -> _Moving:
+            return runge_kutta_step(lambda _, m: flow(m), 0.0 * length, moving, length)
+
+        return after
+
+    always = None if isinstance(command, SampledCommand) else stepping(command)
+
+    def steps_from(moving: _Moving) -> Callable[[_Moving, Scalar], _Moving]:
+        return stepping(decided(moving)) if always is None else always
 
     def margins(state: EntryState) -> Array:
         return jnp.stack([end(state) for end in ends])
 
     def advance(carry, _):
         moving, running, crossed = carry
-        moved = after(moving, decided(moving), step)
+        moved = steps_from(moving)(moving, step)
         flies = running & _is_finite(moved)
         flies &= jnp.logical_not(dynamics.is_singular(moving.state, moved.state))
         inside = jnp.min(margins(moved.state)) > 0.0
@@ -172,16 +181,16 @@ def propagate(
     blocks = math.ceil(steps / _AT_ONCE)
     (last, _, crossed), _ = lax.scan(some, carry, length=blocks)
 
-    flown = decided(last)
+    after = steps_from(last)
 
     def margins_after(length: Scalar) -> Array:
-        return margins(after(last, flown, length).state)
+        return margins(after(last, length).state)
 
     # Where no end was crossed the last step has no length, and its slopes are finite.
     at = lax.stop_gradient(last)
-    flown_there = decided(at)
+    after_there = steps_from(at)
     search = newton(
-        by_jvp(lambda x: jnp.min(margins(after(at, flown_there, x).state))),
+        by_jvp(lambda x: jnp.min(margins(after_there(at, x).state))),
         jnp.where(crossed, 0.5 * lax.stop_gradient(step), 0.0),
         _SEARCH,
         lower=jnp.zeros_like(step),
@@ -193,7 +202,7 @@ def propagate(
     found = newton(by_jvp(lambda x: margins_after(x)[ended_by]), length, _EXACT)
     converged = found.known & (jnp.abs(found.step) < _CONVERGED * step)
     met = crossed & converged
-    end = after(last, flown, jnp.where(met, found.x, 0.0))
+    end = after(last, jnp.where(met, found.x, 0.0))
     met &= _is_finite(end)
     met &= jnp.logical_not(dynamics.is_singular(last.state, end.state))
     end = _select(met, end, last)
