@@ -619,14 +619,17 @@ def test_the_memory_of_the_factors_is_tuned(monkeypatch):
 
 
 @pytest.mark.parametrize("in_turn", [False, True])
-def test_a_number_has_its_effects_in_its_column(in_turn):
+@pytest.mark.parametrize("count", [1, 2])
+def test_effects_are_how_each_number_changes_the_misses(count, in_turn):
     def missed(numbers):
-        x, y = numbers
-        return jnp.array([x * y, 5.0 * y]), _End(x > y, x < y)
+        both = jnp.stack([numbers[0] ** 3, numbers[0] * numbers[-1] ** 2])
+        end = _End(numbers[0] > 1.0, numbers[0] > 2.0)
+        return both[:count], end
 
-    misses, effects, end = jax.jit(
-        lambda numbers: _with_effects(missed, numbers, in_turn)
-    )(jnp.array([2.0, 3.0]))
-    assert np.array_equal(misses, [6.0, 15.0])
-    assert not end.is_there and end.skips
-    assert np.array_equal(effects, [[3.0, 2.0], [0.0, 5.0]])
+    numbers = jnp.array([1.5, -0.7])[:count]
+    misses, effects, end = _with_effects(missed, numbers, in_turn)
+    a, b = 1.5, -0.7
+    known = np.array([[3.0 * a**2, 0.0], [b**2, 2.0 * a * b]])[:count, :count]
+    np.testing.assert_allclose(effects, known, rtol=1e-14)
+    np.testing.assert_allclose(misses, [a**3, a * b**2][:count], rtol=1e-14)
+    assert bool(end.is_there) and not bool(end.skips)
