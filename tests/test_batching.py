@@ -70,33 +70,16 @@ def test_the_numbers_are_the_same_and_each_is_one_for_each_flight():
     assert alone["x"] == 2.0 and alone["b"][0].tolist() == [0, 1, 2]
 
 
-def is_batched(x):
-    """Whether a number is one for each flight, as `vmap` tells a function."""
-    told = []
-
-    @jax.custom_batching.custom_vmap
-    def look(x):
-        return x
-
-    @look.def_vmap
-    def _(axis_size, in_batched, x):
-        told.append(in_batched[0])
-        return x, in_batched[0]
-
-    return look, told
-
-
-def test_what_it_is_by_is_enough_and_stays_out_of_it():
-    look, told = is_batched(0.0)
+def test_what_it_is_by_is_enough_and_stays_out_of_it(passes):
+    marked, seen = passes
 
     def alike(by):
-        return look(side_by_side(one(1.0), {"by": by, "name": "no number"}))
+        return marked(side_by_side(one(1.0), {"by": by, "name": "no number"}))
 
     assert np.all(jax.vmap(alike)(MANY) == 1.0)
-    assert told == [True]
-    look, told = is_batched(0.0)
-    jax.vmap(lambda x: look(side_by_side(one(1.0))) + x)(MANY)
-    assert told == []  # Nothing differs, and `vmap` does not come by.
+    assert seen == [[True]]
+    jax.vmap(lambda x: marked(side_by_side(one(1.0))) + x)(MANY)
+    assert seen == [[True]]  # Nothing differs, and `vmap` does not come by.
 
 
 def test_it_is_nothing_in_what_is_compiled():
