@@ -614,7 +614,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         nothing = jnp.zeros_like(numbers[0])
         number = 0.5 * (1.0 + self.shape.cos_bank(numbers, nothing, nothing))
         known, end = factors.at(state.altitude), self.end.first()
-        return network.place(self.model, state, angle, known, number, sign, end)
+        found = network(self.model, state, angle, known, number, end)
+        return network.place(self.model.planet, state, found, sign), found.knows
 
     def _banked(
         self,

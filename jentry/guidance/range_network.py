@@ -21,6 +21,7 @@ from ..onboard.estimation import Factors
 from ..onboard.model import OnboardModel, require_still_air
 from ..onboard.navigation import measure
 from ..onboard.network import Network
+from ..world.planet import Planet
 
 
 PURPOSE = "range at a constant bank, to a velocity or an altitude"
@@ -147,29 +148,19 @@ class RangeNetwork(eqx.Module):
         return Answer(ahead, across_of(ahead, turned, self.across(inside)), knows)
 
     def place(
-        self,
-        model: OnboardModel,
-        state: EntryState,
-        angle_of_attack: Scalar,
-        factors: Factors,
-        number: Scalar,
-        sign: Scalar | float,
-        end: tuple[Scalar, Scalar],
-    ) -> tuple[EntryState, Flag]:
-        """Where such a flight ends, with a bank of a sign, and whether that is known.
+        self, planet: Planet, state: EntryState, answer: Answer, sign: Scalar | float
+    ) -> EntryState:
+        """Where such a flight from a state ends, with a bank of a sign.
 
         Of the state only the place has that of the end: in the vertical plane, as of a
         prediction, a longitude from zero on.
         """
-        found = self(model, state, angle_of_attack, factors, number, end)
         if not self.in_space:
-            there = found.range / model.planet.radius
-            return dataclasses.replace(state, longitude=there), found.knows
+            return dataclasses.replace(state, longitude=answer.range / planet.radius)
         longitude, latitude = from_ground_track(
-            model.planet, state, found.range, -sign * found.across
+            planet, state, answer.range, -sign * answer.across
         )
-        there = dataclasses.replace(state, longitude=longitude, latitude=latitude)
-        return there, found.knows
+        return dataclasses.replace(state, longitude=longitude, latitude=latitude)
 
 
 def range_of(square: Scalar, output: Scalar) -> Scalar:

@@ -1,4 +1,4 @@
-"""What is uncertain in the Apollo 10 mission: all of it is the toolbox missions' own."""
+"""What is uncertain in the Apollo 10 mission: what the toolbox's missions share."""
 
 import functools
 
