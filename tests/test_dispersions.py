@@ -272,9 +272,9 @@ def test_any_mapping_is_a_table(key):
     assert list(given) == ["vehicle.mass"]
 
 
-# apollo-10 falls almost vertically at the end.
+# apollo-10 falls almost vertically at the end. A glide is flown longer than compiled.
 MARKS = {
-    "cav-h": [pytest.mark.slow],
+    "cav-h-glide": [pytest.mark.optimized],
     "apollo-10": [pytest.mark.filterwarnings("ignore:.*decisions without prediction")],
 }
 

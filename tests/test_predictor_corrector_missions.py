@@ -246,7 +246,6 @@ def test_mars_lander_comes_to_its_target_where_full_lift_does(variant):
     assert np.median(off) < 15.0
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_mars_lander_reverses_its_bank_six_times_at_most():
     mission = find_mission("mars-range-tracking")
@@ -264,6 +263,7 @@ def test_mars_lander_reverses_its_bank_six_times_at_most():
     assert 3 <= np.min(counts) and np.max(counts) <= 6
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_apollo_10_keeps_its_limits_and_comes_to_its_point():
     """All flights of the first set. The pressure exceeds its limit of 30 kPa a little."""
@@ -276,6 +276,7 @@ def test_apollo_10_keeps_its_limits_and_comes_to_its_point():
     assert np.max(np.hypot(flown.misses.downrange, flown.misses.crossrange)) < 1.3e3
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_cav_h_glide_keeps_its_limits_and_comes_to_its_point():
     """All flights of the first set, with the damping far within the limits."""

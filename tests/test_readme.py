@@ -282,6 +282,7 @@ def test_tuned_gains():
             assert_prints(cells[2].replace("+", ""), low, high)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TUNED)
 def test_tuned_gains_are_judged_as_it_is_saved(name):

@@ -1,10 +1,7 @@
 """The SX-2 mission: the cases of the paper, and populations of errors."""
 
-import dataclasses
-
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from first_sets import populations
@@ -15,7 +12,6 @@ from jentry import (
     fly,
     fly_over,
     ground_track,
-    misses,
     monte_carlo,
 )
 from jentry.campaign.campaign import drawn_inputs
@@ -32,11 +28,31 @@ MISSION = find_mission("sx-2")
 pytestmark = [pytest.mark.slow, pytest.mark.optimized]
 
 
-@eqx.filter_jit
-@eqx.filter_vmap(in_axes=(None, 0))
-def from_here(scenario, start):
-    flight = fly(dataclasses.replace(scenario, initial_state=start))
-    return flight.outcome, misses(scenario, flight)
+RUNS = 2000
+"""Of a set"""
+
+BLOCK = 512
+"""Runs that one program flies. All that is flown here is whole blocks, of inputs that name
+all that any table moves: so a law is compiled once for the cases and for all sets."""
+
+
+def populated(scenario, table, seed, runs=RUNS):
+    """Inputs of one set of runs, with all that any table moves."""
+    start, air = scenario.initial_state, scenario.planet.atmosphere
+    nominal = {f"initial_state.{name}": getattr(start, name) for name in INITIAL_ERRORS}
+    nominal |= {
+        "planet.density_scale": 1.0,
+        "vehicle.lift_scale": 1.0,
+        "vehicle.drag_scale": 1.0,
+        "planet.atmosphere.scale_height": air.scale_height,
+        "planet.atmosphere.surface_density": air.surface_density,
+    }
+    given = {name: np.full(runs, float(x)) for name, x in nominal.items()}
+    if table is not None:
+        drawn = MISSION.dispersion_table(table)
+        key = jax.random.key(seed)
+        given |= drawn_inputs(scenario, drawn, key, np.arange(runs))
+    return {address: np.array(values) for address, values in given.items()}
 
 
 def fly_cases(scenario):
@@ -44,10 +60,19 @@ def fly_cases(scenario):
     figures, and the nominal one."""
     figures = {"altitude": 1.0, "longitude": 1.0, "latitude": 1.0}
     every = [*cases().values(), figures, {}]
-    starts = [off_by(scenario.initial_state, **errors) for errors in every]
-    starts = jax.tree.map(lambda *x: jnp.stack([jnp.asarray(y) for y in x]), *starts)
-    outcome, missed = from_here(scenario, starts)
-    assert np.all(np.asarray(outcome) == Outcome.REACHED)
+    inputs = populated(scenario, None, 0, BLOCK)
+    for run, errors in enumerate(every):
+        state = off_by(scenario.initial_state, **errors)
+        for name in INITIAL_ERRORS:
+            inputs[f"initial_state.{name}"][run] = getattr(state, name)
+    return end_errors(scenario, inputs)[:, : len(every)]
+
+
+def end_errors(scenario, inputs):
+    """Downrange and crossrange of runs that all reach the end, n mile."""
+    found = monte_carlo(scenario, inputs=inputs)
+    assert np.all(np.asarray(found.flights.outcome) == Outcome.REACHED)
+    missed = found.misses
     return np.stack([missed.downrange, missed.crossrange]) / nautical_mile
 
 
@@ -94,20 +119,12 @@ def test_away_from_the_end_of_an_index_there_is_no_flight():
         fly_over(MISSION.scenario("measured"), EnergyIndex(), law.energy, 10)
 
 
-def end_errors(scenario, table, seed):
-    """Downrange and crossrange of 2000 runs, n mile."""
-    drawn = MISSION.dispersion_table(table)
-    found = monte_carlo(scenario, drawn, jax.random.key(seed), 2000)
-    assert np.all(np.asarray(found.flights.outcome) == Outcome.REACHED)
-    missed = found.misses
-    return np.stack([missed.downrange, missed.crossrange]) / nautical_mile
-
-
 def test_errors_one_at_a_time_end_within_the_bound_of_the_paper():
     """Of three sets of 2000 runs, every one, in both directions."""
     scenario = MISSION.scenario("full")
     for seed in range(3):
-        assert np.max(np.abs(end_errors(scenario, "one-at-a-time", seed))) < 1.0
+        inputs = populated(scenario, "one-at-a-time", seed)
+        assert np.max(np.abs(end_errors(scenario, inputs))) < 1.0
 
 
 def tuned() -> Scenario:
@@ -120,10 +137,8 @@ def tuned() -> Scenario:
 def test_tuned_gains_on_draws_that_they_have_not_seen():
     """Five sets of 2000 runs, none of which is that of the tuning, and the cases."""
     scenario = tuned()
-    found = [
-        np.percentile(np.hypot(*end_errors(scenario, "initial-errors", seed)), 99)
-        for seed in range(1, 6)
-    ]
+    sets = [populated(scenario, "initial-errors", seed) for seed in range(1, 6)]
+    found = [np.percentile(np.hypot(*end_errors(scenario, each)), 99) for each in sets]
     # As the README has it; below one nautical mile is what is asked for.
     assert [min(found), max(found)] == pytest.approx([0.47, 0.51], abs=0.005)
     found = np.max(np.abs(fly_cases(scenario))[:, :12], axis=1)
@@ -134,33 +149,12 @@ def test_combined_initial_errors():
     """Of three sets of 2000 runs, each: the percentiles of the radial miss."""
     scenario = MISSION.scenario("full")
     for seed in range(3):
-        miss = np.hypot(*end_errors(scenario, "initial-errors", seed))
+        inputs = populated(scenario, "initial-errors", seed)
+        miss = np.hypot(*end_errors(scenario, inputs))
         median, ninety, ninety_nine = np.percentile(miss, [50, 90, 99])
         assert 0.3 < median < 0.5
         assert 1.0 < ninety < 1.4
         assert 2.0 < ninety_nine < 3.5
-
-
-RUNS = 2000
-
-
-def populated(scenario, table, seed, runs=RUNS):
-    """Inputs of one set of runs. All that any table moves, so that a law is compiled once
-    for all of them."""
-    start, air = scenario.initial_state, scenario.planet.atmosphere
-    nominal = {f"initial_state.{name}": getattr(start, name) for name in INITIAL_ERRORS}
-    nominal |= {
-        "planet.density_scale": 1.0,
-        "vehicle.lift_scale": 1.0,
-        "vehicle.drag_scale": 1.0,
-        "planet.atmosphere.scale_height": air.scale_height,
-        "planet.atmosphere.surface_density": air.surface_density,
-    }
-    given = {name: np.full(runs, float(x)) for name, x in nominal.items()}
-    drawn = MISSION.dispersion_table(table)
-    key = jax.random.key(seed)
-    given |= drawn_inputs(scenario, drawn, key, np.arange(runs))
-    return {address: np.array(values) for address, values in given.items()}
 
 
 def miss_of(scenario, inputs):
@@ -217,15 +211,4 @@ def test_replanned_where_the_air_is_not_a_factor_off():
 
 def test_replanned_cases_of_the_paper():
     """Nominal below 1e-3 n mile is what is asked for."""
-    scenario = MISSION.scenario("replanned")
-    figures = {"altitude": 1.0, "longitude": 1.0, "latitude": 1.0}
-    every = [*cases().values(), figures, {}]
-    inputs = populated(scenario, "air-and-vehicle", 0, len(every))
-    for name in ("planet.density_scale", "vehicle.lift_scale", "vehicle.drag_scale"):
-        inputs[name][:] = 1.0
-    for run, errors in enumerate(every):
-        state = off_by(scenario.initial_state, **errors)
-        for name in INITIAL_ERRORS:
-            inputs[f"initial_state.{name}"][run] = getattr(state, name)
-    miss, _ = miss_of(scenario, inputs)
-    assert np.all(miss < 1e-6)
+    assert np.all(np.hypot(*fly_cases(MISSION.scenario("replanned"))) < 1e-6)

@@ -164,6 +164,7 @@ def test_readme():
         assert_prints(fourth, ranged.downrange[k] / km)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["with-range", "receding-with-range"])
 def test_with_the_range_as_a_state(variant):
@@ -207,6 +208,7 @@ def test_exact_inverse_ends_where_its_profile_does():
     assert np.max(np.abs(missed.altitude)) < 15.0
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_shorter_cycles_tend_to_stored_gains():
     """The plan that is flown for 1 s instead of 10 ends nearer to continuous feedback."""
@@ -224,6 +226,7 @@ def test_shorter_cycles_tend_to_stored_gains():
     assert np.all(away[0] < 0.2 * away[1])
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_dispersed_flights():
     """What the regulator is for: with the range as a state it is met 20 times better."""
@@ -270,6 +273,7 @@ def _square(misses):
     return jnp.mean((misses.downrange / km) ** 2 + (misses.altitude / 100.0) ** 2)
 
 
+@pytest.mark.optimized
 @pytest.mark.slow
 def test_weights_are_tuned():
     """From 300 for all at the end, with which the range is missed by up to 6 km."""

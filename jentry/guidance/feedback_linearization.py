@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from .._apart import apart
 from .._math import sincos
 from ..fields import Scalar, scalar
 from ..motion.dynamics import rates_under
@@ -171,6 +172,7 @@ class FullLinearization(AbstractLinearization):
     there it is the lift of the reference controls.
     """
 
+    @apart
     def dynamics(
         self, model: GroundTrackModel, state: EntryState, factors: Factors
     ) -> OutputDynamics:
@@ -214,6 +216,7 @@ class SmallAngleLinearization(AbstractLinearization):
     coefficient counts as constant along the reference angle of attack, as printed.
     """
 
+    @apart
     def dynamics(
         self, model: GroundTrackModel, state: EntryState, factors: Factors
     ) -> OutputDynamics:
