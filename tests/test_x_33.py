@@ -164,7 +164,6 @@ def test_readme():
         assert_prints(fourth, ranged.downrange[k] / km)
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["with-range", "receding-with-range"])
 def test_with_the_range_as_a_state(variant):
@@ -208,7 +207,6 @@ def test_exact_inverse_ends_where_its_profile_does():
     assert np.max(np.abs(missed.altitude)) < 15.0
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_shorter_cycles_tend_to_stored_gains():
     """The plan that is flown for 1 s instead of 10 ends nearer to continuous feedback."""
@@ -226,7 +224,6 @@ def test_shorter_cycles_tend_to_stored_gains():
     assert np.all(away[0] < 0.2 * away[1])
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_dispersed_flights():
     """What the regulator is for: with the range as a state it is met 20 times better."""
