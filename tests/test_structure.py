@@ -19,6 +19,7 @@ FLOORS = {
     "_integrate": 0,
     "_newton": 0,
     "_batching": 0,
+    "_apart": 0,
     "_files": 0,
     "_warnings": 0,
     "_dependence": 0,
