@@ -20,8 +20,9 @@ def apart(function: Callable[P, R]) -> Callable[P, R]:
     XLA puts a function into its callers, and computes there what is cheap once more for
     everything that needs it: out of a large one it makes several times as much, to compile
     and to run. One that is called computes nothing twice, and stores what it returns. It
-    pays where much is computed in every stage of a step: measure it, since a small one
-    costs some percent more.
+    pays where much is computed in every stage of a step: 512 flights of `sx-2` take 0.38 s
+    in place of 0.60 (`full`), 0.32 in place of 0.41 (`small-angle`). Measure it: with the
+    command of every law apart, those of Mars in the plane took 5 % more, of `rlv` 8 %.
     """
     compiled = eqx.filter_jit(function)
 

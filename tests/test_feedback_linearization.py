@@ -129,7 +129,7 @@ def test_printed_derivatives_are_those_of_the_small_angle_flow(name):
     "linearization", [FullLinearization(), SmallAngleLinearization()]
 )
 def test_a_linearization_is_called_and_not_put_into_the_law(linearization):
-    """For the sake of speed alone: flights take two thirds of the time."""
+    """For the sake of speed alone, see `apart`."""
     model, state = track_model(), as_state(by_hand("late"))
     whole = jax.jit(lambda state: dynamics(linearization, model, state, NOMINAL))
     lines = whole.lower(state).as_text().splitlines()

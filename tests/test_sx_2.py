@@ -36,8 +36,8 @@ BLOCK = 512
 all that any table moves: so a law is compiled once for the cases and for all sets."""
 
 
-def populated(scenario, table, seed, runs=RUNS):
-    """Inputs of one set of runs, with all that any table moves."""
+def populated(scenario, table=None, seed=0, runs=RUNS):
+    """Inputs of one set of runs, with all that any table moves; nominal without a table."""
     start, air = scenario.initial_state, scenario.planet.atmosphere
     nominal = {f"initial_state.{name}": getattr(start, name) for name in INITIAL_ERRORS}
     nominal |= {
@@ -60,7 +60,7 @@ def fly_cases(scenario):
     figures, and the nominal one."""
     figures = {"altitude": 1.0, "longitude": 1.0, "latitude": 1.0}
     every = [*cases().values(), figures, {}]
-    inputs = populated(scenario, None, 0, BLOCK)
+    inputs = populated(scenario, runs=BLOCK)
     for run, errors in enumerate(every):
         state = off_by(scenario.initial_state, **errors)
         for name in INITIAL_ERRORS:
