@@ -55,6 +55,25 @@ def toy_with_history(z, every=1):
     last, path = while_running_with_history(
         toy_cycle, lambda c: c.running, *toy_start(z), CYCLES, every
     )
+    return of_history(last, path)
+
+
+def toy_begin(parameters, carry):
+    """The first half of a cycle; of zeros, as behind the end, it has no derivative."""
+    rate, _ = parameters
+    vector = carry.vector + jnp.array([0.2, -0.3]) * rate * jnp.sqrt(carry.x)
+    begun = eqx.tree_at(lambda c: (c.vector, c.count), carry, (vector, carry.count + 7))
+    return jax.tree.map(lambda a, b: jnp.where(carry.running, a, b), begun, carry)
+
+
+def toy_begun(z, every=1):
+    last, path = while_running_with_history(
+        toy_cycle, lambda c: c.running, *toy_start(z), CYCLES, every, toy_begin
+    )
+    return of_history(last, path)
+
+
+def of_history(last, path):
     x = jnp.where(path.running, path.x, 0.0)
     return jnp.stack([last.x, jnp.sum(x**2), jnp.sum(x * path.vector[:, 1])])
 
@@ -71,9 +90,18 @@ def scanned_with_history(z, every=1):
     parameters, carry = toy_start(z)
     cycle = lambda carry, _: (toy_cycle(parameters, carry), carry)
     last, path = lax.scan(cycle, carry, length=CYCLES)
-    path = jax.tree.map(lambda x: x[::every], path)
-    x = jnp.where(path.running, path.x, 0.0)
-    return jnp.stack([last.x, jnp.sum(x**2), jnp.sum(x * path.vector[:, 1])])
+    return of_history(last, jax.tree.map(lambda x: x[::every], path))
+
+
+def scanned_begun(z, every=1):
+    parameters, carry = toy_start(z)
+
+    def cycle(carry, _):
+        begun = toy_begin(parameters, carry)
+        return toy_cycle(parameters, begun), begun
+
+    last, path = lax.scan(cycle, carry, length=CYCLES)
+    return of_history(last, jax.tree.map(lambda x: x[::every], path))
 
 
 Z = jnp.array([0.8, 0.3, -0.5, 0.6, 0.35])
@@ -84,6 +112,11 @@ LOOPS = {
     "every third": (
         lambda z: toy_with_history(z, 3),
         lambda z: scanned_with_history(z, 3),
+    ),
+    "begun": (toy_begun, scanned_begun),
+    "every second begun": (
+        lambda z: toy_begun(z, 2),
+        lambda z: scanned_begun(z, 2),
     ),
 }
 
@@ -104,6 +137,34 @@ def test_starts_of_some_cycles(every):
     first = jax.jacfwd(lambda z: toy_with_history(z, every))(Z)
     truth = jax.jacfwd(lambda z: scanned_with_history(z, every))(Z)
     np.testing.assert_allclose(first, truth, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("every", [1, 2, 5, CYCLES + 1])
+@pytest.mark.parametrize("mode", MODES)
+def test_what_cycles_begin_with(mode, every):
+    """Kept as their first part leaves it, flown once, with derivatives."""
+
+    def both(f):
+        return jax.jit(lambda z: (f(z, every), MODES[mode](f)(z, every)))(Z)
+
+    for ours, truth in zip(both(toy_begun), both(scanned_begun), strict=True):
+        np.testing.assert_allclose(ours, truth, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("begin", [None, toy_begin])
+def test_counts_and_flags_of_what_cycles_begin_with(begin):
+    """They are the same whether somebody differentiates or not."""
+
+    def counted(z):
+        _, path = while_running_with_history(
+            toy_cycle, lambda c: c.running, *toy_start(z), CYCLES, 2, begin
+        )
+        return path.x, (path.count, path.running)
+
+    _, flown = counted(Z)
+    _, _, linearized = jax.jvp(counted, (Z,), (jnp.ones(5),), has_aux=True)
+    assert int(flown[0][2]) == (4 if begin is None else 5 * 7 + 4)
+    assert eqx.tree_equal(flown, linearized)
 
 
 @pytest.mark.parametrize("every", [2, 3, 4])

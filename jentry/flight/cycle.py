@@ -157,7 +157,10 @@ class Plan(eqx.Module):
 
     def cycle(self, scenario: Scenario, lane: Lane) -> Lane:
         """One guidance cycle, or a part of one where the history wants it finer."""
-        lane = self.decided(scenario, lane)
+        return self.moved(scenario, self.decided(scenario, lane))
+
+    def moved(self, scenario: Scenario, lane: Lane) -> Lane:
+        """The lane after a cycle, of which the decision was made."""
         law, duration = scenario.guidance, self.duration
         if varies(law):
             assert isinstance(law, AbstractSampledLaw)

@@ -116,10 +116,10 @@ def fly(
     else:
         every = plan.stacked_every(scenario)
         lane, lanes = while_running_with_history(
-            plan.cycle, _running, scenario, lane, plan.cycles, every
+            plan.moved, _running, scenario, lane, plan.cycles, every, plan.decided
         )
         lanes = plan.kept(scenario, lanes)
-        kept = lax.map(lambda lane: _observe(scenario, plan, lane), lanes)
+        kept = lax.map(lambda lane: _observe(scenario, lane), lanes)
     end = end_of_flight(scenario, lane)
     told = caveats(scenario, end.lane.held)
     warn_of(told)
@@ -159,27 +159,26 @@ def _running(lane: Lane) -> Flag:
     return lane.running
 
 
-def _observe(scenario: Scenario, plan: Plan, lane: Lane) -> History:
+def _observe(scenario: Scenario, lane: Lane) -> History:
     """One entry of the history; NaN where the flight had ended.
 
     Of a horizon of many times the flights it looks at no more than these.
     """
-    shapes = eqx.filter_eval_shape(_observed, scenario, plan, lane)
+    shapes = eqx.filter_eval_shape(_observed, scenario, lane)
     ended = jax.tree.map(lambda x: jnp.full(x.shape, jnp.nan, x.dtype), shapes)
     return lax.cond(
         any_lane(lane.on_schedule),
-        lambda: _observed(scenario, plan, lane),
+        lambda: _observed(scenario, lane),
         lambda: ended,
     )
 
 
 @eqx.filter_jit
-def _observed(scenario: Scenario, plan: Plan, lane: Lane) -> History:
+def _observed(scenario: Scenario, lane: Lane) -> History:
     # Entries past the end are not states of a flight: observe the start in their place.
     flying, first = lane.on_schedule, scenario.initial_state
     state = jax.tree.map(lambda a, b: jnp.where(flying, a, b), lane.state, first)
     lane = eqx.tree_at(lambda lane: lane.moving.state, lane, state)
-    lane = plan.decided(scenario, lane)
     wish, _ = command(scenario, lane.flown, lane.moving, lane.held)
     controls = scenario.attitude.flown(lane.moving.attitude, wish)
     seen = History(

@@ -18,7 +18,7 @@ from jaxtyping import PyTree
 
 from .._batching import any_lane, side_by_side
 from .._linear_solve import linear_solve
-from ..fields import Count
+from ..fields import Count, Flag
 
 
 Carry = TypeVar("Carry", bound=PyTree)
@@ -40,6 +40,10 @@ def _take(stack: PyTree, index: Count | int) -> PyTree:
     return jax.tree.map(lambda s: s[index], stack)
 
 
+def _where(condition: Flag, chosen: PyTree, otherwise: PyTree) -> PyTree:
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), chosen, otherwise)
+
+
 def _add(a: PyTree, b: PyTree) -> PyTree:
     return jax.tree.map(jnp.add, a, b)
 
@@ -57,7 +61,7 @@ def while_running(
     goes on until no flight of the batch runs. Memory in reverse mode is one carry per
     cycle; the inside of a cycle is computed again.
     """
-    return _loop(parameters, carry, cycle, running, max_cycles, 0)[0]
+    return _loop(parameters, carry, None, cycle, running, max_cycles, 0, True)[0]
 
 
 def while_running_with_history(
@@ -67,51 +71,55 @@ def while_running_with_history(
     carry: Carry,
     max_cycles: int,
     every: int = 1,
+    begin: Callable[[Parameters, Carry], Carry] | None = None,
 ) -> tuple[Carry, Carry]:
     """Loop as `while_running` does, and stack the carry at the starts of cycles.
 
     These are the first and each `every`-th after it; of the entries those count for which
-    `running(entry)` holds.
+    `running(entry)` holds. A cycle may be given in two parts, of which `begin` comes first:
+    then it is what `begin(parameters, carry)` returns that is stacked.
     """
-    return _loop(parameters, carry, cycle, running, max_cycles, every)[:2]
+    given = parameters, carry, begin, cycle, running, max_cycles, every, True
+    return _loop(*given)[:2]
 
 
 @eqx.filter_jit
 def _advance(cycle, parameters, carry):
-    """One cycle. Compiled with what is around it; as a function of its own it is traced
-    once, and differentiated once, for all the places where it is called."""
+    """One cycle, or a part of it. Compiled with what is around it; as a function of its own
+    it is traced once, and differentiated once, for all the places where it is called."""
     return cycle(parameters, carry)
 
 
-def _run(parameters, carry, cycle, running, max_cycles, keep):
-    """The last carry, each `keep`-th stacked, none for zero, and the number of cycles."""
+def _begun(begin, parameters, carry):
+    return carry if begin is None else _advance(begin, parameters, carry)
 
-    def until(last):
-        def going(loop):
-            index, carry, *_ = loop
-            return any_lane(running(carry)) & (index < last)
 
-        return going
+def _run(parameters, carry, begin, cycle, running, max_cycles, keep, begun):
+    """The last carry, each `keep`-th stacked, none for zero, and the number of cycles.
+
+    They are stacked as `begin` returned them, or if not `begun` as it was given them.
+    """
+    stacked = math.ceil(max_cycles / keep) if keep else 0
+
+    def going(loop):
+        index, carry, _ = loop
+        return any_lane(running(carry)) & (index < max_cycles)
 
     def body(loop):
-        index, carry = loop
-        return index + 1, _advance(cycle, parameters, carry)
+        index, before, history = loop
+        carry = _begun(begin, parameters, before)
+        if keep:
+            # Those that nobody wants go behind the others, all to one place.
+            wanted = index % keep == 0
+            place = jnp.where(wanted, index // keep, stacked) if keep > 1 else index
+            history = _put(history, place, carry if begun else before)
+        return index + 1, _advance(cycle, parameters, carry), history
 
-    def kept_body(loop):
-        index, carry, history = loop
-        history = _put(history, index // keep, carry)
-        if keep == 1:
-            return *body((index, carry)), history
-        last = jnp.minimum(index + keep, max_cycles)
-        return *lax.while_loop(until(last), body, (index, carry)), history
-
-    going = until(max_cycles)
     carry = side_by_side(carry, parameters)
-    if not keep:
-        count, carry = lax.while_loop(going, body, (0, carry))
-        return carry, None, count
-    history = _stack_of(carry, math.ceil(max_cycles / keep))
-    count, carry, history = lax.while_loop(going, kept_body, (0, carry, history))
+    history = _stack_of(carry, stacked + (keep > 1)) if keep else None
+    count, carry, history = lax.while_loop(going, body, (0, carry, history))
+    if keep > 1:
+        history = jax.tree.map(lambda x: x[:stacked], history)
     return carry, history, count
 
 
@@ -148,11 +156,13 @@ class _Path(eqx.Module):
 
 @_loop.def_jvp
 def _loop_jvp(primals, tangents):
-    parameters, carry, cycle, running, max_cycles, keep = primals
+    parameters, carry, begin, cycle, running, max_cycles, keep, begun = primals
     parameter_tangents, carry_tangents, *_ = tangents
     # The function with this rule, and not its body: the places about which the cycles are
     # linearized depend on the parameters too, which is what higher derivatives need.
-    final, history, count = _loop(parameters, carry, cycle, running, max_cycles, 1)
+    final, history, count = _loop(
+        parameters, carry, begin, cycle, running, max_cycles, 1, False
+    )
 
     differentiated = jax.tree.map(
         lambda t: t is not None, parameter_tangents, is_leaf=lambda t: t is None
@@ -172,7 +182,8 @@ def _loop_jvp(primals, tangents):
 
         def advance(varied, moving):
             parameters = eqx.combine(varied, flown.fixed, static)
-            after = _advance(cycle, parameters, eqx.combine(moving, discrete))
+            carry = _begun(begin, parameters, eqx.combine(moving, discrete))
+            after = _advance(cycle, parameters, carry)
             return eqx.filter(after, eqx.is_inexact_array)
 
         return advance, (flown.varied, _take(flown.moving, index))
@@ -254,4 +265,27 @@ def _loop_jvp(primals, tangents):
         return (final, None, count), (path.final, None, None)
     history = jax.tree.map(lambda x: x[::keep], history)
     stack = jax.tree.map(lambda x: x[:-1:keep], path.stack)
-    return (final, history, count), (path.final, stack, None)
+    if begin is None or not begun:
+        return (final, history, count), (path.final, stack, None)
+
+    def all_begun(varied, moving):
+        """The carries as `begin` returned them; where there was no cycle, as they are."""
+        parameters = eqx.combine(varied, fixed, static)
+
+        def one_begun(entry):
+            going = running(entry)
+            safe = _where(going, entry, carry)
+            return _where(going, _begun(begin, parameters, safe), entry)
+
+        def entry_begun(entry):
+            some = any_lane(running(entry))
+            return lax.cond(some, one_begun, lambda entry: entry, entry)
+
+        entries = lax.map(entry_begun, eqx.combine(moving, discrete))
+        return eqx.partition(entries, eqx.is_inexact_array)
+
+    moving, discrete = eqx.partition(history, eqx.is_inexact_array)
+    moving, stack, discrete = jax.jvp(
+        all_begun, (varied, moving), (parameter_tangents, stack), has_aux=True
+    )
+    return (final, eqx.combine(moving, discrete), count), (path.final, stack, None)
