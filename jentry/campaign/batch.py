@@ -32,7 +32,10 @@ by rounding on its place among them: the compiler may treat the last eight other
 than the others, where a flight reads several numbers out of one array of its own."""
 
 _CHUNKS = 8
-"""Of lanes, for each core, between two reports to the host."""
+"""Batches of each core between two reports to the host: so many has a program room for."""
+
+_CHUNKS_OF_HISTORIES = 2
+"""Room of a program where each run gives much"""
 
 _BLOCKS = 4
 """Of a part that another machine flies: to store it takes as long, however large it is."""
@@ -93,6 +96,7 @@ def over_runs(
     runs: PyTree,
     *,
     one_device: bool = False,
+    large: bool = False,
 ) -> Any:
     """Values of `function(shared, run)` for all runs, as numpy arrays, the runs in front.
 
@@ -103,9 +107,10 @@ def over_runs(
       compiled program.
     - `runs`: a pytree of arrays of shape (runs, ...).
     - `one_device`: for a function that cannot be compiled for several.
+    - `large`: whether each run gives much, as a history: fewer of them fly in one call.
     """
     machines = _MACHINES.get()
-    given = function, shared, one_device
+    given = function, shared, one_device, large
     if machines is None:
         return _fly(given, runs)
     parts = (part for part, _ in _parts(machines, runs))
@@ -117,13 +122,15 @@ def over_blocks(
     function: Callable[[Any, Any], Any],
     shared: PyTree,
     blocks: Iterable[tuple[Block, PyTree]],
+    *,
+    large: bool = False,
 ) -> Iterator[tuple[Block, Any]]:
     """Values of `over_runs` for each block of runs, with what the block is called.
 
     They come in the order of the blocks; from other machines as they are done.
     """
     machines = _MACHINES.get()
-    given = function, shared, False
+    given = function, shared, False, large
     if machines is None:
         for block, runs in blocks:
             yield block, _fly(given, runs)
@@ -196,37 +203,63 @@ def _apart(values: PyTree) -> Iterator[PyTree]:
         yield jax.tree.map(operator.itemgetter(i), values)
 
 
-def _fly(given: tuple[Callable, PyTree, bool], runs: PyTree) -> Any:
+def _fly(given: tuple[Callable, PyTree, bool, bool], runs: PyTree) -> Any:
     """Here, as `over_runs` says."""
-    function, shared, one_device = given
+    function, shared, one_device, large = given
     devices = 1 if one_device else len(jax.devices())
-    flown = _mapped(function, shared, _filled_up(runs, devices), devices)
-    return jax.tree.map(lambda x: np.asarray(x)[: _count(runs)], flown)
+    most = _CHUNKS_OF_HISTORIES if large else _CHUNKS
+    flown = _called(_mapped, function, shared, runs, devices, most)
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[: _count(runs)], flown)
 
 
 def _fly_batches(given: tuple[Callable, PyTree], part: tuple[PyTree, int]) -> Any:
     """Here, what each batch gives, of runs of which the first so many count."""
     runs, counted = part
-    devices = len(jax.devices())
-    filled = _filled_up(runs, devices)
-    counts = jnp.arange(_count(filled)) < counted
-    values = _batches(*given, (filled, counts), devices)
-    return jax.tree.map(lambda x: np.asarray(x)[: -(-counted // LANES)], values)
+    size = _up(counted, LANES)
+    filled = _filled(jax.tree.map(lambda x: x[:size], runs), size)
+    batches = filled, np.arange(size) < counted
+    return _called(_batches, *given, batches, len(jax.devices()), _CHUNKS)
+
+
+def _called(
+    program: Callable, function: Callable, shared: PyTree, runs: PyTree, *size: int
+) -> Any:
+    """What a program gives of each batch of the runs, in their order.
+
+    It is compiled once for each number of devices: there is room on each for the largest
+    number of batches, and how many there are it is told.
+    """
+    devices, most = size
+    count = _count(runs)
+    device, own = np.divmod(np.arange(devices * most), most)
+    flown = []
+    for begin in range(0, count, LANES * devices * most):
+        batches = min(_up(count - begin, LANES) // LANES, devices * most)
+        each = -(-batches // devices)
+        lane = LANES * (device * each + own)[:, None] + np.arange(LANES)
+        room = _at(np.minimum(begin + lane, count - 1), runs)
+        values = program(function, shared, room, jnp.asarray(each), devices)
+        flown.append(_at(np.flatnonzero(own < each)[:batches], values))
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *flown)
+
+
+def _at(places: np.ndarray, runs: PyTree) -> PyTree:
+    return jax.tree.map(lambda x: np.asarray(x)[places], runs)
 
 
 def filled_up(runs: np.ndarray) -> np.ndarray:
-    """Indices of runs, filled up to whole batches with the last one."""
-    return np.asarray(_filled_up(runs, len(jax.devices())))
+    """Indices of runs, and so many times the last one that they are whole blocks."""
+    size = LANES * _CHUNKS * len(jax.devices())
+    return _filled(runs, _up(len(runs), size))
 
 
 def _count(runs: PyTree) -> int:
     return len(jax.tree.leaves(runs)[0])
 
 
-def _filled_up(runs: PyTree, devices: int) -> PyTree:
-    whole = LANES * devices
-    size = -(-_count(runs) // whole) * whole
-    return jax.tree.map(jnp.asarray, _filled(runs, size))
+def _up(count: int, multiple: int) -> int:
+    """The next multiple that is no less."""
+    return -(-count // multiple) * multiple
 
 
 def _filled(runs: PyTree, size: int) -> PyTree:
@@ -241,41 +274,57 @@ def _filled(runs: PyTree, size: int) -> PyTree:
 
 
 @kept
-def _mapped(function, shared, runs, devices: int):
-    def on_one_device(shared, runs):
-        return lax.map(lambda run: function(shared, run), runs, batch_size=LANES)
+def _mapped(function, shared, runs, count, devices: int):
+    def on_batch(shared, runs):
+        return jax.vmap(lambda run: function(shared, run))(runs)
 
-    return _on_devices(on_one_device, shared, runs, devices)
+    return _on_devices(on_batch, shared, runs, count, devices)
 
 
 @kept
-def _batches(function, shared, runs, devices: int):
-    def on_one_device(shared, runs):
-        batches = jax.tree.map(lambda x: x.reshape(-1, LANES, *x.shape[1:]), runs)
-        return lax.map(lambda batch: function(shared, *batch), batches)
+def _batches(function, shared, runs, count, devices: int):
+    def on_batch(shared, runs):
+        return function(shared, *runs)
 
-    return _on_devices(on_one_device, shared, runs, devices)
+    return _on_devices(on_batch, shared, runs, count, devices)
 
 
-def _on_devices(function, shared, runs, devices: int):
-    """`function(shared, runs)` on each device with its part of the runs, in parallel.
+def _on_devices(function, shared, batches, count, devices: int):
+    """`function(shared, batch)` of the first so many batches of each device, in parallel.
 
-    What it returns is put together along the first axis.
+    What it returns is put together along the first axis, with room for all batches.
     """
     numbers, structure = eqx.partition(shared, eqx.is_array)
 
-    def on_one_device(numbers, runs):
-        return function(eqx.combine(numbers, structure), runs)
+    @jax.jit  # traced once, for its shapes and in the loop
+    def on_batch(numbers, batch):
+        return function(eqx.combine(numbers, structure), batch)
+
+    def on_one_device(numbers, batches, count):
+        def take(index):
+            at = functools.partial(
+                lax.dynamic_index_in_dim, index=index, keepdims=False
+            )
+            return jax.tree.map(at, batches)
+
+        def body(index, values):
+            put = lambda s, x: lax.dynamic_update_index_in_dim(s, x, index, 0)
+            return jax.tree.map(put, values, on_batch(numbers, take(index)))
+
+        room = _count(batches)
+        shapes = jax.eval_shape(on_batch, numbers, take(0))
+        values = jax.tree.map(lambda s: jnp.zeros((room, *s.shape), s.dtype), shapes)
+        return lax.fori_loop(0, count, body, values)
 
     if devices == 1:
-        return on_one_device(numbers, runs)
+        return on_one_device(numbers, batches, count)
     mesh = jax.make_mesh((devices,), ("flights",), axis_types=(AxisType.Auto,))
     split = PartitionSpec("flights")
     on_all = jax.shard_map(
         on_one_device,
         mesh=mesh,
-        in_specs=(PartitionSpec(), split),
+        in_specs=(PartitionSpec(), split, PartitionSpec()),
         out_specs=split,
         check_vma=False,
     )
-    return on_all(numbers, runs)
+    return on_all(numbers, batches, count)

@@ -325,7 +325,7 @@ def _blocks(scenario, dispersions, key, indices, given, solver, history, sampler
             yield (place, runs, inputs), inputs
 
     shared = without_zero_departures(scenario, varied), solver, history
-    flown = over_blocks(_fly_one, shared, drawn())
+    flown = over_blocks(_fly_one, shared, drawn(), large=history is not None)
     for (place, runs, inputs), found in flown:
         yield place, Campaign(runs, inputs, *found)
 

@@ -102,7 +102,8 @@ def batch_outputs(
     simulation: Simulation, scenario: Scenario, inputs: dict[str, Any]
 ) -> tuple[Any, np.ndarray]:
     """Outputs of every run as a loss takes them, and which of the runs are finite."""
-    outputs, finite = over_runs(_fly, (simulation, scenario), inputs)
+    large = simulation.history is not None
+    outputs, finite = over_runs(_fly, (simulation, scenario), inputs, large=large)
     return jax.tree.map(jnp.asarray, outputs), finite
 
 
