@@ -238,7 +238,8 @@ def _called(
         each = -(-batches // devices)
         lane = LANES * (device * each + own)[:, None] + np.arange(LANES)
         room = _at(np.minimum(begin + lane, count - 1), runs)
-        values = program(function, shared, room, jnp.asarray(each), devices)
+        room, each_of_them = jax.tree.map(jnp.asarray, (room, each))
+        values = program(function, shared, room, each_of_them, devices)
         flown.append(_at(np.flatnonzero(own < each)[:batches], values))
     return jax.tree.map(lambda *parts: np.concatenate(parts), *flown)
 
