@@ -46,6 +46,59 @@ def test_a_sum_is_without_the_fill(count):
     assert float(total) == pytest.approx(3.0 * np.sum(runs["x"]), rel=1e-13)
 
 
+@pytest.mark.parametrize("most", [1, 2, 8])
+@pytest.mark.parametrize("devices", [1, 2, 3])
+@pytest.mark.parametrize("count", [1, LANES, LANES + 1, 16 * LANES, 50 * LANES + 7])
+def test_every_batch_flies_once_on_one_of_the_devices(count, devices, most):
+    """Behind the batches that a device is told to fly there is room, and no flight."""
+    calls = []
+
+    def program(function, shared, room, each, number):
+        assert (function, shared, number) == ("function", "shared", devices)
+        assert room["x"].shape == room["i"].shape == (devices * most, LANES)
+        values = np.full((devices * most, LANES), -1)
+        for device in range(devices):
+            own = slice(device * most, device * most + int(each))
+            values[own] = room["i"][own]
+        calls.append(int(each))
+        return {"i": values}
+
+    called = batch._called
+    found = called(program, "function", "shared", given(count), devices, most)["i"]
+    batches = -(-count // LANES)
+    assert found.shape == (batches, LANES)
+    np.testing.assert_array_equal(found.ravel()[:count], np.arange(count))
+    assert np.all(found.ravel()[count:] == count - 1)
+    assert all(0 < each <= most for each in calls)
+    # The devices have as many as each other; no call is made for what another has room for.
+    assert sum(calls) - batches / devices < 1 and len(calls) == -(
+        -batches // (devices * most)
+    )
+
+
+def test_another_number_of_runs_is_the_same_program():
+    traced = []
+
+    def noted(shared, run):
+        traced.append(run["x"].shape)
+        return shared * run["x"]
+
+    def noted_sum(shared, runs, counts):
+        traced.append(counts.shape)
+        return jnp.sum(jnp.where(counts, shared * runs["x"], 0.0))
+
+    for count in (3, LANES, 9 * LANES * len(jax.devices()) + 1):
+        runs = given(count)
+        for large in (False, True):
+            found = over_runs(noted, jnp.asarray(2.0), runs, large=large)
+            np.testing.assert_array_equal(found, 2.0 * runs["x"])
+        total = sum_over_runs(noted_sum, jnp.asarray(2.0), runs)
+        # Sums of numbers of order one.
+        assert float(total) == pytest.approx(2.0 * np.sum(runs["x"]), rel=1e-13)
+    # Those that are large have a program of their own.
+    assert traced == [(), (), (LANES,)]
+
+
 def test_blocks_are_all_of_the_runs_in_order(monkeypatch):
     monkeypatch.setattr(batch, "_CHUNKS", 1)
     monkeypatch.setattr(batch, "_BLOCKS", 1)

@@ -34,8 +34,8 @@ than the others, where a flight reads several numbers out of one array of its ow
 _CHUNKS = 8
 """Batches of each core between two reports to the host: so many has a program room for."""
 
-_CHUNKS_OF_HISTORIES = 2
-"""Room of a program where each run gives much"""
+_CHUNKS_OF_HISTORIES = 1
+"""Room of a program where each run gives much: no memory is taken for what does not fly"""
 
 _BLOCKS = 4
 """Of a part that another machine flies: to store it takes as long, however large it is."""
