@@ -32,8 +32,8 @@ from jentry.flight import (
     fly,
     has_end,
 )
-from jentry.guidance import BankProfile, Sampled
-from jentry.motion import EntryState
+from jentry.guidance import AbstractSampledLaw, BankProfile, FixedCycle, Sampled
+from jentry.motion import Controls, EntryState
 from jentry.onboard import PolynomialProfile
 from jentry.units import degree, km
 
@@ -380,6 +380,40 @@ def test_history_does_not_change_the_flight(interval, sampled_flight):
 
 
 @pytest.mark.optimized
+class Counting(AbstractSampledLaw):
+    """A bank that is another one after each decision."""
+
+    cycle: FixedCycle = FixedCycle(2.0)
+
+    def init(self, measurement):
+        return (), 0.0 * measurement.drag
+
+    def update(self, time, measurement, memory, held):
+        return (), held + 1.0
+
+    def __call__(self, time, measurement, memory, held):
+        return Controls.from_bank(0.01 * held, 0.0 * held), ()
+
+
+@pytest.mark.parametrize("interval", [1.0, 2.0, 6.0])
+def test_a_history_decides_when_the_flight_does_and_no_more(interval):
+    scenario = mars_scenario(Counting(), 31.0)
+    flight = fly_compiled(scenario, FixedStep(0.5), interval)
+    times = np.asarray(flight.history.time)
+    there = np.isfinite(times)
+    np.testing.assert_allclose(times[there], interval * np.arange(there.sum()))
+    assert there.sum() == np.ceil(31.0 / interval)
+    # One decision at the start of each cycle, and it counts from there on.
+    decided = np.floor(times[there] / 2.0) + 1.0
+    np.testing.assert_array_equal(flight.history.decisions[there], decided)
+    bank = np.arctan2(
+        flight.history.controls.sin_bank, flight.history.controls.cos_bank
+    )[there]
+    np.testing.assert_allclose(bank, 0.01 * decided, rtol=1e-14)
+    alone = fly_compiled(scenario, FixedStep(0.5))
+    np.testing.assert_allclose(flight.state.altitude, alone.state.altitude, rtol=1e-13)
+
+
 def test_history_shows_what_was_commanded_and_met():
     flight = fly_compiled(sampled_scenario(), FixedStep(0.25), 0.5)
     history = flight.history

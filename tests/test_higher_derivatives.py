@@ -174,7 +174,7 @@ def test_no_more_cycles_than_asked_for(every):
     runs = lambda c: c.running
     last, path = loop(toy_cycle, runs, *toy_start(Z), 5)
     again, some = loop(toy_cycle, runs, *toy_start(Z), 5, every)
-    assert bool(last.running)
+    assert bool(last.running) and int(last.count) == 5
     assert eqx.tree_equal(again, last)
     assert eqx.tree_equal(some, jax.tree.map(lambda x: x[::every], path))
 

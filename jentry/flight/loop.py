@@ -6,6 +6,7 @@ has both: its derivative is stated once, as the solution of a linear system with
 transpose. Since the system is stated too, derivatives of any order follow from it.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -18,7 +19,7 @@ from jaxtyping import PyTree
 
 from .._batching import any_lane, side_by_side
 from .._linear_solve import linear_solve
-from ..fields import Count, Flag
+from ..fields import Count
 
 
 Carry = TypeVar("Carry", bound=PyTree)
@@ -38,10 +39,6 @@ def _put(stack: PyTree, index: Count | int, tree: PyTree) -> PyTree:
 
 def _take(stack: PyTree, index: Count | int) -> PyTree:
     return jax.tree.map(lambda s: s[index], stack)
-
-
-def _where(condition: Flag, chosen: PyTree, otherwise: PyTree) -> PyTree:
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), chosen, otherwise)
 
 
 def _add(a: PyTree, b: PyTree) -> PyTree:
@@ -77,7 +74,8 @@ def while_running_with_history(
 
     These are the first and each `every`-th after it; of the entries those count for which
     `running(entry)` holds. A cycle may be given in two parts, of which `begin` comes first:
-    then it is what `begin(parameters, carry)` returns that is stacked.
+    then it is what `begin(parameters, carry)` returns that is stacked. It too must return
+    the carry as it was when it no longer runs.
     """
     given = parameters, carry, begin, cycle, running, max_cycles, every, True
     return _loop(*given)[:2]
@@ -269,19 +267,15 @@ def _loop_jvp(primals, tangents):
         return (final, history, count), (path.final, stack, None)
 
     def all_begun(varied, moving):
-        """The carries as `begin` returned them; where there was no cycle, as they are."""
+        """The carries as `begin` returned them; behind the end of the loop, as they are."""
         parameters = eqx.combine(varied, fixed, static)
+        begun = functools.partial(_begun, begin, parameters)
 
         def one_begun(entry):
-            going = running(entry)
-            safe = _where(going, entry, carry)
-            return _where(going, _begun(begin, parameters, safe), entry)
+            going = any_lane(running(entry))
+            return lax.cond(going, begun, lambda entry: entry, entry)
 
-        def entry_begun(entry):
-            some = any_lane(running(entry))
-            return lax.cond(some, one_begun, lambda entry: entry, entry)
-
-        entries = lax.map(entry_begun, eqx.combine(moving, discrete))
+        entries = lax.map(one_begun, eqx.combine(moving, discrete))
         return eqx.partition(entries, eqx.is_inexact_array)
 
     moving, discrete = eqx.partition(history, eqx.is_inexact_array)
