@@ -35,8 +35,7 @@ _CHUNKS = 8
 """Batches of each core between two reports to the host: so many has a program room for."""
 
 _CHUNKS_OF_HISTORIES = 1
-"""Room of a program where each run gives much: no memory is taken for what does not fly.
-Without a loop it compiles in two thirds of the time."""
+"""Room of a program where each run gives much: no memory is taken for what does not fly"""
 
 _BLOCKS = 4
 """Of a part that another machine flies: to store it takes as long, however large it is."""
@@ -227,11 +226,14 @@ def _called(
 ) -> Any:
     """What a program gives of each batch of the runs, in their order.
 
-    It is compiled once for each number of devices: there is room on each for the largest
-    number of batches, and how many there are it is told.
+    It is compiled for each number of devices: there is room on each for the largest number
+    of batches, and how many there are it is told. A single batch has a program without the
+    loop over them, which compiles in two thirds of the time.
     """
     devices, most = size
     count = _count(runs)
+    if count <= LANES:
+        most = 1
     device, own = np.divmod(np.arange(devices * most), most)
     flown = []
     for begin in range(0, count, LANES * devices * most):
