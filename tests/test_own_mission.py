@@ -9,6 +9,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cheap
+import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 import own_mission
 import pytest
@@ -18,6 +22,7 @@ from readme import README, file_of_the_readme
 
 import jentry
 from jentry.addresses import leaves_by_address
+from jentry.planning.flight_problem import AtEnd, FlightProblem, FreeControl
 
 
 HERE = Path(__file__).parent
@@ -209,6 +214,42 @@ def test_missions_of_wrong_types_are_refused():
         strict=True,
     ):
         assert message in said
+
+
+PROBLEM = FlightProblem(AtEnd("downrange"), FreeControl(0.0, -1.0, 1.0))
+
+
+@pytest.mark.parametrize("asked", ["scenario", "dispersion_table", "problem"])
+def test_builders_know_their_numbers_where_jax_traces_who_asks(asked):
+    """They may keep what they have built, and compute with its values."""
+    values = []
+
+    def built(made):
+        def build():
+            values.append(jnp.sqrt(jnp.asarray(4.0)))
+            assert float(values[-1]) == 2.0
+            return made() if callable(made) else made
+
+        return {"one": build}
+
+    # Its mass is a Python number.
+    flown = eqx.tree_at(lambda s: s.vehicle.mass, cheap.scenario(), 992.0)
+    mission = jentry.Mission(
+        name="mine",
+        title="",
+        variants=built(flown),
+        dispersions=built(cheap.mass_only()),
+        problems=built(PROBLEM),
+    )
+
+    def asking(x):
+        found = getattr(mission, asked)()
+        if asked == "scenario":
+            assert float(found.vehicle.mass) == 992.0
+        return values[-1] * x
+
+    assert jax.grad(jax.jit(asking))(3.0) == 2.0
+    assert float(values[0]) == 2.0
 
 
 def test_a_file_that_is_not_there_and_a_name_of_one_that_is(command, tmp_path):

@@ -59,11 +59,12 @@ BEST = 40 * degree
 @functools.cache
 def scenario():
     """Banked at 50 degrees, with the target where 40 degrees lead to."""
-    banked = with_leaf(cheap.scenario(), lambda s: s.guidance.bank_angle, BEST)
-    inputs = {"vehicle.mass": np.array([992.0])}
-    there = monte_carlo(banked, inputs=inputs, solver=cheap.SOLVER)
-    beyond = float(there.misses.downrange[0]) + float(banked.target.downrange)
-    return with_leaf(cheap.scenario(), lambda s: s.target.downrange, beyond)
+    with jax.ensure_compile_time_eval():  # also for a build, which is traced
+        banked = with_leaf(cheap.scenario(), lambda s: s.guidance.bank_angle, BEST)
+        inputs = {"vehicle.mass": np.array([992.0])}
+        there = monte_carlo(banked, inputs=inputs, solver=cheap.SOLVER)
+        beyond = float(there.misses.downrange[0]) + float(banked.target.downrange)
+        return with_leaf(cheap.scenario(), lambda s: s.target.downrange, beyond)
 
 
 def bank(s):

@@ -5,6 +5,7 @@ import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import jax
 import numpy as np
 
 from .._setup import needs_float64
@@ -127,7 +128,7 @@ class Mission:
 
     def problem(self, name: str | None = None) -> FlightProblem:
         """What `jentry optimize` is asked by a name. Raises `ValueError` if unknown."""
-        return _choose(self.problems, name, "problem", self.name)()
+        return _build(self.problems, name, "problem", self.name)
 
     @property
     def labels(self) -> dict[str, Any]:
@@ -140,20 +141,21 @@ class Mission:
 
         Raises `ValueError` for an unknown variant, and for one that is no scenario.
         """
-        scenario = _choose(self.variants, variant, "variant", self.name)()
+        scenario = _build(self.variants, variant, "variant", self.name)
         if not isinstance(scenario, Scenario):
             raise ValueError(
                 f"a variant of mission {self.name} is a {type(scenario).__name__}: it "
                 "must be a function that returns a Scenario"
             )
-        return with_leaves(scenario)
+        with _known():
+            return with_leaves(scenario)
 
     def dispersion_table(self, reading: str | None = None) -> Mapping[str, Dispersion]:
         """The table of dispersions of a reading.
 
         Raises `ValueError` for an unknown reading, and for what is no dispersion.
         """
-        table = _choose(self.dispersions, reading, "dispersions", self.name)()
+        table = _build(self.dispersions, reading, "dispersions", self.name)
         for name, dispersion in table.items():
             if not isinstance(dispersion, Dispersion):
                 raise ValueError(
@@ -161,6 +163,20 @@ class Mission:
                     f"{type(dispersion).__name__}: it must be a Dispersion"
                 )
         return table
+
+
+def _build(
+    options: Mapping[str, Callable[[], Any]], name: str | None, what: str, mission: str
+) -> Any:
+    """What is built under a name, or under the first."""
+    build = _choose(options, name, what, mission)
+    with _known():
+        return build()
+
+
+_known = jax.ensure_compile_time_eval
+"""Within it all numbers are known, also where JAX traces what asks for a mission: builders
+keep what they have built, and would keep what only that trace knows"""
 
 
 def _choose(
