@@ -1,10 +1,14 @@
-"""How much XLA optimizes the programs of a test.
+"""How the programs of a test are compiled.
 
 Most of the time of the tests is the compiler's. With little optimization it needs less
 than half of that, while batches of flights take three to five times as long and round
 otherwise, in the last digits. So a test has little, unless it is marked `optimized`: one
 that compares bits, or what the compiler may reorder, one that says what is published, and
 one that flies thousands of flights.
+
+A campaign is one program for many batches of runs, with a loop over them; without it the
+same flights, bit for bit (`test_monte_carlo.py`), are compiled in two thirds of the time.
+So a test flies batch by batch, unless it is marked `batches`.
 """
 
 import functools
@@ -21,6 +25,9 @@ LITTLE = {
 }
 
 _get_compile_options = compiler.get_compile_options
+
+_MUCH = jax.make_user_context(True)
+"""Part of what JAX finds its programs by: it keeps those of both kinds"""
 
 
 @functools.cache
@@ -44,9 +51,26 @@ def optimize(much: bool) -> None:
     chosen = _get_compile_options if much or not little() else _with_little
     if compiler.get_compile_options is chosen:
         return
-    jax.clear_caches()
+    _MUCH.set_global(chosen is _get_compile_options)
     compiler.get_compile_options = chosen
     given = os.environ.get("XLA_FLAGS", "").split()
     flags = [f"--{name}={str(value).lower()}" for name, value in LITTLE.items()]
     kept = [flag for flag in given if flag not in flags]
     os.environ["XLA_FLAGS"] = " ".join(kept if much else kept + flags)
+
+
+@functools.cache
+def _batches_of_users() -> int:
+    return _runner()._CHUNKS
+
+
+def _runner():
+    from jentry.campaign import batch  # not before its types are checked
+
+    return batch
+
+
+def loop_over_batches(many: bool) -> None:
+    """Fly as many batches in one call as users do, or one."""
+    users = _batches_of_users()
+    _runner()._CHUNKS = users if many else 1

@@ -12,6 +12,9 @@ from jentry.campaign import batch, monte_carlo
 from jentry.campaign.batch import LANES, filled_up, in_blocks, over_runs, sum_over_runs
 
 
+pytestmark = pytest.mark.batches
+
+
 def scaled(shared, run):
     factor, word = shared
     assert word == "a part of the program"

@@ -359,6 +359,9 @@ def test_a_campaign_of_a_mission(two, key):
     assert same(here, there)
 
 
+LOSS = jentry.MeanSquare(lambda misses: misses.downrange / jentry.km)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("flights", [100, 300])
 def test_tuning_takes_the_same_course(two, flights):
@@ -368,7 +371,7 @@ def test_tuning_takes_the_same_course(two, flights):
         return jentry.tune(
             mission.scenario(),
             lambda s: (s.guidance.gains, s.guidance.observer),
-            jentry.MeanSquare(lambda misses: misses.downrange / jentry.km),
+            LOSS,
             optax.adam(0.1),
             jentry.Draws(
                 mission.dispersion_table(), jax.random.key(0), flights, held_out=200

@@ -34,7 +34,8 @@ from jentry.tuning.draws import held_out
 from jentry.tuning.losses import MeanSquare
 
 
-pytestmark = pytest.mark.optimized  # lanes are compared bit by bit
+# Lanes, also those of other batches, are compared bit by bit.
+pytestmark = [pytest.mark.optimized, pytest.mark.batches]
 
 
 def fly(key, runs, **options):
@@ -85,10 +86,11 @@ def test_a_run_in_a_batch_of_seven_is_the_run_in_a_larger_batch(many):
     assert_same(fly(jax.random.key(3), 7), runs_of(many, range(7)))
 
 
-def in_every_lane(scenario, table, run, **options):
-    """One run as often as flights are flown side by side, on every device."""
+def in_every_lane(scenario, table, run, batches=1, **options):
+    """One run as often as flights are flown side by side, on every device, and so many
+    times more."""
     drawn = drawn_inputs(scenario, table, jax.random.key(0), np.array([run]))
-    count = LANES * len(jax.devices())
+    count = batches * LANES * len(jax.devices())
     inputs = {a: np.full(count, float(values[0])) for a, values in drawn.items()}
     return monte_carlo(scenario, inputs=inputs, **options)
 
@@ -124,7 +126,12 @@ def test_a_run_of_a_mission_is_the_same_in_every_lane(mission, variant):
     mission = find_mission(mission)
     scenario, table = mission.scenario(variant), mission.dispersion_table()
     for run in (0, 1):
-        assert_all_lanes_alike(in_every_lane(scenario, table, run))
+        one = in_every_lane(scenario, table, run)
+        assert_all_lanes_alike(one)
+    # Several batches are flown by another program.
+    many = in_every_lane(scenario, table, run, batches=2)
+    assert_all_lanes_alike(many)
+    assert_same(runs_of(many, range(len(one.runs))), one)
 
 
 def test_runs_are_flown_in_the_order_that_is_asked_for(many):
