@@ -11,11 +11,14 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import nbformat
-from jupyter_client import AsyncKernelManager
 from nbclient import NotebookClient
+from traitlets.config import Config
 
 
 FOLDER = Path(__file__).parent.parent / "notebooks"
+
+SHORT = "feedback_linearization_sx2", "first_flight", "your_own_mission"
+"""Those that take no more than a minute of a core"""
 
 
 def execute(path: Path) -> None:
@@ -26,9 +29,12 @@ def execute(path: Path) -> None:
 
     """
     with tempfile.TemporaryDirectory() as sockets:
+        # Of a kernel that it has started itself a client is rid when it ends.
         NotebookClient(
             nbformat.read(path, as_version=4),
-            km=AsyncKernelManager(transport="ipc", ip=f"{sockets}/kernel"),
+            config=Config(
+                KernelManager={"transport": "ipc", "ip": f"{sockets}/kernel"}
+            ),
             resources={"metadata": {"path": str(FOLDER)}},
         ).execute()
     print(path.name, flush=True)
@@ -38,8 +44,8 @@ if __name__ == "__main__":
     paths = [Path(each).resolve() for each in sys.argv[1:]] or list(
         FOLDER.glob("*.ipynb")
     )
-    # Those with the most figures first, as a rule the longest: at the end none waits long.
-    paths.sort(key=lambda path: -path.stat().st_size)
+    # What takes long first, and what nobody knows: at the end none waits for another.
+    paths.sort(key=lambda path: path.stem in SHORT)
     with ThreadPoolExecutor(2) as pool:
         runs = {path: pool.submit(execute, path) for path in paths}
     failures = {path.name: run.exception() for path, run in runs.items()}
