@@ -24,7 +24,7 @@ from jentry.planning.flight_problem import (
     Peak,
     best_flight,
 )
-from jentry.planning.landing_footprint import footprint
+from jentry.planning.landing_footprint import Aim, footprint
 from jentry.plots.footprint import draw_footprint
 from jentry.plots.one_flight import draw_flight
 from jentry.units import degree, km
@@ -133,17 +133,40 @@ def test_begins_where_it_is_told():
     assert again.iterations < far.iterations
 
 
+@pytest.mark.slow
+def test_large_and_small_are_one_program():
+    traced = []
+
+    def late(scenario, flight):
+        traced.append(flight)
+        return flight.time
+
+    most = best(late, True)
+    assert len(traced) == 1
+    assert -most.objective > best(late, False).objective
+    assert len(traced) == 1
+
+
 @functools.cache
 def outline():
-    done = []
-    found = footprint(entry(), PROBLEM, 6, SOLVER, done.append)
-    return found, done
+    done, traced = [], []
+    asked = Aim.__call__
+
+    def noted(aim, scenario, flight):
+        traced.append(aim)
+        return asked(aim, scenario, flight)
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Aim, "__call__", noted)
+        found = footprint(entry(), PROBLEM, 6, SOLVER, done.append)
+    return found, done, traced
 
 
 def test_footprint():
     """Symmetric, since the planet and the start are; its extremes are the first four."""
-    found, done = outline()
+    found, done, traced = outline()
     assert done == list(range(1, 11)) and found.failed == ()
+    assert len(traced) == 1  # of ten flights
     assert len(found.flights) == 10
     far = best(AtEnd("downrange"), True)
     assert np.max(found.downrange) == pytest.approx(-far.objective, rel=1e-6)
@@ -167,7 +190,7 @@ def test_footprint():
 
 def test_nobody_flies_beyond_the_footprint():
     """Random controls within the bounds end within the convex hull of the points."""
-    found, _ = outline()
+    found, *_ = outline()
     points = np.stack([found.downrange, found.crossrange], axis=1) / km
     hull = ConvexHull(points)
     start = found.flights[0].scenario
@@ -194,7 +217,7 @@ def test_nobody_flies_beyond_the_footprint():
 
 
 def test_figures():
-    found, _ = outline()
+    found, *_ = outline()
     (axes,) = draw_footprint(found, "title").axes
     assert axes.get_title(loc="left") == "10 flights"
     found = best(AtEnd("downrange"), True)

@@ -2,12 +2,13 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import ClassVar
 
+import equinox as eqx
 import jax.numpy as jnp
 
 from ..addresses import addresses_of
-from ..fields import Scalar, units_of
+from ..fields import Scalar, scalar, units_of
 from ..flight.flight import Flight
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
@@ -86,14 +87,14 @@ class Peak:
         return flight.peaks[self.name]
 
 
-@dataclasses.dataclass(frozen=True)
-class Negative:
-    """The negative of a quantity, to make it large."""
+class Signed(eqx.Module):
+    """A quantity times 1 to make it small, or times -1 to make it large: of one program."""
 
     quantity: Quantity
+    sign: Scalar = scalar()
 
-    def __call__(self, scenario: Scenario, flight: Flight) -> Any:
-        return -self.quantity(scenario, flight)
+    def __call__(self, scenario: Scenario, flight: Flight) -> Scalar:
+        return self.sign * self.quantity(scenario, flight)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -180,11 +181,11 @@ def best_flight(
             f"the problem has a constraint {clash[0]!r}, which is the name of a path "
             "constraint with a limit: take another name"
         )
-    objective = problem.objective
+    sign = -1.0 if problem.largest else 1.0
     return optimize(
         start,
         control_coefficients,
-        Negative(objective) if problem.largest else objective,
+        Signed(problem.objective, sign),
         {**kept, **problem.constraints},
         ranges=dict(zip(addresses, bounds, strict=True)),
         solver=solver,

@@ -5,12 +5,13 @@ import itertools
 import math
 from collections.abc import Callable
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
 from .._setup import needs_float64
 from ..addresses import addresses_of, replace_leaves
-from ..fields import Scalar
+from ..fields import Scalar, scalar
 from ..flight.flight import Flight
 from ..flight.scenario import Scenario, Target
 from ..flight.solver import AbstractSolver, FixedStep
@@ -24,21 +25,26 @@ _FAR = 2.0
 """How far away the targets lie that are approached, in half-widths of the footprint"""
 
 
-@dataclasses.dataclass(frozen=True)
-class OffTarget:
-    """Half the square of the distance from the target, in units of two lengths (m).
+class Aim(eqx.Module):
+    """Where a flight is to end: all the flights of a footprint are of one program.
 
-    Of downrange and crossrange, as `AtEnd` counts them.
+    Small is to be the sum of downrange and crossrange, as `AtEnd` counts them, with
+    weights, and of half the square of the distance from the target in units of two lengths.
     """
 
-    along: float
-    across: float
+    downrange: Scalar = scalar(0.0)
+    crossrange: Scalar = scalar(0.0)
+    along: Scalar = scalar(math.inf, unit="m")
+    across: Scalar = scalar(math.inf, unit="m")
 
     def __call__(self, scenario: Scenario, flight: Flight) -> Scalar:
         target = scenario.target
-        downrange = AtEnd("downrange")(scenario, flight) - target.downrange
-        crossrange = AtEnd("crossrange")(scenario, flight) - target.crossrange
-        return 0.5 * ((downrange / self.along) ** 2 + (crossrange / self.across) ** 2)
+        downrange = AtEnd("downrange")(scenario, flight)
+        crossrange = AtEnd("crossrange")(scenario, flight)
+        off = (downrange - target.downrange) / self.along
+        aside = (crossrange - target.crossrange) / self.across
+        weighed = self.downrange * downrange + self.crossrange * crossrange
+        return weighed + 0.5 * (off**2 + aside**2)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,16 +96,16 @@ def footprint(
     bank, extremes = problem.bank, []
     # A bank to the right turns to where the crossrange is negative.
     to_the_left = dataclasses.replace(bank, start=max(bank.least, -abs(bank.start)))
-    for name, largest in (
-        ("downrange", True),
-        ("downrange", False),
-        ("crossrange", True),
-        ("crossrange", False),
+    for name, weight in (
+        ("downrange", -1.0),
+        ("downrange", 1.0),
+        ("crossrange", -1.0),
+        ("crossrange", 1.0),
     ):
         asked = dataclasses.replace(
             problem,
-            objective=AtEnd(name),
-            largest=largest,
+            objective=Aim(**{name: weight}),
+            largest=False,
             bank=bank if name == "downrange" else to_the_left,
         )
         # The flight to the right begins as the mirror image of that to the left.
@@ -116,7 +122,7 @@ def footprint(
             "is left that could be free"
         )
     asked = dataclasses.replace(
-        problem, objective=OffTarget(along, across), largest=False
+        problem, objective=Aim(along=along, across=across), largest=False
     )
     found, failed = list(extremes), []
     for number in range(directions):

@@ -102,7 +102,8 @@ def optimize(
       constraints, in units of their scales.
     - `iterations`: of SLSQP, at most.
 
-    Define functions once, at module level: others are compiled anew.
+    Define functions once, at module level: others are compiled anew. Of an `eqx.Module`
+    as the objective the arrays are not part of the program.
 
     **Raises:** `ValueError` for what cannot be varied, for a start whose flight has no end
     or numbers that are not finite, and where no optimum is found, with the constraints
@@ -189,7 +190,7 @@ class _Problem(eqx.Module):
     """What is flown and what is looked at of it, as a function of free numbers."""
 
     parameters: Parameters
-    objective: Quantity = eqx.field(static=True)
+    objective: Quantity
     quantities: tuple[tuple[str, Quantity], ...] = eqx.field(static=True)
     solver: AbstractSolver
     history: float | None = eqx.field(static=True)
