@@ -18,16 +18,15 @@ import pytest
 gc.set_threshold(100_000)
 
 # What XLA has compiled is kept beside what pytest keeps, for the other worker and for the
-# next run, and found by all that a program is made of; what is compiled in less is not, as
-# to write and to read it takes as long. Commands that tests start read it from the
-# environment.
+# next run, and found by all that a program is made of. Commands that tests start read it
+# from the environment.
 _COMPILED = str(Path(__file__).parent.parent / ".pytest_cache" / "compiled")
 _DIR, _SECONDS = (
     "JAX_COMPILATION_CACHE_DIR",
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
 )
 jax.config.update(_DIR.lower(), os.environ.setdefault(_DIR, _COMPILED))
-jax.config.update(_SECONDS.lower(), float(os.environ.setdefault(_SECONDS, "0.2")))
+jax.config.update(_SECONDS.lower(), float(os.environ.setdefault(_SECONDS, "0")))
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 

@@ -62,16 +62,20 @@ class DaskCluster:
 
     def worker(self, threads: int = 1, **environment: str) -> subprocess.Popen:
         """One more, that is there when this returns."""
-        before = self.workers()
         words = self.address, "--nthreads", threads, "--no-nanny", "--no-dashboard"
-        process = self._started("worker", *words, **environment)
-        wait_for(lambda: self.workers() > before, "the worker")
+        with self._client() as client:  # which takes much longer than to ask it
+            before = len(client.nthreads())
+            process = self._started("worker", *words, **environment)
+            wait_for(lambda: len(client.nthreads()) > before, "the worker")
         return process
 
     def workers(self) -> int:
         """How many there are."""
-        with distributed.Client(self.address, set_as_default=False) as client:
+        with self._client() as client:
             return len(client.nthreads())
+
+    def _client(self) -> distributed.Client:
+        return distributed.Client(self.address, set_as_default=False)
 
     def _started(self, what: str, *words, **environment: str) -> subprocess.Popen:
         log = self._folder / f"{len(self._processes)}-{what}.txt"

@@ -115,7 +115,6 @@ def test_continuous_law():
     assert_says("hold of a cycle, at 2624.6", 2.0 * fine - coarse)
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_adjusted_once():
     """Equation (38), with the velocity predicted by flying the model."""
@@ -174,7 +173,6 @@ def test_the_polynomial_gives_back_the_k2_that_was_flown():
         assert p0 + x * (p1 + x * p2) == pytest.approx(k2, abs=0.02)
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_the_network_costs_little_and_the_papers_own_cannot_work(as_printed):
     """Reading the factors, it adds 0.5 m/s at most to exact prediction.
@@ -208,7 +206,6 @@ def test_the_printed_inversion_loses_flights():
     assert least_by_chance(RUNS, share) <= lost <= most_by_chance(RUNS, share)
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_any_heading_and_place_flies_the_same():
     """The whole scene turned on the globe: the same flight, to rounding."""

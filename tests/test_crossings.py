@@ -296,7 +296,6 @@ FIRST_SETS = [
 ]
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("mission", "variant", "reading"), FIRST_SETS, ids=["-".join(x) for x in FIRST_SETS]

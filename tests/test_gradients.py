@@ -145,7 +145,6 @@ def given(planned):
     return lambda law: scenario_of(law, planned)
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "law",

@@ -283,7 +283,6 @@ def test_a_bank_that_is_flown_at_once_has_no_turning():
         decided(law, dataclasses.replace(seen, bank=None), jnp.array([0.75]))
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_what_is_predicted_with_an_angle_of_attack_is_flown():
     scenario = x_33()
@@ -546,7 +545,6 @@ def campaign():
     return monte_carlo(in_plane(), independent(), jax.random.key(0), 64)
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_every_vehicle_that_can_reach_the_target_does():
     flown = monte_carlo(entry(), independent(), jax.random.key(0), 64)
@@ -559,7 +557,6 @@ def test_every_vehicle_that_can_reach_the_target_does():
     assert np.all(np.abs(lost) < 150.0)
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_a_run_of_a_campaign_is_the_flight_alone():
     flown = campaign()
@@ -580,7 +577,6 @@ def _at(address, scenario):
     return scenario
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_derivative_through_all_predictions_is_that_of_differences():
     """Of the duration: the range is met whatever the vehicle is, and here the altitude."""
@@ -603,7 +599,6 @@ def test_derivative_through_all_predictions_is_that_of_differences():
     )
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*decisions without prediction")
 def test_the_memory_of_the_factors_is_tuned(monkeypatch):

@@ -494,7 +494,6 @@ def samples():
 
 
 @pytest.mark.slow
-@pytest.mark.optimized
 def test_samples_are_predictions(samples):
     law = in_plane().guidance
     predict = eqx.filter_jit(law.predicted)
@@ -531,7 +530,6 @@ def errors(network, samples):
 
 
 @pytest.mark.slow
-@pytest.mark.optimized
 def test_shipped_network_predicts_as_well_as_its_card_says(samples):
     _, card = load_network(mars.FOLDER / "range.npz")
     error = errors(mars.range_network(), samples)
@@ -545,7 +543,6 @@ def test_shipped_network_predicts_as_well_as_its_card_says(samples):
 
 
 @pytest.mark.slow
-@pytest.mark.optimized
 def test_training_again_learns(samples):
     told = []
     trained = train_range_network(
@@ -584,7 +581,6 @@ def samples_in_space():
 
 
 @pytest.mark.slow
-@pytest.mark.optimized
 def test_samples_in_three_dimensions_are_predictions_to_either_side(samples_in_space):
     """From another place, with another heading and to the other side, seen from there."""
     law, samples = in_space().guidance, samples_in_space
@@ -609,7 +605,6 @@ def test_samples_in_three_dimensions_are_predictions_to_either_side(samples_in_s
 
 
 @pytest.mark.slow
-@pytest.mark.optimized
 def test_shipped_networks_in_three_dimensions_are_as_good_as_their_cards_say(
     samples_in_space,
 ):
@@ -639,7 +634,6 @@ def test_shipped_networks_in_three_dimensions_are_as_good_as_their_cards_say(
 
 
 @pytest.mark.slow
-@pytest.mark.optimized
 def test_a_flight_by_the_networks_has_its_derivatives():
     """By density and lift; between reversals, which are discrete."""
     scenario = mars.networked_in_space()

@@ -76,6 +76,7 @@ def end_errors(scenario, inputs):
     return np.stack([missed.downrange, missed.crossrange]) / nautical_mile
 
 
+@pytest.mark.optimized(False)
 def test_every_case_of_the_paper_ends_within_a_mile():
     found = np.abs(fly_cases(MISSION.scenario("full")))
     assert np.all(found[:, :13] < 1.0)
@@ -93,6 +94,7 @@ def test_the_printed_law_flies_its_reference_too():
     assert found[:, 12] == pytest.approx([0.45, 0.25], abs=0.005)
 
 
+@pytest.mark.optimized(False)
 def test_over_the_energy_the_closed_loop_flies_the_same():
     scenario = figure_case()
     last = scenario.termination.conditions["energy"].energy
