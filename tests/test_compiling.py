@@ -10,6 +10,11 @@ import pytest
 from helpers import fly_compiled
 from jax._src import compiler
 
+from jentry.campaign import batch
+
+
+USERS = batch._CHUNKS
+"""Before a test has been set up"""
 
 LEVEL = "--xla_backend_optimization_level=0"
 
@@ -30,6 +35,15 @@ def test_what_is_marked_not_to_be_is_not():
 def test_what_is_marked_is_compiled_as_users_have_it():
     assert not compiler.get_compile_options(1, 1).env_option_overrides
     assert LEVEL not in os.environ.get("XLA_FLAGS", "")
+
+
+def test_a_campaign_flies_batch_by_batch():
+    assert batch._CHUNKS == 1
+
+
+@pytest.mark.batches
+def test_what_is_marked_flies_as_many_in_a_call_as_users_do():
+    assert batch._CHUNKS == USERS > 1
 
 
 @pytest.mark.skipif("not compiling.little()", reason="XLA does not know the options")
