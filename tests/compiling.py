@@ -16,7 +16,13 @@ import os
 
 import jax
 from jax._src import compiler
+from jax._src.interpreters import mlir
 
+
+# JAX writes each program in a context of its own, and keeps it as long as the program. It
+# is a megabyte, takes as long to make as to write a small program, and longer the more of
+# them there are: after two thousand six times as long. Tests have one for all.
+mlir.make_ir_context = functools.cache(mlir.make_ir_context)
 
 LITTLE = {
     "xla_backend_optimization_level": 0,

@@ -46,6 +46,11 @@ def test_what_is_marked_flies_as_many_in_a_call_as_users_do():
     assert batch._CHUNKS == USERS > 1
 
 
+def test_programs_are_written_in_one_context():
+    one, other = (jax.jit(f).lower(1.0) for f in (jax.numpy.sin, jax.numpy.cos))
+    assert one.compiler_ir().context == other.compiler_ir().context
+
+
 @pytest.mark.skipif("not compiling.little()", reason="XLA does not know the options")
 def test_a_flight_is_the_same_but_for_rounding(monkeypatch):
     """Each is compiled, not found as the other left it, and then found again."""
