@@ -17,18 +17,30 @@ import os
 import jax
 from jax._src import compiler
 from jax._src.interpreters import mlir
+from jax._src.lib.mlir import ir
 
-
-# JAX writes each program in a context of its own, and keeps it as long as the program. It
-# is a megabyte, takes as long to make as to write a small program, and longer the more of
-# them there are: after two thousand six times as long. Tests have one for all.
-mlir.make_ir_context = functools.cache(mlir.make_ir_context)
 
 LITTLE = {
     "xla_backend_optimization_level": 0,
     "xla_llvm_disable_expensive_passes": True,
     "xla_cpu_use_fusion_emitters": False,
 }
+
+_make_ir_context = mlir.make_ir_context
+_one_ir_context = functools.cache(_make_ir_context)
+
+
+def _ir_context() -> ir.Context:
+    """What a program is written in, the same for all of them.
+
+    JAX makes another for each, and keeps it as long as the program: a megabyte, which takes
+    as long to make as to write a small program, and longer the more of them there are. One
+    that is computed while another is written has to have its own.
+    """
+    return _make_ir_context() if ir.Context.current else _one_ir_context()
+
+
+mlir.make_ir_context = _ir_context
 
 _get_compile_options = compiler.get_compile_options
 

@@ -51,6 +51,13 @@ def test_programs_are_written_in_one_context():
     assert one.compiler_ir().context == other.compiler_ir().context
 
 
+def test_a_program_that_is_computed_while_another_is_written_is_whole():
+    """As JAX does it for a linear solve."""
+    jax.clear_caches()
+    found = jax.jit(jax.numpy.linalg.solve)(2.0 * np.eye(3), np.arange(3.0))
+    np.testing.assert_allclose(found, [0.0, 0.5, 1.0], rtol=1e-15)
+
+
 @pytest.mark.skipif("not compiling.little()", reason="XLA does not know the options")
 def test_a_flight_is_the_same_but_for_rounding(monkeypatch):
     """Each is compiled, not found as the other left it, and then found again."""
