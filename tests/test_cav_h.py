@@ -128,7 +128,6 @@ def test_adjusted_once():
     assert float(flight.state.velocity) == pytest.approx(2630.0, abs=0.2)
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_the_variants_differ_in_their_epochs():
     """The paper's adjusts at the first cycle alone; the tables are the same."""
@@ -147,7 +146,6 @@ def test_the_variants_differ_in_their_epochs():
     assert np.all(np.diff(once.to_go) > 0.0)
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_the_polynomial_gives_back_the_k2_that_was_flown():
     """At the entry: of the velocity that the model reaches with a k2, that k2."""
