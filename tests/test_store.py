@@ -159,6 +159,7 @@ def test_a_stored_campaign_is_not_flown_again(tmp_path, small_parts):
 
 
 @pytest.mark.slow
+@pytest.mark.batches
 def test_more_runs_are_added(tmp_path, whole):
     for runs in (5, LANES, RUNS):
         cheap.campaign(tmp_path, runs)
