@@ -102,10 +102,14 @@ class Kept(Generic[P, R]):
         return _Program(contents, self._options)
 
 
+def is_tracing() -> bool:
+    """Whether JAX traces what is computed here."""
+    return not trace_state_clean()
+
+
 def _looked_at(leaves: list[Any]) -> bool:
     """Whether somebody follows what happens in the function: JAX itself, or its checks."""
-    inside = any(isinstance(leaf, Tracer) for leaf in leaves)
-    if inside or not trace_state_clean():
+    if is_tracing() or any(isinstance(leaf, Tracer) for leaf in leaves):
         return True
     return any(getattr(jax.config, name) for name in _LOOKED_AT)
 
