@@ -7,8 +7,10 @@ that compares bits, or what the compiler may reorder, one that says what is publ
 one that flies thousands of flights.
 
 A campaign is one program for many batches of runs, with a loop over them; without it the
-same flights, bit for bit (`test_monte_carlo.py`), are compiled in two thirds of the time.
-So a test flies batch by batch, unless it is marked `batches`.
+same flights are compiled in two thirds of the time: bit for bit as users have it
+(`test_monte_carlo.py`), while with little optimization they round otherwise. So a test
+flies batch by batch, unless it is marked `batches`: one that compares bits with those of
+another process, or counts the parts of a campaign.
 """
 
 import functools

@@ -145,6 +145,7 @@ cheap.campaign(sys.argv[1], {runs}, part=(int(sys.argv[2]), 2))
 
 
 @pytest.mark.slow
+@pytest.mark.batches  # as those processes fly
 def test_parts_that_are_killed_at_any_moment(tmp_path):
     """Two processes, each killed and begun again until it has flown its part."""
     runs = 5000
