@@ -228,7 +228,7 @@ def test_builders_know_their_numbers_where_jax_traces_who_asks(asked):
         def build():
             values.append(jnp.sqrt(jnp.asarray(4.0)))
             assert float(values[-1]) == 2.0
-            return made() if callable(made) else made
+            return made
 
         return {"one": build}
 

@@ -180,7 +180,7 @@ def _known() -> contextlib.AbstractContextManager:
     """Within it all numbers are known, also where JAX traces what asks for a mission.
 
     Builders keep what they have built, and would keep what only that trace knows. Where
-    nothing is traced they compute as ever: this is slower, by 0.3 s of the 1 of `sx-2`.
+    nothing is traced they compute as ever: this takes `sx-2` 1.25 s in place of 1.
     """
     return jax.ensure_compile_time_eval() if is_tracing() else contextlib.nullcontext()
 
