@@ -204,7 +204,7 @@ def test_the_bank_is_that_of_runs_with_its_sign(runs, figures):
 
 
 def test_values_at_equal_velocity_between_samples():
-    """The spline is of fourth order, the linear interpolant of second."""
+    """The cubic is of fourth order, the linear interpolant of second."""
     grid = np.linspace(1010.0, 5990.0, 77)
     drag = lambda v: np.exp(v / 500.0)
     errors = []
@@ -220,6 +220,19 @@ def test_values_at_equal_velocity_between_samples():
     assert np.isnan(
         at_velocity(velocity, velocity, np.array([999.0]), cubic=True)
     ).all()
+
+
+@pytest.mark.parametrize("samples", [2, 3, 4, 9])
+def test_cubics_of_uneven_samples_are_exact_to_their_degree(samples):
+    """At the samples and between them; with fewer than four of them it is of less."""
+    velocity = np.cumsum([7.0, 1.0, 2.0, 0.3, 4.0, 1.0, 0.7, 3.0, 2.0][:samples])
+    quantity = lambda v: 2.0 - v + 0.3 * v ** min(samples - 1, 3)
+    grid = np.append(velocity, np.linspace(7.0, velocity[-1], 50))
+    falling = velocity[None, ::-1]
+    found = at_velocity(falling, quantity(falling), grid, cubic=True)
+    assert found[0] == pytest.approx(quantity(grid), rel=1e-12)
+    beyond = np.array([6.99, velocity[-1] + 0.01])
+    assert np.isnan(at_velocity(falling, falling, beyond, cubic=True)).all()
 
 
 def test_the_deviation_of_the_drag_is_from_the_nominal_flight(runs, figures):

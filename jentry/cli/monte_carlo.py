@@ -103,9 +103,7 @@ def command(
     """Fly dispersed runs, store them, say what they say and draw figures."""
     set_up(workers, fast)
     drawing = (
-        ("matplotlib.figure", "matplotlib.backends.backend_agg", "scipy.interpolate")
-        if figures
-        else ()
+        ("matplotlib.figure", "matplotlib.backends.backend_agg") if figures else ()
     )
     import_meanwhile(
         "xarray", "h5netcdf", "rich.table", "rich.progress", "scipy.special", *drawing
