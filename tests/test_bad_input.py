@@ -663,6 +663,7 @@ def taken_or_refused(act) -> None:
         assert str(error)
 
 
+@pytest.mark.slow
 @ours
 @hypothesis.given(st.lists(some_assignment, max_size=2))
 @hypothesis.example(["vehicle.mass=1" + "0" * 400])

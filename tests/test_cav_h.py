@@ -66,6 +66,7 @@ def as_printed():
     return flown("stored")
 
 
+@pytest.mark.slow
 @pytest.mark.optimized
 def test_nominal_velocity_at_the_target(as_printed):
     """2630 m/s with the guidance cycle of the notes, and the paper's k1 and k2."""

@@ -297,6 +297,7 @@ def test_how_many_runs_are_flown_next():
     assert further_runs(failing + one, runs_of(np.zeros(100)), 10_000) == 0
 
 
+@pytest.mark.slow
 def test_more_runs_until_it_is_decided(command, tmp_path):
     out, same = tmp_path / "out", tmp_path / "same"
     words = ("--runs", 2, "--until-decided", "--require", EASY)
@@ -331,6 +332,7 @@ def test_what_has_decided_belongs_to_its_campaign(command, tmp_path):
     assert code == 0 and "acceptance" not in printed
 
 
+@pytest.mark.slow
 def test_it_stops_at_the_most(command, tmp_path):
     words = ("--runs", 2, "--until-decided", "--require", LONG, "--most-runs", 5)
     code, printed, _ = monte_carlo(command, *words, "--out", tmp_path / "out")

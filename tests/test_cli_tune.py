@@ -116,6 +116,7 @@ def test_a_damping_and_peaks_arrive(command, monkeypatch):
     assert float(found["load_factor"]) == float(flight.peaks["load_factor"])
 
 
+@pytest.mark.slow
 def test_a_mission_says_what_its_tuning_is_of(command, monkeypatch):
     """And an option says otherwise."""
     seen = intercepted(monkeypatch, "jentry.tuning.tuning", "tune")
@@ -137,6 +138,7 @@ def test_no_damping_is_looked_at_unless_asked(command, monkeypatch):
     assert seen["penalty"] is None and seen["outputs"] is misses
 
 
+@pytest.mark.slow
 def test_tuning_tells_damping_and_peaks(command, tmp_path):
     """Of an open-loop law, whose phugoid no gain damps."""
     words = ("--least-damping", 0.01, "--faster-than", 1e-4)
@@ -158,6 +160,7 @@ def test_differences_arrive_with_their_surrogate(command, monkeypatch):
     assert seen["gradient"] == CentralDifferences(0.03, smooth_reversals)
 
 
+@pytest.mark.slow
 def test_tune_resumes_and_refuses_another_run(command):
     assert tune(command, "--steps", 2)[0] == 0
     _, _, said = tune(command, "--steps", 3)

@@ -124,6 +124,7 @@ def test_one_flight_is_no_comparison():
         compared(campaign(one[:1]), campaign(other[:1]))
 
 
+@pytest.mark.slow
 def test_intervals_of_differences_cover():
     """400 pairs of campaigns: a rate of 95 % has a standard error of 1.1 %."""
     covers = []

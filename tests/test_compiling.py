@@ -53,6 +53,7 @@ def test_programs_are_written_in_one_context():
     assert one.compiler_ir().context == other.compiler_ir().context
 
 
+@pytest.mark.slow
 def test_a_program_that_is_computed_while_another_is_written_is_whole():
     def plus_ten(x):
         with jax.ensure_compile_time_eval():

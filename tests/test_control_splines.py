@@ -33,6 +33,7 @@ def composed(law):
     return dataclasses.replace(cheap.at_trim(), guidance=guidance)
 
 
+@pytest.mark.slow
 def test_constant_controls_fly_as_they_are():
     """The splines begin as what was constant: the same flight but for rounding."""
     start = free_controls(cheap.at_trim(), BANK, nodes=8)

@@ -39,6 +39,7 @@ def same(one, other):
 # What the laws are given.
 
 
+@pytest.mark.slow
 def test_drag_trackers_of_the_x_33_have_the_gains_of_their_paper():
     law = on_x_33.observer_drag_tracking().guidance.bank
     assert same((law.gains, law.observer), (nominal_gains(), nominal_observer()))

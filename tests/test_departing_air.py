@@ -272,6 +272,7 @@ def test_smoothing_takes_the_corners_off_and_leaves_the_rest():
         assert ratio == pytest.approx(1.0, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_smoothed_standard_is_its_mean():
     """Against a quadrature at some altitudes, corners among them."""
     layers = USStandardAtmosphere1976()

@@ -383,6 +383,7 @@ def test_what_cannot_matter_is_refused(observer_scenario, where, apply, message)
         check_dispersions(observer_scenario, table)
 
 
+@pytest.mark.slow
 def test_what_matters_is_taken(observer_scenario):
     """Of motion, sensors, law, peaks and misses one each; and zero may be replaced."""
     wheres = [

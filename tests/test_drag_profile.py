@@ -217,6 +217,7 @@ def test_lower_limit_binds():
     assert float(held.roughness) > float(plain.roughness)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("degree", "bound"), [(16, 3e-4), (20, 5e-5), (24, 8e-6), (40, 3e-7)]
 )
@@ -349,6 +350,7 @@ def flown(kind, plan):
     )
 
 
+@pytest.mark.slow
 def test_exact_inverse_flies_the_profile(plan):
     made, flight = flown(ExactInverse, plan)
     r, v, path = flight.y

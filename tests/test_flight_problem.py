@@ -126,6 +126,7 @@ def test_limits_are_kept_unless_it_is_asked_not_to():
     assert free.objective == pytest.approx(far.objective, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_begins_where_it_is_told():
     far = best(AtEnd("downrange"), True)
     again = best_flight(entry(), PROBLEM, SOLVER, begin=far.scenario.guidance)
@@ -162,6 +163,7 @@ def outline():
     return found, done, traced
 
 
+@pytest.mark.slow
 def test_footprint():
     """Symmetric, since the planet and the start are; its extremes are the first four."""
     found, done, traced = outline()
@@ -216,6 +218,7 @@ def test_nobody_flies_beyond_the_footprint():
     assert np.max(ends[:, 1]) > 0.5 * width and np.min(ends[:, 1]) < -0.5 * width
 
 
+@pytest.mark.slow
 def test_figures():
     found, *_ = outline()
     (axes,) = draw_footprint(found, "title").axes

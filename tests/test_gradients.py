@@ -169,6 +169,7 @@ def test_derivatives_of_the_end(law, given):
     assert_close(numbers, pushed, rtol=1e-6, rounding=rounding)
 
 
+@pytest.mark.slow
 def test_the_velocity_that_ends_the_flight_does_not_move(given):
     scenario = given("bank profile")
     leaves = leaves_of(scenario, CASES["bank profile"])

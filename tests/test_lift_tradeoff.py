@@ -53,6 +53,7 @@ def equal(above, right, eta, *bounds):
     return EqualTradeoff().nearest(above, right, LiftBounds(*bounds))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("nearest", [weighted, equal])
 def test_it_is_never_above_a_grid_of_all_that_can_be_flown(nearest):
     above, right, eta, least, largest, bank = cases()

@@ -191,6 +191,7 @@ def peak_drag(scenario):
     return float(fly(scenario, cheap.SOLVER).peaks.drag)
 
 
+@pytest.mark.slow
 def test_limits_along_the_path():
     """As low an end as the drag allows: the peak at an entry is at the limit."""
     start = limited(None)

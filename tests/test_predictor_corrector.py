@@ -366,6 +366,7 @@ def underway():
     return flight, measure(model.planet, model.vehicle, state, angle)
 
 
+@pytest.mark.slow
 def test_a_decision_is_a_zero_of_the_prediction():
     law, (_, seen) = in_plane().guidance, underway()
     numbers = jnp.array([0.7])

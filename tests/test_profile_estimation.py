@@ -396,6 +396,7 @@ def test_a_profile_of_waves_is_air_with_these_waves():
     assert abs(float(downrange(found) - downrange(plain))) > 1e3
 
 
+@pytest.mark.slow
 def test_a_prediction_has_derivatives_in_the_weights():
     """Of the end, where the phase of a wave and the constant go."""
 

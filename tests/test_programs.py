@@ -497,6 +497,7 @@ print(sum(spent))
 """
 
 
+@pytest.mark.slow
 def test_next_process_traces_no_flight(tmp_path):
     environment = {**os.environ, "JENTRY_CACHE": str(tmp_path / "cache")}
     environment.pop("JAX_COMPILATION_CACHE_DIR", None)

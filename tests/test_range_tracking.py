@@ -137,6 +137,7 @@ def test_scale_is_that_of_the_profile_that_ends_at_the_target(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("second", [45, 60, 100, 150, 190])
 def test_nominal_flight_keeps_the_reference_as_it_is(second):
     law = mars_range_tracking.in_plane().guidance

@@ -93,6 +93,7 @@ def aim(law):
     return np.array([read[name][0] for name in ("downrange", "crossrange")])
 
 
+@pytest.mark.slow
 def test_the_plan_is_the_motion_by_hand(scenario, law):
     """The table that the law tracks, between its nodes: at both ends, at the reversal of
     the bank, and beyond the start."""

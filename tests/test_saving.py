@@ -57,6 +57,7 @@ def test_what_is_saved_is_read_to_the_last_bit(tuned, tmp_path):
     assert contents["set"]["guidance.bank_angle"] == f"{bank!r} rad"
 
 
+@pytest.mark.slow
 def test_judgement_and_what_was_tuned_are_saved(tuned, tmp_path):
     path = tmp_path / "tuned.toml"
     tuned.save(path)
@@ -114,6 +115,7 @@ def test_a_saved_file_flies(tuned, tmp_path, command):
     assert list(described["dispersions"]) == ["mass"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ALL)
 def test_every_number_of_a_mission_can_be_saved(name):
     """With the unit of its field, for each unit that there is."""

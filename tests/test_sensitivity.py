@@ -215,6 +215,7 @@ def test_spread_is_the_root_of_the_sum_of_squares_of_the_slopes():
             assert linear == pytest.approx(slope, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_effects_of_each_dispersion_are_flown_as_predicted():
     for by_dispersion in analysed(False).effects.values():
         for effect in by_dispersion.values():
@@ -282,6 +283,7 @@ def test_mean_differences_go_across_the_teeth_that_derivatives_see_alone():
         )
 
 
+@pytest.mark.slow
 def test_mean_differences_are_derivatives_where_nothing_jumps():
     """And those of flights that are flown one by one."""
     (exact,) = of_teeth(None).models.values()

@@ -88,6 +88,7 @@ print(len(xla_options()))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="Linux only")
 def test_as_many_workers_as_cores_and_no_cache_where_none_is_asked_for(
     process, tmp_path
@@ -150,6 +151,7 @@ print(jax.jit(lambda x: 3.0 * x)(jnp.asarray(1.0)))
 """
 
 
+@pytest.mark.slow
 def test_fast_executes_nothing_of_the_working_folder(process, tmp_path):
     """And passes its self-test nevertheless: it finds JAX where this process has it."""
     for name in ("jax", "numpy", "json", "sitecustomize", "usercustomize"):

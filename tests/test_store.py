@@ -531,6 +531,7 @@ except OSError as error:
 """
 
 
+@pytest.mark.slow
 def test_a_real_limit_of_the_disk_is_an_error_and_no_crash(tmp_path):
     """HDF5 writing to a full disk itself ends the process with a segmentation fault."""
     run = subprocess.run(

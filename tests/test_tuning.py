@@ -541,6 +541,7 @@ def test_a_build_is_tuned_as_its_leaf_is():
     assert after[0] == pytest.approx(after[1], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_build_is_resumed_and_another_one_is_not(tmp_path):
     given = {"start": HALF, "where": None, "path": tmp_path / "record.npz"}
     tuned(**given, build=twice, steps=1)

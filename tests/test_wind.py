@@ -152,6 +152,7 @@ TABLE = {
 }
 
 
+@pytest.mark.slow
 def test_a_scale_is_dispersed_by_its_address(key):
     scenario = in_wind(ScaledWind(ConstantWind(40.0, -25.0, 1.0)))
     campaign = monte_carlo(scenario, TABLE, key, 3, solver=cheap.SOLVER)

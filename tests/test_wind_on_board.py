@@ -160,6 +160,7 @@ def test_factors_are_one_in_a_wind_that_is_known(wind):
         assert (abs(factor - 1.0) > 1e-3) == (law.model.planet.wind != wind)
 
 
+@pytest.mark.slow
 def test_a_prediction_in_a_known_wind_is_flown():
     """In a table of the wind, to the end in steps of 1 s, against those of 0.1 s."""
     scenario = find_mission("mars-range-tracking").scenario("predictor-corrector")
@@ -490,6 +491,7 @@ def test_a_flow_without_sides_tells_nothing():
         np.testing.assert_array_equal(kept, known)
 
 
+@pytest.mark.slow
 def test_the_law_believes_what_it_has_seen():
     """One good sample of a head wind, so that little is left for the factors."""
     wind = WINDS["head"]

@@ -56,6 +56,7 @@ def flown_from(nominal, started):
     return jax.tree.map(np.asarray, (missed, cosines, flights.outcome))
 
 
+@pytest.mark.slow
 def test_cases_are_those_of_the_paper():
     """Table 2, by hand from the print, in its units; -0.986 and 0.994 km lost e-3."""
     printed = """
@@ -128,6 +129,7 @@ def test_plan_in_flight_is_the_gain_at_once():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["tracking", "receding"])
 def test_table_2(variant):
     missed, cosines, outcome = flown(variant)
@@ -144,6 +146,7 @@ def test_table_2(variant):
     assert abs(missed.downrange[0]) < 1.0 and abs(missed.altitude[0]) < 0.01
 
 
+@pytest.mark.slow
 def test_readme():
     """Its table, to the last digit; the paper's beside it."""
     closed, _, _ = flown("tracking")
