@@ -190,7 +190,8 @@ def _drawn(figure: "matplotlib.figure.Figure", kind: str) -> bytes:
         if kind == "png":
             # Where `savefig` draws twice, the first time for the layout alone.
             figure.set_dpi(150)
-            FigureCanvasAgg(figure).print_png(drawn)
+            # Files are a seventh larger than at the usual level, which takes 0.1 s of all.
+            FigureCanvasAgg(figure).print_png(drawn, pil_kwargs={"compress_level": 1})
         else:
             date = {"CreationDate" if kind == "pdf" else "Date": None}
             figure.savefig(drawn, format=kind, metadata=date)

@@ -48,7 +48,7 @@ def draw_comparison(
     columns = min(columns, len(told))
     height = _HEIGHT + _LINE * -(-len(told) // columns)
     with in_style():
-        figure, panels = panelled(width, height, len(names), title)
+        figure, panels = panelled(width, height, len(names), title, measured=True)
         for axes, name in zip(panels, names, strict=True):
             outputs = {told[each]: x[name] for each, x in flown.items()}
             _draw_shares(axes, outputs, list(runs.values()))

@@ -138,7 +138,7 @@ def draw_velocity_map(
     `wanted` (m/s) is drawn as a line.
     """
     with in_style():
-        figure, (axes,) = panelled(5.4, 3.9, 1, "")
+        figure, (axes,) = panelled(5.4, 3.9, 1, "", measured=True)
         filled = axes.contourf(k1, k2, velocity.T, levels=24, cmap="cividis")
         figure.colorbar(filled, label="Velocity at the target (m/s)")
         if wanted is not None:

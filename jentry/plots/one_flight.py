@@ -37,7 +37,7 @@ def draw_flight(
     if scenario.dynamics.has_crossrange:
         draw.append(_track)
     with in_style():
-        figure, panels = panelled(4.3 * len(draw), 3.9, len(draw), title)
+        figure, panels = panelled(4.3 * len(draw), 3.9, len(draw), title, measured=True)
         for axes, panel in zip(panels, draw, strict=True):
             panel(axes, scenario, flight, history)
             legend_above(axes)

@@ -64,16 +64,36 @@ def in_style():
         yield
 
 
-def panelled(
-    width: float, height: float, panels: int, title: str
-) -> tuple["matplotlib.figure.Figure", "list[matplotlib.axes.Axes]"]:
-    """A figure with panels side by side, under one title."""
-    from matplotlib.figure import Figure
-    from matplotlib.layout_engine import ConstrainedLayoutEngine
+_LEFT, _RIGHT, _BELOW, _ABOVE, _BETWEEN = 0.85, 0.2, 0.65, 0.55, 0.9
+"""Inches about the panels of a figure: room for numbers of seven digits, and a title"""
 
-    layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.06, wspace=0.04)
-    figure = Figure(figsize=(width, height), layout=layout)
-    axes = list(figure.subplots(1, panels, squeeze=False).flat)
+
+def panelled(
+    width: float, height: float, panels: int, title: str, *, measured: bool = False
+) -> tuple["matplotlib.figure.Figure", "list[matplotlib.axes.Axes]"]:
+    """A figure of so many inches with panels side by side, under one title.
+
+    The room about the panels is known. With `measured` it is made for what is drawn there,
+    such as names for numbers or a legend: that takes a quarter of the time of a figure.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height))
+    if measured:
+        figure.set_layout_engine("constrained", w_pad=0.08, h_pad=0.06, wspace=0.04)
+    each = (width - _LEFT - _RIGHT - (panels - 1) * _BETWEEN) / panels
+    room = {
+        "left": _LEFT / width,
+        "right": 1.0 - _RIGHT / width,
+        "bottom": _BELOW / height,
+        "top": 1.0 - _ABOVE / height,
+        "wspace": _BETWEEN / each,
+    }
+    axes = list(
+        figure.subplots(
+            1, panels, squeeze=False, gridspec_kw={} if measured else room
+        ).flat
+    )
     if title:
         figure.suptitle(title, fontsize=11.0)
     return figure, axes
