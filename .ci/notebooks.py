@@ -17,7 +17,12 @@ from traitlets.config import Config
 
 FOLDER = Path(__file__).parent.parent / "notebooks"
 
-SHORT = "feedback_linearization_sx2", "first_flight", "your_own_mission"
+SHORT = (
+    "feedback_linearization_sx2",
+    "first_flight",
+    "four_laws_mars",
+    "your_own_mission",
+)
 """Those that take no more than a minute of a core"""
 
 
