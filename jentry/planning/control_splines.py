@@ -129,15 +129,17 @@ def _flying(
 _INTERVALS = 2000
 """Of the flight on which the breakpoints are laid"""
 
+_flown = kept(fly)
+
 
 def _equal_in_time(scenario: Scenario, index: AbstractIndex, count: int) -> np.ndarray:
     """Values of the index along a flight at equal intervals of time, the lowest first."""
-    flight = kept(fly)(scenario)
+    flight = _flown(scenario)
     if not has_end(flight.outcome):
         outcome = Outcome(int(flight.outcome)).message
         raise ValueError(f"the flight under constant controls {outcome}: take others")
     interval = guidance_period(scenario) or _rounded(float(flight.time) / _INTERVALS)
-    flight = kept(fly)(scenario, history=interval)
+    flight = _flown(scenario, history=interval)
     assert flight.history is not None
     flown = np.isfinite(np.asarray(flight.history.time))
     time = np.append(np.asarray(flight.history.time)[flown], float(flight.time))

@@ -27,6 +27,9 @@ from ._scaled_limits import ScaledLimits, parted, scaled_limits, what_is_wrong
 from .flight_constraints import AlongPath, Constraint, Quantity
 
 
+_flown = kept(fly)
+
+
 @dataclasses.dataclass(frozen=True)
 class Optimized:
     """The best flight that was found, and what holds it there."""
@@ -154,7 +157,7 @@ def optimize(
     free = parted(parameters, jnp.asarray(found.x))
     values = parameters.values(free)
     best = scenario_at(parameters, values)
-    flight = kept(fly)(best, solver, history)
+    flight = _flown(best, solver, history)
     seen = jax.tree.map(np.asarray, _seen(problem, jnp.asarray(found.x)))
     remarks = _remarks(best, flight, quantities)
     if found.slope_left > _SLOPE_LEFT:
