@@ -590,14 +590,14 @@ all_gravities = {
 }
 
 
-def along_each(function, at, step):
+def along_each(function, at, steps):
     """Derivatives of a function along each of some numbers, and central differences.
 
     One program for both: what is differentiated is also what differences are taken of.
     """
     pushed = jax.jit(lambda x, along: jax.jvp(function, (x,), (along,)))
     at, found = jnp.asarray(at), []
-    for along in jnp.eye(at.size):
+    for along, step in zip(jnp.eye(at.size), steps, strict=True):
         _, slope = pushed(at, along)
         ahead, behind = (pushed(at + h * along, along)[0] for h in (step, -step))
         found.append((slope, (ahead - behind) / (2.0 * step)))

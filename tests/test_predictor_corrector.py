@@ -268,7 +268,7 @@ def test_a_flight_has_its_derivatives_where_reversals_are_foreseen():
         sides = flight.state.longitude, flight.state.latitude
         return jnp.stack(sides) * scenario.planet.radius
 
-    slopes, differences = along_each(end, [1.02, 0.97], 1e-6)
+    slopes, differences = along_each(end, [1.02, 0.97], [1e-6, 1e-6])
     np.testing.assert_allclose(slopes, differences, rtol=1e-4, atol=1.0)
     assert np.min(np.max(np.abs(differences), axis=1)) > 1.0
 
