@@ -13,6 +13,7 @@ flies batch by batch, unless it is marked `batches`: one that compares bits with
 another process, or counts the parts of a campaign.
 """
 
+import contextlib
 import functools
 import os
 
@@ -77,6 +78,17 @@ def optimize(much: bool) -> None:
     flags = [f"--{name}={str(value).lower()}" for name, value in LITTLE.items()]
     kept = [flag for flag in given if flag not in flags]
     os.environ["XLA_FLAGS"] = " ".join(kept if much else kept + flags)
+
+
+@contextlib.contextmanager
+def little_optimized():
+    """For what an `optimized` test compiles and runs once."""
+    much = compiler.get_compile_options is not _with_little
+    optimize(False)
+    try:
+        yield
+    finally:
+        optimize(much)
 
 
 @functools.cache

@@ -69,7 +69,10 @@ def scenario_of(law, planned):
 
 
 def leaves_of(scenario, table):
-    return {name: where(scenario) for name, (where, _) in table.items()}
+    """As arrays of one type, whatever they come from: with others a program is another."""
+    return {
+        name: jnp.asarray(where(scenario), float) for name, (where, _) in table.items()
+    }
 
 
 def put(scenario, table, leaves):

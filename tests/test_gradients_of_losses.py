@@ -15,8 +15,7 @@ from jax import lax
 
 from jentry.campaign.batch import LANES
 from jentry.campaign.campaign import drawn_inputs
-from jentry.flight import FixedStep, misses
-from jentry.missions import find_mission
+from jentry.flight import misses
 from jentry.parameters.parameters import Parameters
 from jentry.tuning.batch_gradients import (
     Problem,
@@ -186,38 +185,3 @@ def test_flights_that_fail_on_one_side_are_left_out_of_both():
         )
         expected = (up - down) / 2e-5
         assert float(found.gradient[address]) == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.optimized
-@pytest.mark.slow
-@pytest.mark.parametrize("forward", [True, False])
-def test_tails_of_the_mars_mission(forward):
-    """Of the law and the draws of the campaign that tuning is for, b and epsilon0.
-
-    Differences have kinks between them: where a command is clipped, in a flight of some.
-    """
-    mission = find_mission("mars-drag-tracking")
-    scenario = mission.scenario("table-3")
-    where = lambda s: (s.guidance.gains.epsilon0, s.guidance.gains.b)
-    parameters = Parameters.of(scenario, where)
-    free = parameters.zeros()
-    whole = Problem(parameters, Simulation(misses, FixedStep()))
-    given = scenario, mission.dispersion_table(), jax.random.key(0), np.arange(FLIGHTS)
-    inputs = drawn_inputs(*given)
-    scaled = ScaledMisses((("downrange", 1e3),))
-    for name in BY_NAME:
-        loss = BY_NAME[name](scaled)
-        here, _ = fly_at(whole, free, inputs)
-        _, weights = loss_and_weights(loss, here)
-        found = batch_gradient(whole, free, inputs, weights, forward)
-        assert int(found.failed) == 0
-        for address in free:
-            slopes = []
-            for step in (1e-4, 1e-5, 1e-6):
-                up, down = (
-                    float(loss(fly_at(whole, free | {address: s}, inputs)[0]))
-                    for s in (jnp.asarray(step), jnp.asarray(-step))
-                )
-                slopes.append((up - down) / (2.0 * step))
-            error = min(abs(float(found.total[address]) / s - 1.0) for s in slopes)
-            assert error < 1e-4, (name, address, found.total[address], slopes)

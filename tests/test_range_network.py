@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import ConstantBank, with_leaf
+from helpers import ConstantBank, along_each, with_leaf
 
 import jentry
 from jentry.addresses import leaves_by_address, replace_leaves
@@ -638,24 +638,14 @@ def test_a_flight_by_the_networks_has_its_derivatives():
     """By density and lift; between reversals, which are discrete."""
     scenario = mars.networked_in_space()
 
-    @eqx.filter_jit
-    def ends(factors):
-        def end(factors):
-            given = with_leaf(scenario, lambda s: s.planet.density_scale, factors[0])
-            given = with_leaf(given, lambda s: s.vehicle.lift_scale, factors[1])
-            flight = jentry.fly(given)
-            sides = flight.state.longitude, flight.state.latitude
-            return jnp.stack(sides) * scenario.planet.radius
+    def end(factors):
+        given = with_leaf(scenario, lambda s: s.planet.density_scale, factors[0])
+        given = with_leaf(given, lambda s: s.vehicle.lift_scale, factors[1])
+        flight = jentry.fly(given)
+        sides = flight.state.longitude, flight.state.latitude
+        return jnp.stack(sides) * scenario.planet.radius
 
-        values = jax.vmap(end)(factors)
-        one = jnp.eye(2)
-        slopes = jax.vmap(lambda t: jax.jvp(end, (factors[0],), (t,))[1])(one)
-        return values, slopes
-
-    h = 1e-6
-    shifts = h * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
-    values, slopes = ends(jnp.asarray(np.array([1.02, 0.97]) + shifts))
-    differences = np.stack([values[1] - values[2], values[3] - values[4]]) / (2 * h)
+    slopes, differences = along_each(end, [1.02, 0.97], [1e-6, 1e-6])
     np.testing.assert_allclose(slopes, differences, rtol=1e-4, atol=1.0)
     assert np.min(np.max(np.abs(differences), axis=1)) > 1.0
 

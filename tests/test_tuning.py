@@ -617,15 +617,15 @@ def test_the_gradient_goes_through_a_planner():
     def loss(outputs):
         return mean_square(outputs.downrange / (10 * km))
 
+    up, down = (
+        batch_loss(problem, loss, {"curvature": jnp.asarray(h)}, inputs)[0]
+        for h in (1e-4, -1e-4)
+    )
     for forward in (True, False):
         how = AutomaticDifferentiation(forward)
         found = how(problem, loss, free, inputs).gradient["curvature"]
-        sides = [
-            batch_loss(problem, loss, {"curvature": jnp.asarray(h)}, inputs)[0]
-            for h in (1e-4, -1e-4)
-        ]
         # The third derivative over that step, and rounding.
-        assert float(found) == pytest.approx((sides[0] - sides[1]) / 2e-4, rel=1e-5)
+        assert float(found) == pytest.approx((up - down) / 2e-4, rel=1e-5)
     # Little is left to the curvature, since the plan meets the target with any.
     assert abs(float(found)) > 1e-5
 
@@ -647,6 +647,7 @@ def test_training_and_judgement_measure_the_same():
     assert judged["loss", ""].after.value == pytest.approx(best, rel=1e-9)
 
 
+@pytest.mark.optimized(False)
 @pytest.mark.slow
 def test_reversals_contradict_their_gradient_and_differences_do_not_need_it():
     """Of the crossrange, which is what they are for: over 1536 flights the mean of the
