@@ -34,7 +34,7 @@ CASES = {
     # Mission, variant, what is varied, density, what is looked at, step. Off the nominal
     # density, since on the reference itself no gain matters. The steps are relative, small
     # where a flight jumps with the number of its guidance cycles.
-    # Range tracking tracks drag as drag tracking does, which needs no case of its own.
+    "drag tracking": ("mars-drag-tracking", "table-3", gains, 1.02, "downrange", 2e-3),
     "range tracking": (
         "mars-range-tracking",
         "three-dimensional",
@@ -51,6 +51,7 @@ CASES = {
 @pytest.mark.parametrize(
     "case",
     [
+        "drag tracking",
         "range tracking",
         # With little optimization the flights round by 2e-11, over steps of 1e-5.
         pytest.param("bezier", marks=pytest.mark.optimized),
