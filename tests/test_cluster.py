@@ -17,7 +17,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
 import xarray
 from commands import Arrived, assert_refused, intercepted, monte_carlo
@@ -32,15 +31,26 @@ from jentry.campaign import (
     worker as worker_module,
 )
 from jentry.campaign.batch import LANES, over_runs, sum_over_runs
-from jentry.missions import find_mission
 
 
 # What is compared is bits, and workers compile as users do.
 pytestmark = pytest.mark.optimized
 
-CACHE = ROOT / ".pytest_cache" / "cluster"
+CACHE = ROOT / ".pytest_cache" / "processes"
+"""Of all processes that are started here"""
+
 RUNS = 5 * LANES + 3
 WORDS = jnp.asarray(1.0), "a part of the program"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once():
+    """What this process has compiled, those that are started find, where it is the same."""
+    link, compiled = CACHE / "compiled", Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
+    if not link.is_symlink() or link.readlink() != compiled:
+        CACHE.mkdir(parents=True, exist_ok=True)
+        link.unlink(missing_ok=True)
+        link.symlink_to(compiled)
 
 
 @pytest.fixture(scope="module")
@@ -52,17 +62,40 @@ def two(tmp_path_factory):
         yield cluster
 
 
-@pytest.fixture
-def of_its_own(tmp_path):
-    """A scheduler that may be killed."""
-    with DaskCluster(tmp_path, CACHE) as cluster:
+@pytest.fixture(scope="module")
+def alike(tmp_path_factory):
+    """A scheduler with two workers of one thread, which find compiled what a process has
+    flown on one core: for programs that take long to compile."""
+    with DaskCluster(tmp_path_factory.mktemp("alike"), CACHE) as cluster:
+        cluster.worker(1)
+        cluster.worker(1)
+        yield cluster
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory):
+    """It gives up a part with which two workers have been lost (the usual is four)."""
+    failures = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
+    folder = tmp_path_factory.mktemp("scheduler")
+    with DaskCluster(folder, CACHE, **failures) as cluster:
         yield cluster
 
 
 @pytest.fixture
-def small_parts(monkeypatch):
+def of_its_own(scheduler):
+    """A scheduler without workers, for those of a test that may be killed."""
+    yield scheduler
+    scheduler.kill_workers()
+
+
+def in_small_parts(monkeypatch):
     monkeypatch.setattr(batch, "_CHUNKS", 1)
     monkeypatch.setattr(batch, "_BLOCKS", 1)
+
+
+@pytest.fixture
+def small_parts(monkeypatch):
+    in_small_parts(monkeypatch)
 
 
 def same(one, other):
@@ -347,61 +380,23 @@ def test_one_cluster_at_a_time(two):
         assert over_runs(with_words, WORDS, {"x": np.ones(3)})[1].all()
 
 
-@pytest.mark.slow
-def test_a_campaign_of_a_mission(two, key):
-    mission = find_mission("mars-drag-tracking")
-    fly = lambda: jentry.monte_carlo(
-        mission.scenario(), mission.dispersion_table(), key, 2500, history=20.0
-    )
-    here = fly()
-    with jentry.Cluster(two.address):
-        there = fly()
-    assert same(here, there)
+PARTS = 10
+MANY = PARTS * LANES + 3
 
 
-LOSS = jentry.MeanSquare(lambda misses: misses.downrange / jentry.km)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("flights", [100, 300])
-def test_tuning_takes_the_same_course(two, flights):
-    mission = find_mission("mars-drag-tracking")
-
-    def tuned():
-        return jentry.tune(
-            mission.scenario(),
-            lambda s: (s.guidance.gains, s.guidance.observer),
-            LOSS,
-            optax.adam(0.1),
-            jentry.Draws(
-                mission.dispersion_table(), jax.random.key(0), flights, held_out=200
-            ),
-            budget=jentry.tuning.Budget(3),
-        )
-
-    here = tuned()
-    with jentry.Cluster(two.address):
-        there = tuned()
-    assert same(eqx.filter(here, eqx.is_array), eqx.filter(there, eqx.is_array))
-    assert same(
-        eqx.filter(here.scenario, eqx.is_array),
-        eqx.filter(there.scenario, eqx.is_array),
-    )
-
-
-MANY = 40 * LANES + 3
-
-
-@pytest.fixture
-def whole(tmp_path, small_parts):
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
     """A campaign of many parts, of one machine."""
-    cheap.campaign(tmp_path / "whole", MANY)
-    return jentry.open_campaign(tmp_path / "whole")
+    out = tmp_path_factory.mktemp("whole") / "whole"
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        in_small_parts(monkeypatch)
+        cheap.campaign(out, MANY)
+    return jentry.open_campaign(out)
 
 
 @pytest.mark.slow
 def test_a_worker_that_is_killed_costs_its_part(
-    tmp_path, of_its_own, whole, monkeypatch
+    tmp_path, of_its_own, whole, small_parts, monkeypatch
 ):
     killed, _ = of_its_own.worker(1), of_its_own.worker(1)
     out = tmp_path / "there"
@@ -413,25 +408,25 @@ def test_a_worker_that_is_killed_costs_its_part(
 
     def report(stored):
         reports.append(stored)
-        if len(reports) == 6:
+        if len(reports) == 4:
             kill(killed)
 
     with jentry.Cluster(of_its_own.address):
         cheap.campaign(out, MANY, report=report)
         assert of_its_own.workers() == 1
-    assert sorted(np.diff(reports)) == [3] + 40 * [LANES]
-    assert len(tasks) == 41  # what is lost, Dask gives to another one
+    assert sorted(np.diff(reports)) == [3] + PARTS * [LANES]
+    assert len(tasks) == PARTS + 1  # what is lost, Dask gives to another one
     xarray.testing.assert_identical(jentry.open_campaign(out), whole)
 
 
 @pytest.mark.slow
-def test_a_worker_that_comes_later_flies_too(tmp_path, of_its_own, whole):
+def test_a_worker_that_comes_later_flies_too(tmp_path, of_its_own, whole, small_parts):
     """Also the first one, for which it waits; and once more where all have been lost."""
     first = of_its_own.worker(1)
     out = tmp_path / "there"
 
     def report(stored):
-        if stored == 5 * LANES:
+        if stored == 3 * LANES:
             kill(first)
             of_its_own.worker(1)
 
@@ -441,25 +436,25 @@ def test_a_worker_that_comes_later_flies_too(tmp_path, of_its_own, whole):
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_lost(tmp_path, of_its_own, whole, two):
+def test_a_scheduler_that_is_lost(tmp_path, whole, small_parts, two):
     """In one sentence; what is stored is resumed, by another cluster or without one."""
-    of_its_own.worker(1)
-    of_its_own.worker(1)
     out = tmp_path / "there"
+    with DaskCluster(tmp_path, CACHE) as cluster:
+        cluster.worker(1)
 
-    def report(stored):
-        if stored >= 6 * LANES:
-            kill(of_its_own.scheduler)
+        def report(stored):
+            if stored >= 3 * LANES:
+                kill(cluster.scheduler)
 
-    with pytest.raises(
-        jentry.ClusterError, match="^the scheduler at tcp://.* is lost$"
-    ):
-        with jentry.Cluster(of_its_own.address):
-            cheap.campaign(out, MANY, report=report)
+        with pytest.raises(
+            jentry.ClusterError, match="^the scheduler at tcp://.* is lost$"
+        ):
+            with jentry.Cluster(cluster.address):
+                cheap.campaign(out, MANY, report=report)
     reports = []
     with jentry.Cluster(two.address):
-        cheap.campaign(out, 20 * LANES, report=reports.append)
-    assert reports[0] >= 6 * LANES and reports[-1] == 20 * LANES
+        cheap.campaign(out, 8 * LANES, report=reports.append)
+    assert 3 * LANES <= reports[0] < reports[-1] == 8 * LANES
     cheap.campaign(out, MANY)
     xarray.testing.assert_identical(jentry.open_campaign(out), whole)
 
@@ -478,11 +473,11 @@ def test_no_workers(of_its_own):
 
 @pytest.mark.slow
 def test_a_part_that_kills_its_workers(of_its_own):
-    for _ in range(4):
+    for _ in range(2):
         of_its_own.worker(1)
     with jentry.Cluster(of_its_own.address):
         with pytest.raises(
-            jentry.ClusterError, match="workers of .* with the same part"
+            jentry.ClusterError, match="^2 workers of .* with the same part"
         ):
             over_runs(that_kills, WORDS, {"x": np.ones(3)})
 
@@ -549,10 +544,10 @@ FLY += ("--step", 1)
 def test_the_command_flies_a_mission_of_a_file(lander, two):
     """On processes that it starts, and on workers that cannot import the law."""
     said = {}
-    for name, words in {
+    for name, words in {  # each finds what those before it have compiled
         "here": (),
-        "local": ("--cluster", "local:2"),
         "there": ("--cluster", two.address),
+        "local": ("--cluster", "local:1"),
     }.items():
         flown = started(*FLY, "--json", "--out", name, *words, cwd=lander)
         printed, errors = flown.communicate(timeout=300)
@@ -593,37 +588,39 @@ if __name__ == "__main__":
         turned, dispersions(), jax.random.key(0), 200, solver=jentry.FixedStep(1.0)
     )
     here = fly()
-    with jentry.Cluster(sys.argv[1]):
-        there = fly()
-    for pair in zip(jax.tree.leaves(here), jax.tree.leaves(there), strict=True):
-        assert np.array_equal(*pair)
-    print(np.mean(here.flights.state.latitude))
+    for where in sys.argv[1:]:
+        with jentry.Cluster(where):
+            there = fly()
+        for pair in zip(jax.tree.leaves(here), jax.tree.leaves(there), strict=True):
+            assert np.array_equal(*pair)
+        print(np.mean(there.flights.state.latitude))
 """
 
 
 @pytest.mark.slow
-def test_a_law_of_a_script_and_the_same_changed(lander, two):
+def test_a_law_of_a_script_and_the_same_changed(lander, alike):
     """The same workers fly the one, then the other; and those that it starts."""
     latitudes = []
-    for sign, where in (("", two.address), ("-", two.address), ("-", "local:2")):
+    for sign, *where in (("", alike.address), ("-", alike.address, "local:2")):
         (lander / "script.py").write_text(SCRIPT.replace("{sign}", sign))
-        flown = started("script.py", where, cwd=lander)
+        flown = started("script.py", *where, cwd=lander)
         printed, errors = flown.communicate(timeout=300)
         assert flown.returncode == 0 and not errors, errors
-        latitudes.append(float(printed))
-    assert latitudes[0] < 0.0 < latitudes[1] == latitudes[2]
+        latitudes += map(float, printed.split())
+    one, other, started_for_it = latitudes
+    assert one < 0.0 < other == started_for_it
 
 
 @pytest.mark.slow
-def test_a_script_that_does_not_look_whether_it_is_the_main_one(lander, two):
+def test_a_script_that_does_not_look_whether_it_is_the_main_one(lander, alike):
     """Which workers would fly within what they fly."""
     begin, end = SCRIPT.split('if __name__ == "__main__":')
     (lander / "script.py").write_text(
-        f"{begin}if True:{end}".replace("{sign}", "").replace(
-            "jentry.setup(1)", "jax.config.update('jax_enable_x64', True)"
-        )
+        f"{begin}if True:{end}".replace("{sign}", "")
+        .replace("jentry.setup(1)", "jax.config.update('jax_enable_x64', True)")
+        .replace("here = fly()", "")
     )
-    flown = started("-W", "default", "script.py", two.address, cwd=lander)
+    flown = started("-W", "default", "script.py", alike.address, cwd=lander)
     _, errors = flown.communicate(timeout=300)
     assert flown.returncode == 1
     assert "ClusterError: a worker runs the script of who asks" in errors
@@ -681,12 +678,85 @@ def test_ctrl_c_ends_it_in_one_line(lander):
         ),
     ],
 )
-def test_other_commands(tmp_path, two, command_words):
+def test_other_commands(tmp_path, alike, command_words):
     said = []
-    for name, words in {"here": (), "there": ("--cluster", two.address)}.items():
-        words = *command_words, *words, "--out", name
+    for name, words in {"here": (), "there": ("--cluster", alike.address)}.items():
+        words = *command_words, "--workers", 1, *words, "--out", name
         flown = started("-m", "jentry", *words, cwd=tmp_path)
         printed, errors = flown.communicate(timeout=300)
         assert flown.returncode == 0, errors
         said.append(printed.replace(name, "out"))
     assert said[0] == said[1]
+
+
+OF_A_MISSION = """
+import sys
+import equinox as eqx
+import jax
+import numpy as np
+import optax
+import jentry
+
+LOSS = jentry.MeanSquare(lambda misses: misses.downrange / jentry.km)
+
+
+def campaign(mission):
+    key = jax.random.key(20261121)
+    return jentry.monte_carlo(
+        mission.scenario(), mission.dispersion_table(), key, 2500, history=20.0
+    )
+
+
+def tuned(mission, flights):
+    tuned = jentry.tune(
+        mission.scenario(),
+        lambda s: (s.guidance.gains, s.guidance.observer),
+        LOSS,
+        optax.adam(0.1),
+        jentry.Draws(
+            mission.dispersion_table(), jax.random.key(0), flights, held_out=200
+        ),
+        budget=jentry.tuning.Budget(3),
+    )
+    return tuned, tuned.scenario
+
+
+def bits(tree):
+    numbers = map(np.asarray, filter(eqx.is_array_like, jax.tree.leaves(tree)))
+    return [(x.shape, x.dtype, x.tobytes()) for x in numbers]
+
+
+if __name__ == "__main__":
+    jentry.setup(1)
+    mission = jentry.find_mission("mars-drag-tracking")
+    _, where, what, *given = sys.argv
+    for numbers in [[int(number)] for number in given] or [[]]:
+        here = globals()[what](mission, *numbers)
+        with jentry.Cluster(where):
+            there = globals()[what](mission, *numbers)
+        assert bits(here) == bits(there), numbers
+        print(len(bits(here)))
+"""
+
+
+def flown_in_a_script(tmp_path, cluster, *words):
+    """How many arrays of what is flown are the same, here and there."""
+    (tmp_path / "script.py").write_text(OF_A_MISSION)
+    flown = started("script.py", cluster.address, *words, cwd=tmp_path)
+    printed, errors = flown.communicate(timeout=300)
+    assert flown.returncode == 0 and not errors, errors
+    return [int(line) for line in printed.split()]
+
+
+@pytest.mark.slow
+def test_a_campaign_of_a_mission(tmp_path, two):
+    (arrays,) = flown_in_a_script(tmp_path, two, "campaign")
+    assert arrays > 10
+
+
+@pytest.mark.slow
+def test_tuning_takes_the_same_course(tmp_path, alike):
+    """Of 100 flights, where each part is one batch (whose programs the command above has
+    compiled), and of 300, where it is several."""
+    arrays = flown_in_a_script(tmp_path, alike, "tuned", 100, 300)
+    assert len(arrays) == 2 and min(arrays) > 10
