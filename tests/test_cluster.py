@@ -638,7 +638,7 @@ def _is_there(group: int) -> bool:
 def test_ctrl_c_ends_it_in_one_line(lander):
     """With the processes that it has started, to which a terminal tells it too."""
     many = [word if word != 1300 else 200_000 for word in FLY]
-    words = (*many, "--cluster", "local:2", "--out", "out")
+    words = (*many, "--cluster", "local:1", "--out", "out")
     flown = started(*words, cwd=lander, start_new_session=True)
     try:
         stored = lambda: list((lander / "out").glob("runs-*.nc"))
