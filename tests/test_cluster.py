@@ -49,6 +49,7 @@ def compiled_once():
     link, compiled = CACHE / "compiled", Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
     if not link.is_symlink() or link.readlink() != compiled:
         CACHE.mkdir(parents=True, exist_ok=True)
+        compiled.mkdir(parents=True, exist_ok=True)
         link.unlink(missing_ok=True)
         link.symlink_to(compiled)
 
@@ -380,6 +381,133 @@ def test_one_cluster_at_a_time(two):
         assert over_runs(with_words, WORDS, {"x": np.ones(3)})[1].all()
 
 
+# What is jentry's own comes first: a worker that has been sent a law keeps no programs.
+
+
+def started(*words, cwd, **options):
+    """A process of Python as a user starts it, with warnings as errors."""
+    return subprocess.Popen(
+        [sys.executable, "-W", "error", *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=cwd,
+        env={**os.environ, "JENTRY_CACHE": str(CACHE)},
+        **options,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "command_words",
+    [
+        (
+            "compare",
+            "mars-drag-tracking",
+            "--variant",
+            "energy-index",
+            "--variant",
+            "table-3",
+        ),
+        (
+            "tune",
+            "mars-drag-tracking",
+            "--runs",
+            "64",
+            "--steps",
+            "2",
+            "--held-out",
+            "64",
+        ),
+    ],
+)
+def test_other_commands(tmp_path, alike, command_words):
+    said = []
+    for name, words in {"here": (), "there": ("--cluster", alike.address)}.items():
+        words = *command_words, "--workers", 1, *words, "--out", name
+        flown = started("-m", "jentry", *words, cwd=tmp_path)
+        printed, errors = flown.communicate(timeout=300)
+        assert flown.returncode == 0, errors
+        said.append(printed.replace(name, "out"))
+    assert said[0] == said[1]
+
+
+OF_A_MISSION = """
+import sys
+import equinox as eqx
+import jax
+import numpy as np
+import optax
+import jentry
+
+LOSS = jentry.MeanSquare(lambda misses: misses.downrange / jentry.km)
+
+
+def campaign(mission):
+    key = jax.random.key(20261121)
+    return jentry.monte_carlo(
+        mission.scenario(), mission.dispersion_table(), key, 2500, history=20.0
+    )
+
+
+def tuned(mission, flights):
+    tuned = jentry.tune(
+        mission.scenario(),
+        lambda s: (s.guidance.gains, s.guidance.observer),
+        LOSS,
+        optax.adam(0.1),
+        jentry.Draws(
+            mission.dispersion_table(), jax.random.key(0), flights, held_out=200
+        ),
+        budget=jentry.tuning.Budget(3),
+    )
+    return tuned, tuned.scenario
+
+
+def bits(tree):
+    numbers = map(np.asarray, filter(eqx.is_array_like, jax.tree.leaves(tree)))
+    return [(x.shape, x.dtype, x.tobytes()) for x in numbers]
+
+
+if __name__ == "__main__":
+    jentry.setup(1)
+    mission = jentry.find_mission("mars-drag-tracking")
+    _, where, what, *given = sys.argv
+    for numbers in [[int(number)] for number in given] or [[]]:
+        here = globals()[what](mission, *numbers)
+        with jentry.Cluster(where):
+            there = globals()[what](mission, *numbers)
+        assert bits(here) == bits(there), numbers
+        print(len(bits(here)))
+"""
+
+
+def flown_in_a_script(tmp_path, cluster, *words):
+    """How many arrays of what is flown are the same, here and there."""
+    (tmp_path / "script.py").write_text(OF_A_MISSION)
+    flown = started("script.py", cluster.address, *words, cwd=tmp_path)
+    printed, errors = flown.communicate(timeout=300)
+    assert flown.returncode == 0 and not errors, errors
+    return [int(line) for line in printed.split()]
+
+
+@pytest.mark.slow
+def test_a_campaign_of_a_mission(tmp_path, two):
+    (arrays,) = flown_in_a_script(tmp_path, two, "campaign")
+    assert arrays > 10
+
+
+@pytest.mark.slow
+def test_tuning_takes_the_same_course(tmp_path, alike):
+    """Of 100 flights, where each part is one batch (whose programs the command above has
+    compiled), and of 300, where it is several."""
+    arrays = flown_in_a_script(tmp_path, alike, "tuned", 100, 300)
+    assert len(arrays) == 2 and min(arrays) > 10
+
+
+# Who is lost, and who does not fit.
+
+
 PARTS = 10
 MANY = PARTS * LANES + 3
 
@@ -511,19 +639,6 @@ def test_a_worker_without_jentry_is_refused(tmp_path, of_its_own):
             over_runs(with_words, WORDS, {"x": np.ones(3)})
 
 
-def started(*words, cwd, **options):
-    """A process of Python as a user starts it, with warnings as errors."""
-    return subprocess.Popen(
-        [sys.executable, "-W", "error", *map(str, words)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=cwd,
-        env={**os.environ, "JENTRY_CACHE": str(CACHE)},
-        **options,
-    )
-
-
 @pytest.fixture
 def lander(tmp_path):
     """The mission of the README, with its law in a file beside it."""
@@ -618,7 +733,7 @@ def test_a_script_that_does_not_look_whether_it_is_the_main_one(lander, alike):
     (lander / "script.py").write_text(
         f"{begin}if True:{end}".replace("{sign}", "")
         .replace("jentry.setup(1)", "jax.config.update('jax_enable_x64', True)")
-        .replace("here = fly()", "")
+        .replace("\n    here = fly()", "")
     )
     flown = started("-W", "default", "script.py", alike.address, cwd=lander)
     _, errors = flown.communicate(timeout=300)
@@ -652,111 +767,3 @@ def test_ctrl_c_ends_it_in_one_line(lander):
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(flown.pid, signal.SIGKILL)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "command_words",
-    [
-        (
-            "compare",
-            "mars-drag-tracking",
-            "--variant",
-            "energy-index",
-            "--variant",
-            "table-3",
-        ),
-        (
-            "tune",
-            "mars-drag-tracking",
-            "--runs",
-            "64",
-            "--steps",
-            "2",
-            "--held-out",
-            "64",
-        ),
-    ],
-)
-def test_other_commands(tmp_path, alike, command_words):
-    said = []
-    for name, words in {"here": (), "there": ("--cluster", alike.address)}.items():
-        words = *command_words, "--workers", 1, *words, "--out", name
-        flown = started("-m", "jentry", *words, cwd=tmp_path)
-        printed, errors = flown.communicate(timeout=300)
-        assert flown.returncode == 0, errors
-        said.append(printed.replace(name, "out"))
-    assert said[0] == said[1]
-
-
-OF_A_MISSION = """
-import sys
-import equinox as eqx
-import jax
-import numpy as np
-import optax
-import jentry
-
-LOSS = jentry.MeanSquare(lambda misses: misses.downrange / jentry.km)
-
-
-def campaign(mission):
-    key = jax.random.key(20261121)
-    return jentry.monte_carlo(
-        mission.scenario(), mission.dispersion_table(), key, 2500, history=20.0
-    )
-
-
-def tuned(mission, flights):
-    tuned = jentry.tune(
-        mission.scenario(),
-        lambda s: (s.guidance.gains, s.guidance.observer),
-        LOSS,
-        optax.adam(0.1),
-        jentry.Draws(
-            mission.dispersion_table(), jax.random.key(0), flights, held_out=200
-        ),
-        budget=jentry.tuning.Budget(3),
-    )
-    return tuned, tuned.scenario
-
-
-def bits(tree):
-    numbers = map(np.asarray, filter(eqx.is_array_like, jax.tree.leaves(tree)))
-    return [(x.shape, x.dtype, x.tobytes()) for x in numbers]
-
-
-if __name__ == "__main__":
-    jentry.setup(1)
-    mission = jentry.find_mission("mars-drag-tracking")
-    _, where, what, *given = sys.argv
-    for numbers in [[int(number)] for number in given] or [[]]:
-        here = globals()[what](mission, *numbers)
-        with jentry.Cluster(where):
-            there = globals()[what](mission, *numbers)
-        assert bits(here) == bits(there), numbers
-        print(len(bits(here)))
-"""
-
-
-def flown_in_a_script(tmp_path, cluster, *words):
-    """How many arrays of what is flown are the same, here and there."""
-    (tmp_path / "script.py").write_text(OF_A_MISSION)
-    flown = started("script.py", cluster.address, *words, cwd=tmp_path)
-    printed, errors = flown.communicate(timeout=300)
-    assert flown.returncode == 0 and not errors, errors
-    return [int(line) for line in printed.split()]
-
-
-@pytest.mark.slow
-def test_a_campaign_of_a_mission(tmp_path, two):
-    (arrays,) = flown_in_a_script(tmp_path, two, "campaign")
-    assert arrays > 10
-
-
-@pytest.mark.slow
-def test_tuning_takes_the_same_course(tmp_path, alike):
-    """Of 100 flights, where each part is one batch (whose programs the command above has
-    compiled), and of 300, where it is several."""
-    arrays = flown_in_a_script(tmp_path, alike, "tuned", 100, 300)
-    assert len(arrays) == 2 and min(arrays) > 10
