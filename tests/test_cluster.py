@@ -397,39 +397,22 @@ def started(*words, cwd, **options):
     )
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "command_words",
-    [
-        (
-            "compare",
-            "mars-drag-tracking",
-            "--variant",
-            "energy-index",
-            "--variant",
-            "table-3",
-        ),
-        (
-            "tune",
-            "mars-drag-tracking",
-            "--runs",
-            "64",
-            "--steps",
-            "2",
-            "--held-out",
-            "64",
-        ),
-    ],
-)
-def test_other_commands(tmp_path, alike, command_words):
+def assert_says_the_same(cluster, folder, *command_words):
+    """A command, here and there."""
     said = []
-    for name, words in {"here": (), "there": ("--cluster", alike.address)}.items():
+    for name, words in {"here": (), "there": ("--cluster", cluster.address)}.items():
         words = *command_words, "--workers", 1, *words, "--out", name
-        flown = started("-m", "jentry", *words, cwd=tmp_path)
+        flown = started("-m", "jentry", *words, cwd=folder)
         printed, errors = flown.communicate(timeout=300)
         assert flown.returncode == 0, errors
         said.append(printed.replace(name, "out"))
     assert said[0] == said[1]
+
+
+@pytest.mark.slow
+def test_the_command_tunes_there(tmp_path, alike):
+    words = "tune", "mars-drag-tracking", "--runs", 64, "--steps", 2, "--held-out", 64
+    assert_says_the_same(alike, tmp_path, *words)
 
 
 OF_A_MISSION = """
@@ -673,6 +656,21 @@ def test_the_command_flies_a_mission_of_a_file(lander, two):
     here, *others = (jentry.open_campaign(lander / name) for name in said)
     for other in others:
         xarray.testing.assert_identical(here, other)
+
+
+@pytest.mark.slow
+def test_the_command_compares_there(lander, alike):
+    """Two variants of a mission of a file."""
+    file = lander / "my_lander.py"
+    text = file.read_text().replace(
+        "import its_law", "import equinox as eqx\nimport its_law"
+    )
+    lighter = "lambda: eqx.tree_at(lambda s: s.vehicle.mass, scenario(), 900.0)"
+    one = '{"nominal": scenario'
+    assert one in text
+    file.write_text(text.replace(one, f'{one}, "lighter": {lighter}'))
+    words = "compare", file.name, "--variant", "nominal", "--variant", "lighter"
+    assert_says_the_same(alike, lander, *words, "--runs", 300, "--step", 1)
 
 
 SCRIPT = """
