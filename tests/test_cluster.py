@@ -31,6 +31,7 @@ from jentry.campaign import (
     worker as worker_module,
 )
 from jentry.campaign.batch import LANES, over_runs, sum_over_runs
+from jentry.missions import find_mission
 
 
 # What is compared is bits, and workers compile as users do.
@@ -384,6 +385,18 @@ def test_one_cluster_at_a_time(two):
 # What is jentry's own comes first: a worker that has been sent a law keeps no programs.
 
 
+@pytest.mark.slow
+def test_a_campaign_of_a_mission(two, key):
+    mission = find_mission("mars-drag-tracking")
+    fly = lambda: jentry.monte_carlo(
+        mission.scenario(), mission.dispersion_table(), key, 2500, history=20.0
+    )
+    here = fly()
+    with jentry.Cluster(two.address):
+        there = fly()
+    assert same(here, there)
+
+
 def started(*words, cwd, **options):
     """A process of Python as a user starts it, with warnings as errors."""
     return subprocess.Popen(
@@ -415,7 +428,7 @@ def test_the_command_tunes_there(tmp_path, alike):
     assert_says_the_same(alike, tmp_path, *words)
 
 
-OF_A_MISSION = """
+TUNING = """
 import sys
 import equinox as eqx
 import jax
@@ -426,14 +439,8 @@ import jentry
 LOSS = jentry.MeanSquare(lambda misses: misses.downrange / jentry.km)
 
 
-def campaign(mission):
-    key = jax.random.key(20261121)
-    return jentry.monte_carlo(
-        mission.scenario(), mission.dispersion_table(), key, 2500, history=20.0
-    )
-
-
-def tuned(mission, flights):
+def tuned(flights):
+    mission = jentry.find_mission("mars-drag-tracking")
     tuned = jentry.tune(
         mission.scenario(),
         lambda s: (s.guidance.gains, s.guidance.observer),
@@ -454,38 +461,25 @@ def bits(tree):
 
 if __name__ == "__main__":
     jentry.setup(1)
-    mission = jentry.find_mission("mars-drag-tracking")
-    _, where, what, *given = sys.argv
-    for numbers in [[int(number)] for number in given] or [[]]:
-        here = globals()[what](mission, *numbers)
-        with jentry.Cluster(where):
-            there = globals()[what](mission, *numbers)
-        assert bits(here) == bits(there), numbers
+    for flights in (100, 300):
+        here = tuned(flights)
+        with jentry.Cluster(sys.argv[1]):
+            there = tuned(flights)
+        assert bits(here) == bits(there), flights
         print(len(bits(here)))
 """
-
-
-def flown_in_a_script(tmp_path, cluster, *words):
-    """How many arrays of what is flown are the same, here and there."""
-    (tmp_path / "script.py").write_text(OF_A_MISSION)
-    flown = started("script.py", cluster.address, *words, cwd=tmp_path)
-    printed, errors = flown.communicate(timeout=300)
-    assert flown.returncode == 0 and not errors, errors
-    return [int(line) for line in printed.split()]
-
-
-@pytest.mark.slow
-def test_a_campaign_of_a_mission(tmp_path, two):
-    (arrays,) = flown_in_a_script(tmp_path, two, "campaign")
-    assert arrays > 10
 
 
 @pytest.mark.slow
 def test_tuning_takes_the_same_course(tmp_path, alike):
     """Of 100 flights, where each part is one batch (whose programs the command above has
     compiled), and of 300, where it is several."""
-    arrays = flown_in_a_script(tmp_path, alike, "tuned", 100, 300)
-    assert len(arrays) == 2 and min(arrays) > 10
+    (tmp_path / "script.py").write_text(TUNING)
+    flown = started("script.py", alike.address, cwd=tmp_path)
+    printed, errors = flown.communicate(timeout=300)
+    assert flown.returncode == 0 and not errors, errors
+    compared = [int(line) for line in printed.split()]
+    assert len(compared) == 2 and min(compared) > 10
 
 
 # Who is lost, and who does not fit.
