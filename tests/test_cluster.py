@@ -541,7 +541,7 @@ def test_a_worker_that_comes_later_flies_too(tmp_path, of_its_own, whole, small_
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_lost(tmp_path, whole, small_parts, two):
+def test_a_scheduler_that_is_lost(tmp_path, whole, small_parts, alike):
     """In one sentence; what is stored is resumed, by another cluster or without one."""
     out = tmp_path / "there"
     with DaskCluster(tmp_path, CACHE) as cluster:
@@ -557,7 +557,7 @@ def test_a_scheduler_that_is_lost(tmp_path, whole, small_parts, two):
             with jentry.Cluster(cluster.address):
                 cheap.campaign(out, MANY, report=report)
     reports = []
-    with jentry.Cluster(two.address):
+    with jentry.Cluster(alike.address):
         cheap.campaign(out, 8 * LANES, report=reports.append)
     assert 3 * LANES <= reports[0] < reports[-1] == 8 * LANES
     cheap.campaign(out, MANY)
