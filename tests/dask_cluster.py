@@ -106,3 +106,8 @@ class DaskCluster:
 def kill(process: subprocess.Popen) -> None:
     process.send_signal(signal.SIGKILL)
     process.wait()
+
+
+def that_kills(shared, run):
+    """A flight that kills its worker, which need not import the tests for it."""
+    os.kill(os.getpid(), signal.SIGKILL)

@@ -20,7 +20,7 @@ import numpy as np
 import pytest
 import xarray
 from commands import Arrived, assert_refused, intercepted, monte_carlo
-from dask_cluster import ROOT, DaskCluster, kill, wait_for
+from dask_cluster import ROOT, DaskCluster, kill, that_kills, wait_for
 from readme import file_of_the_readme
 
 import jentry
@@ -585,10 +585,6 @@ def test_a_part_that_kills_its_workers(of_its_own):
             jentry.ClusterError, match="^2 workers of .* with the same part"
         ):
             over_runs(that_kills, WORDS, {"x": np.ones(3)})
-
-
-def that_kills(shared, run):
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.slow
