@@ -476,7 +476,7 @@ def test_tuning_takes_the_same_course(tmp_path, alike):
     compiled), and of 300, where it is several."""
     (tmp_path / "script.py").write_text(TUNING)
     flown = started("script.py", alike.address, cwd=tmp_path)
-    printed, errors = flown.communicate(timeout=300)
+    printed, errors = flown.communicate(timeout=600)
     assert flown.returncode == 0 and not errors, errors
     compared = [int(line) for line in printed.split()]
     assert len(compared) == 2 and min(compared) > 10
