@@ -3,10 +3,10 @@
 import dataclasses
 import functools
 import math
+from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 from helpers import free_scenario
-from matplotlib.figure import Figure
 
 from jentry.campaign import Dispersion, Uniform, add, multiply, run_campaign
 from jentry.flight import FixedStep, Scenario
@@ -16,6 +16,10 @@ from jentry.onboard.profiles import PolynomialProfile
 from jentry.plots import USUAL, FigureData
 from jentry.plots.style import panelled, scaled
 from jentry.units import degree
+
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure  # which processes that only fly do not need
 
 
 SOLVER = FixedStep(1.0)
@@ -65,7 +69,7 @@ def campaign(out, runs, seed=SEED, table=None, **options) -> None:
     run_campaign(out, scenario(), table, seed, runs, solver=SOLVER, **options)
 
 
-def ends(data: FigureData) -> Figure:
+def ends(data: FigureData) -> "Figure":
     """A figure of this mission's own: where the runs ended, and the bank of the law."""
     figure, (axes,) = panelled(3.0, 3.0, 1, data.title)
     drawn = scaled(data.results["end_altitude"])

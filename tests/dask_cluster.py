@@ -18,19 +18,23 @@ _LIMIT = 120.0
 """s, after which what is waited for does not come"""
 
 
-def wait_for(condition: Callable[[], object], what: str) -> None:
+def wait_for(condition: Callable[[], object], what: str, pause: float = 0.02) -> None:
     limit = time.monotonic() + _LIMIT
     while not condition():
         assert time.monotonic() < limit, f"{what} does not come"
-        time.sleep(0.02)
+        time.sleep(pause)
 
 
 class DaskCluster:
-    """Started within `with`, and killed at its end with all that it has started."""
+    """Started within `with`, and killed at its end with all that it has started.
 
-    def __init__(self, folder: Path, cache: Path):
+    What is beside folder and cache is more of the environment of its scheduler.
+    """
+
+    def __init__(self, folder: Path, cache: Path, **environment: str):
         self.file = folder / "scheduler.json"
         self._folder = folder
+        self._of_scheduler = environment
         # The same jentry as here; what the tests have of their own goes along.
         ours = {"JENTRY_CACHE": str(cache), "PYTHONPATH": str(ROOT)}
         self._environment = {**os.environ, **ours}
@@ -41,7 +45,7 @@ class DaskCluster:
         words += "--no-dashboard", "--dashboard-address", "127.0.0.1:0"
         with contextlib.ExitStack() as ending:
             ending.callback(self._end)
-            self.scheduler = self._started("scheduler", *words)
+            self.scheduler = self._started("scheduler", *words, **self._of_scheduler)
             wait_for(self._is_told, "the scheduler")
             self.address = json.loads(self.file.read_text())["address"]
             self._ending = ending.pop_all()
@@ -66,13 +70,21 @@ class DaskCluster:
         with self._client() as client:  # which takes much longer than to ask it
             before = len(client.nthreads())
             process = self._started("worker", *words, **environment)
-            wait_for(lambda: len(client.nthreads()) > before, "the worker")
+            there = lambda: len(client.nthreads()) > before
+            wait_for(there, "the worker", pause=0.1)  # to ask takes a while as well
         return process
 
     def workers(self) -> int:
         """How many there are."""
         with self._client() as client:
             return len(client.nthreads())
+
+    def kill_workers(self) -> None:
+        """Kill all workers, and wait until the scheduler knows."""
+        for process in self._processes[1:]:
+            kill(process)
+        with self._client() as client:
+            wait_for(lambda: not client.nthreads(), "the loss of the workers")
 
     def _client(self) -> distributed.Client:
         return distributed.Client(self.address, set_as_default=False)
@@ -94,3 +106,8 @@ class DaskCluster:
 def kill(process: subprocess.Popen) -> None:
     process.send_signal(signal.SIGKILL)
     process.wait()
+
+
+def that_kills(shared, run):
+    """A flight that kills its worker, which need not import the tests for it."""
+    os.kill(os.getpid(), signal.SIGKILL)

@@ -13,7 +13,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
 
 from jentry.fields import Scalar, scalar
 from jentry.flight import (
@@ -184,12 +183,18 @@ SPREADS = 5.0
 
 def most_by_chance(runs: int, share: float) -> int:
     """Of so many runs, at most, what a share of all flights is."""
-    return int(stats.binom.ppf(1.0 - CHANCE, runs, share))
+    return _binomial(1.0 - CHANCE, runs, share)
 
 
 def least_by_chance(runs: int, share: float) -> int:
     """Of so many runs, at least, what a share of all flights is."""
-    return int(stats.binom.ppf(CHANCE, runs, share))
+    return _binomial(CHANCE, runs, share)
+
+
+def _binomial(chance: float, runs: int, share: float) -> int:
+    from scipy import stats  # which takes as long to import as jax
+
+    return int(stats.binom.ppf(chance, runs, share))
 
 
 def mars_planet(**changes) -> Planet:

@@ -17,11 +17,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optax
 import pytest
 import xarray
 from commands import Arrived, assert_refused, intercepted, monte_carlo
-from dask_cluster import ROOT, DaskCluster, kill, wait_for
+from dask_cluster import ROOT, DaskCluster, kill, that_kills, wait_for
 from readme import file_of_the_readme
 
 import jentry
@@ -38,9 +37,22 @@ from jentry.missions import find_mission
 # What is compared is bits, and workers compile as users do.
 pytestmark = pytest.mark.optimized
 
-CACHE = ROOT / ".pytest_cache" / "cluster"
+CACHE = ROOT / ".pytest_cache" / "processes"
+"""Of all processes that are started here"""
+
 RUNS = 5 * LANES + 3
 WORDS = jnp.asarray(1.0), "a part of the program"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def compiled_once():
+    """What this process has compiled, those that are started find, where it is the same."""
+    link, compiled = CACHE / "compiled", Path(os.environ["JAX_COMPILATION_CACHE_DIR"])
+    if not link.is_symlink() or link.readlink() != compiled:
+        CACHE.mkdir(parents=True, exist_ok=True)
+        compiled.mkdir(parents=True, exist_ok=True)
+        link.unlink(missing_ok=True)
+        link.symlink_to(compiled)
 
 
 @pytest.fixture(scope="module")
@@ -52,17 +64,40 @@ def two(tmp_path_factory):
         yield cluster
 
 
-@pytest.fixture
-def of_its_own(tmp_path):
-    """A scheduler that may be killed."""
-    with DaskCluster(tmp_path, CACHE) as cluster:
+@pytest.fixture(scope="module")
+def alike(tmp_path_factory):
+    """A scheduler with two workers of one thread, which find compiled what a process has
+    flown on one core: for programs that take long to compile."""
+    with DaskCluster(tmp_path_factory.mktemp("alike"), CACHE) as cluster:
+        cluster.worker(1)
+        cluster.worker(1)
+        yield cluster
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory):
+    """It gives up a part with which two workers have been lost (the usual is four)."""
+    failures = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1"}
+    folder = tmp_path_factory.mktemp("scheduler")
+    with DaskCluster(folder, CACHE, **failures) as cluster:
         yield cluster
 
 
 @pytest.fixture
-def small_parts(monkeypatch):
+def of_its_own(scheduler):
+    """A scheduler without workers, for those of a test that may be killed."""
+    yield scheduler
+    scheduler.kill_workers()
+
+
+def in_small_parts(monkeypatch):
     monkeypatch.setattr(batch, "_CHUNKS", 1)
     monkeypatch.setattr(batch, "_BLOCKS", 1)
+
+
+@pytest.fixture
+def small_parts(monkeypatch):
+    in_small_parts(monkeypatch)
 
 
 def same(one, other):
@@ -347,6 +382,9 @@ def test_one_cluster_at_a_time(two):
         assert over_runs(with_words, WORDS, {"x": np.ones(3)})[1].all()
 
 
+# What is jentry's own comes first: a worker that has been sent a law keeps no programs.
+
+
 @pytest.mark.slow
 def test_a_campaign_of_a_mission(two, key):
     mission = find_mission("mars-drag-tracking")
@@ -359,49 +397,111 @@ def test_a_campaign_of_a_mission(two, key):
     assert same(here, there)
 
 
-LOSS = jentry.MeanSquare(lambda misses: misses.downrange / jentry.km)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("flights", [100, 300])
-def test_tuning_takes_the_same_course(two, flights):
-    mission = find_mission("mars-drag-tracking")
-
-    def tuned():
-        return jentry.tune(
-            mission.scenario(),
-            lambda s: (s.guidance.gains, s.guidance.observer),
-            LOSS,
-            optax.adam(0.1),
-            jentry.Draws(
-                mission.dispersion_table(), jax.random.key(0), flights, held_out=200
-            ),
-            budget=jentry.tuning.Budget(3),
-        )
-
-    here = tuned()
-    with jentry.Cluster(two.address):
-        there = tuned()
-    assert same(eqx.filter(here, eqx.is_array), eqx.filter(there, eqx.is_array))
-    assert same(
-        eqx.filter(here.scenario, eqx.is_array),
-        eqx.filter(there.scenario, eqx.is_array),
+def started(*words, cwd, **options):
+    """A process of Python as a user starts it, with warnings as errors."""
+    return subprocess.Popen(
+        [sys.executable, "-W", "error", *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=cwd,
+        env={**os.environ, "JENTRY_CACHE": str(CACHE)},
+        **options,
     )
 
 
-MANY = 40 * LANES + 3
+def assert_says_the_same(cluster, folder, *command_words):
+    """A command, here and there."""
+    said = []
+    for name, words in {"here": (), "there": ("--cluster", cluster.address)}.items():
+        words = *command_words, "--workers", 1, *words, "--out", name
+        flown = started("-m", "jentry", *words, cwd=folder)
+        printed, errors = flown.communicate(timeout=300)
+        assert flown.returncode == 0, errors
+        said.append(printed.replace(name, "out"))
+    assert said[0] == said[1]
 
 
-@pytest.fixture
-def whole(tmp_path, small_parts):
+@pytest.mark.slow
+def test_the_command_tunes_there(tmp_path, alike):
+    words = "tune", "mars-drag-tracking", "--runs", 64, "--steps", 2, "--held-out", 64
+    assert_says_the_same(alike, tmp_path, *words)
+
+
+TUNING = """
+import sys
+import equinox as eqx
+import jax
+import numpy as np
+import optax
+import jentry
+
+LOSS = jentry.MeanSquare(lambda misses: misses.downrange / jentry.km)
+
+
+def tuned(flights):
+    mission = jentry.find_mission("mars-drag-tracking")
+    tuned = jentry.tune(
+        mission.scenario(),
+        lambda s: (s.guidance.gains, s.guidance.observer),
+        LOSS,
+        optax.adam(0.1),
+        jentry.Draws(
+            mission.dispersion_table(), jax.random.key(0), flights, held_out=200
+        ),
+        budget=jentry.tuning.Budget(3),
+    )
+    return tuned, tuned.scenario
+
+
+def bits(tree):
+    numbers = map(np.asarray, filter(eqx.is_array_like, jax.tree.leaves(tree)))
+    return [(x.shape, x.dtype, x.tobytes()) for x in numbers]
+
+
+if __name__ == "__main__":
+    jentry.setup(1)
+    for flights in (100, 300):
+        here = tuned(flights)
+        with jentry.Cluster(sys.argv[1]):
+            there = tuned(flights)
+        assert bits(here) == bits(there), flights
+        print(len(bits(here)))
+"""
+
+
+@pytest.mark.slow
+def test_tuning_takes_the_same_course(tmp_path, alike):
+    """Of 100 flights, where each part is one batch (whose programs the command above has
+    compiled), and of 300, where it is several."""
+    (tmp_path / "script.py").write_text(TUNING)
+    flown = started("script.py", alike.address, cwd=tmp_path)
+    printed, errors = flown.communicate(timeout=600)
+    assert flown.returncode == 0 and not errors, errors
+    compared = [int(line) for line in printed.split()]
+    assert len(compared) == 2 and min(compared) > 10
+
+
+# Who is lost, and who does not fit.
+
+
+PARTS = 10
+MANY = PARTS * LANES + 3
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
     """A campaign of many parts, of one machine."""
-    cheap.campaign(tmp_path / "whole", MANY)
-    return jentry.open_campaign(tmp_path / "whole")
+    out = tmp_path_factory.mktemp("whole") / "whole"
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        in_small_parts(monkeypatch)
+        cheap.campaign(out, MANY)
+    return jentry.open_campaign(out)
 
 
 @pytest.mark.slow
 def test_a_worker_that_is_killed_costs_its_part(
-    tmp_path, of_its_own, whole, monkeypatch
+    tmp_path, of_its_own, whole, small_parts, monkeypatch
 ):
     killed, _ = of_its_own.worker(1), of_its_own.worker(1)
     out = tmp_path / "there"
@@ -413,25 +513,25 @@ def test_a_worker_that_is_killed_costs_its_part(
 
     def report(stored):
         reports.append(stored)
-        if len(reports) == 6:
+        if len(reports) == 4:
             kill(killed)
 
     with jentry.Cluster(of_its_own.address):
         cheap.campaign(out, MANY, report=report)
         assert of_its_own.workers() == 1
-    assert sorted(np.diff(reports)) == [3] + 40 * [LANES]
-    assert len(tasks) == 41  # what is lost, Dask gives to another one
+    assert sorted(np.diff(reports)) == [3] + PARTS * [LANES]
+    assert len(tasks) == PARTS + 1  # what is lost, Dask gives to another one
     xarray.testing.assert_identical(jentry.open_campaign(out), whole)
 
 
 @pytest.mark.slow
-def test_a_worker_that_comes_later_flies_too(tmp_path, of_its_own, whole):
+def test_a_worker_that_comes_later_flies_too(tmp_path, of_its_own, whole, small_parts):
     """Also the first one, for which it waits; and once more where all have been lost."""
     first = of_its_own.worker(1)
     out = tmp_path / "there"
 
     def report(stored):
-        if stored == 5 * LANES:
+        if stored == 3 * LANES:
             kill(first)
             of_its_own.worker(1)
 
@@ -441,25 +541,25 @@ def test_a_worker_that_comes_later_flies_too(tmp_path, of_its_own, whole):
 
 
 @pytest.mark.slow
-def test_a_scheduler_that_is_lost(tmp_path, of_its_own, whole, two):
+def test_a_scheduler_that_is_lost(tmp_path, whole, small_parts, alike):
     """In one sentence; what is stored is resumed, by another cluster or without one."""
-    of_its_own.worker(1)
-    of_its_own.worker(1)
     out = tmp_path / "there"
+    with DaskCluster(tmp_path, CACHE) as cluster:
+        cluster.worker(1)
 
-    def report(stored):
-        if stored >= 6 * LANES:
-            kill(of_its_own.scheduler)
+        def report(stored):
+            if stored >= 3 * LANES:
+                kill(cluster.scheduler)
 
-    with pytest.raises(
-        jentry.ClusterError, match="^the scheduler at tcp://.* is lost$"
-    ):
-        with jentry.Cluster(of_its_own.address):
-            cheap.campaign(out, MANY, report=report)
+        with pytest.raises(
+            jentry.ClusterError, match="^the scheduler at tcp://.* is lost$"
+        ):
+            with jentry.Cluster(cluster.address):
+                cheap.campaign(out, MANY, report=report)
     reports = []
-    with jentry.Cluster(two.address):
-        cheap.campaign(out, 20 * LANES, report=reports.append)
-    assert reports[0] >= 6 * LANES and reports[-1] == 20 * LANES
+    with jentry.Cluster(alike.address):
+        cheap.campaign(out, 8 * LANES, report=reports.append)
+    assert 3 * LANES <= reports[0] < reports[-1] == 8 * LANES
     cheap.campaign(out, MANY)
     xarray.testing.assert_identical(jentry.open_campaign(out), whole)
 
@@ -478,17 +578,13 @@ def test_no_workers(of_its_own):
 
 @pytest.mark.slow
 def test_a_part_that_kills_its_workers(of_its_own):
-    for _ in range(4):
+    for _ in range(2):
         of_its_own.worker(1)
     with jentry.Cluster(of_its_own.address):
         with pytest.raises(
-            jentry.ClusterError, match="workers of .* with the same part"
+            jentry.ClusterError, match="^2 workers of .* with the same part"
         ):
             over_runs(that_kills, WORDS, {"x": np.ones(3)})
-
-
-def that_kills(shared, run):
-    os.kill(os.getpid(), signal.SIGKILL)
 
 
 @pytest.mark.slow
@@ -516,19 +612,6 @@ def test_a_worker_without_jentry_is_refused(tmp_path, of_its_own):
             over_runs(with_words, WORDS, {"x": np.ones(3)})
 
 
-def started(*words, cwd, **options):
-    """A process of Python as a user starts it, with warnings as errors."""
-    return subprocess.Popen(
-        [sys.executable, "-W", "error", *map(str, words)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=cwd,
-        env={**os.environ, "JENTRY_CACHE": str(CACHE)},
-        **options,
-    )
-
-
 @pytest.fixture
 def lander(tmp_path):
     """The mission of the README, with its law in a file beside it."""
@@ -549,10 +632,10 @@ FLY += ("--step", 1)
 def test_the_command_flies_a_mission_of_a_file(lander, two):
     """On processes that it starts, and on workers that cannot import the law."""
     said = {}
-    for name, words in {
+    for name, words in {  # each finds what those before it have compiled
         "here": (),
-        "local": ("--cluster", "local:2"),
         "there": ("--cluster", two.address),
+        "local": ("--cluster", "local:1"),
     }.items():
         flown = started(*FLY, "--json", "--out", name, *words, cwd=lander)
         printed, errors = flown.communicate(timeout=300)
@@ -563,6 +646,21 @@ def test_the_command_flies_a_mission_of_a_file(lander, two):
     here, *others = (jentry.open_campaign(lander / name) for name in said)
     for other in others:
         xarray.testing.assert_identical(here, other)
+
+
+@pytest.mark.slow
+def test_the_command_compares_there(lander, alike):
+    """Two variants of a mission of a file."""
+    file = lander / "my_lander.py"
+    text = file.read_text().replace(
+        "import its_law", "import equinox as eqx\nimport its_law"
+    )
+    lighter = "lambda: eqx.tree_at(lambda s: s.vehicle.mass, scenario(), 900.0)"
+    one = '{"nominal": scenario'
+    assert one in text
+    file.write_text(text.replace(one, f'{one}, "lighter": {lighter}'))
+    words = "compare", file.name, "--variant", "nominal", "--variant", "lighter"
+    assert_says_the_same(alike, lander, *words, "--runs", 300, "--step", 1)
 
 
 SCRIPT = """
@@ -593,37 +691,39 @@ if __name__ == "__main__":
         turned, dispersions(), jax.random.key(0), 200, solver=jentry.FixedStep(1.0)
     )
     here = fly()
-    with jentry.Cluster(sys.argv[1]):
-        there = fly()
-    for pair in zip(jax.tree.leaves(here), jax.tree.leaves(there), strict=True):
-        assert np.array_equal(*pair)
-    print(np.mean(here.flights.state.latitude))
+    for where in sys.argv[1:]:
+        with jentry.Cluster(where):
+            there = fly()
+        for pair in zip(jax.tree.leaves(here), jax.tree.leaves(there), strict=True):
+            assert np.array_equal(*pair)
+        print(np.mean(there.flights.state.latitude))
 """
 
 
 @pytest.mark.slow
-def test_a_law_of_a_script_and_the_same_changed(lander, two):
+def test_a_law_of_a_script_and_the_same_changed(lander, alike):
     """The same workers fly the one, then the other; and those that it starts."""
     latitudes = []
-    for sign, where in (("", two.address), ("-", two.address), ("-", "local:2")):
+    for sign, *where in (("", alike.address), ("-", alike.address, "local:2")):
         (lander / "script.py").write_text(SCRIPT.replace("{sign}", sign))
-        flown = started("script.py", where, cwd=lander)
+        flown = started("script.py", *where, cwd=lander)
         printed, errors = flown.communicate(timeout=300)
         assert flown.returncode == 0 and not errors, errors
-        latitudes.append(float(printed))
-    assert latitudes[0] < 0.0 < latitudes[1] == latitudes[2]
+        latitudes += map(float, printed.split())
+    one, other, started_for_it = latitudes
+    assert one < 0.0 < other == started_for_it
 
 
 @pytest.mark.slow
-def test_a_script_that_does_not_look_whether_it_is_the_main_one(lander, two):
+def test_a_script_that_does_not_look_whether_it_is_the_main_one(lander, alike):
     """Which workers would fly within what they fly."""
     begin, end = SCRIPT.split('if __name__ == "__main__":')
     (lander / "script.py").write_text(
-        f"{begin}if True:{end}".replace("{sign}", "").replace(
-            "jentry.setup(1)", "jax.config.update('jax_enable_x64', True)"
-        )
+        f"{begin}if True:{end}".replace("{sign}", "")
+        .replace("jentry.setup(1)", "jax.config.update('jax_enable_x64', True)")
+        .replace("\n    here = fly()", "")
     )
-    flown = started("-W", "default", "script.py", two.address, cwd=lander)
+    flown = started("-W", "default", "script.py", alike.address, cwd=lander)
     _, errors = flown.communicate(timeout=300)
     assert flown.returncode == 1
     assert "ClusterError: a worker runs the script of who asks" in errors
@@ -641,7 +741,7 @@ def _is_there(group: int) -> bool:
 def test_ctrl_c_ends_it_in_one_line(lander):
     """With the processes that it has started, to which a terminal tells it too."""
     many = [word if word != 1300 else 200_000 for word in FLY]
-    words = (*many, "--cluster", "local:2", "--out", "out")
+    words = (*many, "--cluster", "local:1", "--out", "out")
     flown = started(*words, cwd=lander, start_new_session=True)
     try:
         stored = lambda: list((lander / "out").glob("runs-*.nc"))
@@ -655,38 +755,3 @@ def test_ctrl_c_ends_it_in_one_line(lander):
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(flown.pid, signal.SIGKILL)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "command_words",
-    [
-        (
-            "compare",
-            "mars-drag-tracking",
-            "--variant",
-            "energy-index",
-            "--variant",
-            "table-3",
-        ),
-        (
-            "tune",
-            "mars-drag-tracking",
-            "--runs",
-            "64",
-            "--steps",
-            "2",
-            "--held-out",
-            "64",
-        ),
-    ],
-)
-def test_other_commands(tmp_path, two, command_words):
-    said = []
-    for name, words in {"here": (), "there": ("--cluster", two.address)}.items():
-        words = *command_words, *words, "--out", name
-        flown = started("-m", "jentry", *words, cwd=tmp_path)
-        printed, errors = flown.communicate(timeout=300)
-        assert flown.returncode == 0, errors
-        said.append(printed.replace(name, "out"))
-    assert said[0] == said[1]
