@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import xarray
+from first_sets import populations
 
 from jentry.campaign.populations import (
     Population,
@@ -125,3 +126,49 @@ def test_spread_of_a_mean_and_growth_of_a_maximum():
         top = population(largest, sets_of(of, size))
         close = 5.0 * top.spread / np.sqrt(sets)
         assert top.mean == pytest.approx(size / (size + 1.0), abs=close)
+
+
+# What the benchmark saves.
+
+
+def test_the_first_runs_are_of_the_first_set_whatever_follows():
+    errors = np.arange(25.0)
+    errors[[2, 20, 21]] = np.nan
+    (first,) = {
+        tuple(populations.first_runs_of(results(errors[:n]))["run"].values)
+        for n in (8, 25)
+    }
+    assert first == (0, 1, 3, 4, 5, 6, 7)
+
+
+def test_what_is_saved_of_a_mission_is_read_and_takes_the_place_of_what_was(
+    monkeypatch, tmp_path
+):
+    monkeypatch.setattr(populations, "SAVED", tmp_path / "saved.csv")
+    row, other = ("newton", "normal", "median"), ("stored", "normal", "median")
+    for value in (1.0, 2.0):
+        saved = populations.Statistic(value / 3.0, np.array([value, 7.0]))
+        populations.save("cav-h", {row: saved})
+        populations.save("rlv", {other: saved})
+    read = populations.statistics()
+    assert list(read) == [("cav-h", *row), ("rlv", *other)]
+    for found in read.values():
+        assert found.first_runs == pytest.approx(2.0 / 3.0, rel=1e-9)
+        assert found.sets.tolist() == [2.0, 7.0]
+    assert {key: sets.tolist() for key, sets in populations.saved().items()} == {
+        key: found.sets.tolist() for key, found in read.items()
+    }
+
+
+def test_every_statistic_is_saved_of_first_runs_and_of_each_set():
+    rows = {
+        (mission, *row, heading)
+        for mission, all_rows in populations.ROWS.items()
+        for row in all_rows
+        for heading in populations.statistics_of(mission, row[0])
+    }
+    saved = populations.statistics()
+    assert saved.keys() == rows
+    for found in saved.values():
+        assert found.sets.shape == (populations.SETS,)
+        assert np.isfinite(found.first_runs) and np.all(np.isfinite(found.sets))

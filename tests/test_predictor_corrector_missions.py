@@ -6,7 +6,7 @@ import functools
 import jax
 import numpy as np
 import pytest
-from first_sets import assert_first_set, populations
+from first_sets import assert_first_runs, assert_first_set, fly_few, populations
 from helpers import fly_compiled, with_leaf
 from readme import assert_prints, assert_says, rows
 
@@ -26,17 +26,38 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*decisions without prediction")
 
 
 @functools.cache
-def campaign(mission, variant, reading, runs, seed=KEY):
+def campaign(mission, variant, reading, runs):
     chosen = find_mission(mission)
     scenario = chosen.scenario(variant)
     table = chosen.dispersion_table(reading)
-    return scenario, monte_carlo(scenario, table, jax.random.key(seed), runs)
+    return scenario, monte_carlo(scenario, table, jax.random.key(KEY), runs)
 
 
 FIRST_SETS = [
     ("mars-range-tracking", "predictor-corrector", "lift-to-drag-held"),
     ("mars-range-tracking", "predictor-corrector", "independent"),
     ("mars-range-tracking", "predictor-corrector-in-plane", "independent"),
+]
+"""Flown by programs that another test flies as many runs with"""
+
+
+@pytest.mark.optimized
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("mission", "variant", "reading"), FIRST_SETS, ids=["-".join(x) for x in FIRST_SETS]
+)
+def test_first_set_of_a_population_is_the_saved_one(mission, variant, reading):
+    runs = populations.runs_of(mission, variant)
+    scenario, flown = campaign(mission, variant, reading, runs)
+    assert np.all(flown.flights.outcome == Outcome.REACHED)
+    # Reversals come in the cycle in which one error becomes the smaller one: rounding
+    # decides where two are as large.
+    assert_first_set(mission, variant, reading, scenario, flown, rel=1e-4)
+
+
+first_runs = functools.cache(fly_few)
+
+FIRST_RUNS = [
     ("mars-range-tracking", "predictor-corrector-network", "independent"),
     ("mars-range-tracking", "predictor-corrector-network-3d", "independent"),
     ("sx-2", "predictor-corrector", "air-and-vehicle"),
@@ -52,18 +73,14 @@ FIRST_SETS = [
 ]
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("mission", "variant", "reading"), FIRST_SETS, ids=["-".join(x) for x in FIRST_SETS]
+    ("mission", "variant", "reading"), FIRST_RUNS, ids=["-".join(x) for x in FIRST_RUNS]
 )
-def test_first_set_of_a_population_is_the_saved_one(mission, variant, reading):
-    runs = populations.runs_of(mission, variant)
-    scenario, flown = campaign(mission, variant, reading, runs)
+def test_first_runs_of_a_population_are_the_saved_ones(mission, variant, reading):
+    scenario, flown = first_runs(mission, variant, reading)
     assert np.all(flown.flights.outcome == Outcome.REACHED)
-    # Reversals come in the cycle in which one error becomes the smaller one: rounding
-    # decides where two are as large.
-    assert_first_set(mission, variant, reading, scenario, flown, rel=1e-4)
+    assert_first_runs(mission, variant, reading, scenario, flown)
 
 
 def test_ends_of_the_gliders():
@@ -212,11 +229,11 @@ def test_what_is_said_of_cav_h():
     assert_says("its point within 0.21 m", max(newton))
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_cav_h_comes_to_its_point_and_velocity_within_its_limits():
-    """Each one, as the nominal flight; 64 by another seed than the saved sets."""
-    scenario, flown = campaign("cav-h", "predictor-corrector", "normal-sensed", 64, 7)
+    """Each one, as the nominal flight; by another seed than the saved sets."""
+    row = "cav-h", "predictor-corrector", "normal-sensed"
+    scenario, flown = fly_few(*row, seed=7)
     assert np.all(flown.flights.outcome == Outcome.REACHED)
     for name, limit in scenario.constraints.items():
         if limit.limit is not None:
@@ -263,12 +280,11 @@ def test_mars_lander_reverses_its_bank_six_times_at_most():
     assert 3 <= np.min(counts) and np.max(counts) <= 6
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_apollo_10_keeps_its_limits_and_comes_to_its_point():
-    """All flights of the first set. The pressure exceeds its limit of 30 kPa a little."""
-    runs = populations.runs_of("apollo-10", "predictor-corrector")
-    _, flown = campaign("apollo-10", "predictor-corrector", "everything", runs)
+    """The first flights of the first set, as all saved ones (`test_apollo_10`). The
+    pressure exceeds its limit of 30 kPa a little."""
+    _, flown = first_runs("apollo-10", "predictor-corrector", "everything")
     assert np.all(flown.flights.outcome == Outcome.REACHED)
     peaks = flown.flights.peaks
     assert np.max(peaks["load_factor"]) < 10.0 and np.max(peaks["heat_rate"]) < 6e6
@@ -276,12 +292,11 @@ def test_apollo_10_keeps_its_limits_and_comes_to_its_point():
     assert np.max(np.hypot(flown.misses.downrange, flown.misses.crossrange)) < 1.3e3
 
 
-@pytest.mark.optimized
 @pytest.mark.slow
 def test_cav_h_glide_keeps_its_limits_and_comes_to_its_point():
-    """All flights of the first set, with the damping far within the limits."""
-    runs = populations.runs_of("cav-h-glide", "predictor-corrector")
-    scenario, flown = campaign("cav-h-glide", "predictor-corrector", "everything", runs)
+    """The first flights of the first set, as all saved ones (`test_cav_h_glide`); with the
+    damping far within the limits."""
+    scenario, flown = first_runs("cav-h-glide", "predictor-corrector", "everything")
     assert np.all(flown.flights.outcome == Outcome.REACHED)
     for name, limit in scenario.constraints.items():
         assert np.max(flown.flights.peaks[name]) < 0.95 * float(limit.limit)

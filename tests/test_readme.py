@@ -1,7 +1,7 @@
 """What the README prints of results is what was flown, at its printed digits.
 
 The populations of its tables are in `benchmarks/populations.csv`, set by set. Tests that
-fly the first set of one compare it with that, `helpers.assert_first_set`.
+fly the first set of one, or its first runs, compare them with that, see `first_sets`.
 """
 
 import re
