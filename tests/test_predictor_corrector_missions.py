@@ -37,8 +37,9 @@ FIRST_SETS = [
     ("mars-range-tracking", "predictor-corrector", "lift-to-drag-held"),
     ("mars-range-tracking", "predictor-corrector", "independent"),
     ("mars-range-tracking", "predictor-corrector-in-plane", "independent"),
+    ("sx-2", "predictor-corrector", "air-and-vehicle"),
 ]
-"""Flown by programs that another test flies as many runs with"""
+"""By programs with which other tests fly many runs"""
 
 
 @pytest.mark.optimized
@@ -60,7 +61,6 @@ first_runs = functools.cache(fly_few)
 FIRST_RUNS = [
     ("mars-range-tracking", "predictor-corrector-network", "independent"),
     ("mars-range-tracking", "predictor-corrector-network-3d", "independent"),
-    ("sx-2", "predictor-corrector", "air-and-vehicle"),
     ("x-33", "predictor-corrector", "initial-errors"),
     ("x-33", "predictor-corrector-limited", "initial-errors"),
     ("x-33", "predictor-corrector-3d", "air-and-vehicle"),
