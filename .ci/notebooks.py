@@ -18,7 +18,6 @@ from traitlets.config import Config
 FOLDER = Path(__file__).parent.parent / "notebooks"
 
 SHORT = (
-    "feedback_linearization_sx2",
     "first_flight",
     "four_laws_mars",
     "your_own_mission",
