@@ -99,6 +99,7 @@ def test_which_laws_share_reversals_out():
     assert shares_reversals(smooth) and shares_reversals(Sampled(smooth, 1.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("begin", [20.0, 20.2, 20.4999])
 @pytest.mark.parametrize("solver", [FixedStep(0.5), Adaptive(1e-6)])
 def test_a_flight_stops_where_its_command_is_no_bank_any_more(solver, begin):

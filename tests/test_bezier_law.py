@@ -479,6 +479,7 @@ def test_limits_that_are_given_or_not_meant_are_no_warning(known):
     check(dataclasses.replace(stored(), constraints=known))
 
 
+@pytest.mark.slow
 def test_a_law_that_keeps_no_limits_needs_none():
     scenario = find_mission("mars-drag-tracking").scenario("time-index")
     assert all(each.limit is None for each in scenario.constraints.values())

@@ -417,6 +417,7 @@ def test_outputs_are_known_by_their_names_without_a_flight(heading):
     assert sorted(output_names(scenario)) == sorted(filter(is_output, flown.data_vars))
 
 
+@pytest.mark.slow
 def test_three_of_which_all_pairs_are_asked(command, tmp_path):
     cheap.campaign(tmp_path / "one", 3)
     for name in ("two", "three"):

@@ -412,6 +412,7 @@ def test_half_a_law_is_refused():
         fly(lifting(compose(Asking(0.1), Asking(0.1))), FixedStep(1.0))
 
 
+@pytest.mark.slow
 def test_an_observer_law_flies_beside_modulation():
     pair = compose(modulation(), observer_law(reference()))
     scenario = lifting(Sampled(pair, 1.0))

@@ -116,6 +116,7 @@ def test_splines_begin_again():
     assert isinstance(composed_again.guidance.angle_of_attack, TrimAngleOfAttack)
 
 
+@pytest.mark.slow
 def test_beside_a_law_with_a_cycle():
     """The other law is held for 2 s; the splines are laid on flights of such cycles."""
     held = Sampled(composed(bank_profile()).guidance.angle_of_attack, 2.0)

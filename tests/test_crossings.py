@@ -138,6 +138,7 @@ def test_feedback_linearization_has_the_gains_and_the_band_of_the_sx_2():
         assert float(law.band.largest_bank) == float(band.largest_bank)
 
 
+@pytest.mark.slow
 def test_modulation_has_the_gains_of_the_rlv():
     law, own = on_x_33.modulation().guidance, RLV.scenario("r5").guidance
     assert same(law.angle_of_attack.gains, own.angle_of_attack.gains)
@@ -221,6 +222,7 @@ NOMINAL = {
 """Largest errors of downrange and of altitude on the X-33, m"""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("variant", ["observer-drag-tracking"])
 def test_x_33_ends_where_its_reference_does(variant):
     scenario = X_33.scenario(variant)

@@ -167,6 +167,7 @@ def with_mass(scenario, mass):
     return eqx.tree_at(lambda s: s.vehicle.mass, scenario, mass)
 
 
+@pytest.mark.slow
 def test_a_campaign_has_the_departures_that_it_disperses():
     scenario = free_scenario(time_limit=60.0)
     air = dataclasses.replace(AT_REST, undisturbed=scenario.planet.atmosphere)

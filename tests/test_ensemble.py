@@ -33,6 +33,7 @@ EAST, NORTH = RNG.uniform(-50.0, 50.0, (2, 3, 7))
 PLACES = jnp.asarray([-4e3, 0.0, 3e3, 8e3, 19e3, 25e3, 49e3, 79e3, 100e3, 126e3, 150e3])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", [0, 2])
 def test_a_profile_is_the_table_that_it_is(profile):
     """Though of it four points are looked at."""

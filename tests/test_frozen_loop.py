@@ -212,6 +212,7 @@ def entry_of(history, place):
     return jax.tree.map(lambda x: float(x[place]), history)
 
 
+@pytest.mark.slow
 def test_at_equal_energy_the_rates_are_those_of_differences():
     """Of a fall without steady state: the neighbours have the velocity of equal energy."""
     from helpers import free_scenario

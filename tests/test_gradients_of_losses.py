@@ -132,6 +132,7 @@ def fly(free):
     return flown(free)
 
 
+@pytest.mark.slow
 def test_gradient_by_differences_is_that_of_the_loss():
     loss = BY_NAME["cvar"](SCALED)
     free = problem().parameters.zeros()

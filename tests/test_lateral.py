@@ -337,6 +337,7 @@ def sampled(scenario: Scenario, period=1.0) -> Scenario:
     return with_leaf(scenario, lambda s: s.guidance, law)
 
 
+@pytest.mark.slow
 def test_the_same_bank_to_either_side_is_the_same_flight_in_a_mirror():
     right, left = (
         fly_compiled(steady(FixedSide(left)), FixedStep(0.5)) for left in (False, True)
@@ -346,6 +347,7 @@ def test_the_same_bank_to_either_side_is_the_same_flight_in_a_mirror():
     np.testing.assert_allclose(left.state.altitude, right.state.altitude, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_reversals_at_velocities_are_flown():
     """The bank changes its sign in the first cycle below each of them, and only there."""
     wanted = [5500.0, 3000.0, 1200.0]

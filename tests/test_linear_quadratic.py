@@ -237,6 +237,7 @@ print(len(jax.devices()), over_runs(again_and_again, matrix, jnp.arange(256.0)).
 """
 
 
+@pytest.mark.slow
 def test_a_batch_on_two_devices_ends():
     """LAPACK, given a batch in a program on two devices, waits for ever."""
     call = [sys.executable, "-c", _ON_TWO_DEVICES]

@@ -188,6 +188,7 @@ def test_joined_profiles():
         JoinedProfile((low, high), jnp.array([1.0, 2.0]))
 
 
+@pytest.mark.slow
 def test_flights_that_there_are_not():
     """More lift than there is, a drag that no altitude has, and a velocity that rises."""
     inverse = x_33.inverse(exact=True)

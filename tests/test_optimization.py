@@ -140,6 +140,7 @@ def test_a_bound_and_its_price():
     assert best.bound_prices[address] == pytest.approx(slope / (2 * step), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_every_number_goes_to_its_own_leaf():
     """Leaves whose addresses sort otherwise than the lens has them, of several sizes."""
     start = {"z": jnp.array([1.0, 2.0]), "a": jnp.array(3.0), "m": jnp.ones((2, 1))}
@@ -220,6 +221,7 @@ def test_limits_along_the_path():
     assert float(best.flight.peaks.drag) == pytest.approx(limit, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_a_limit_that_is_exceeded_between_the_entries():
     scenario = limited(0.99 * peak_drag(limited(None)))
     with pytest.warns(match="drag peaks at .* between the entries of the history"):

@@ -142,6 +142,7 @@ def least_cosines(constraints, state, model=MODEL):
     return {name: none[name] / (none[name] - full[name]) for name in constraints}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("state", [DOWN, UP], ids=["down", "up"])
 def test_the_least_cosine_is_that_of_the_barrier(state):
     """Of each constraint alone, and the largest of them together."""

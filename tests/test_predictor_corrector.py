@@ -298,6 +298,7 @@ def test_what_is_predicted_with_an_angle_of_attack_is_flown():
     )
 
 
+@pytest.mark.slow
 def test_side_of_the_bank_is_that_of_the_predicted_crossrange():
     scenario = in_space()
     ends = [
@@ -419,6 +420,7 @@ def test_a_flight_that_skips_out_goes_too_far():
     assert float(held.without_prediction) == 0.0
 
 
+@pytest.mark.slow
 def test_a_flight_that_outlasts_its_steps_goes_too_far():
     law, (_, seen) = in_plane().guidance, underway()
     short = dataclasses.replace(law, steps=8, step=1.0)

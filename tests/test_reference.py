@@ -53,6 +53,7 @@ def test_the_error_of_a_table_is_stated(planned, power, least, most):
     assert found < 1.1 * float(error["drag"]) + 1e-7
 
 
+@pytest.mark.slow
 def test_a_reference_has_the_rates_of_its_quantities(planned):
     """On its own flight: of the altitude V sin(gamma), of the drag its own."""
     flight = planned[1]

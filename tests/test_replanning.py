@@ -142,6 +142,7 @@ def on_the_way(share=0.6, altitude=52.0e3) -> EntryState:
     return EntryState(altitude, 0.16, 0.012, v, -0.4 * degree, 81.0 * degree)
 
 
+@pytest.mark.slow
 def test_on_the_reference_nothing_is_changed(scenario, law):
     """The command is that of the reference controls."""
     measurement = sensed(scenario.initial_state)

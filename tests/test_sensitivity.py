@@ -73,6 +73,7 @@ def end_time(scenario, flight):
     return flight.time
 
 
+@pytest.mark.slow
 def test_one_number_and_one_table():
     result = found(outputs=end_time)
     assert list(result.values) == ["output"]

@@ -285,6 +285,7 @@ class Silent(AbstractVelocityPredictor):
         return jnp.nan * situation.velocity * situation.shape.second
 
 
+@pytest.mark.slow
 def test_without_an_answer_the_curve_is_left_as_it_is():
     """Also where it is beyond the bounds; and the derivative of that is exact."""
     table = [jnp.linspace(0.1, 1.0, 3), 0.9, jnp.full(3, 2630.0), jnp.zeros((3, 3))]

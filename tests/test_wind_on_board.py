@@ -63,6 +63,7 @@ def air_velocity(wind, state=STATE):
 # What the model makes of a wind
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wind", WINDS)
 def test_a_model_takes_its_coefficients_at_the_airspeed(wind):
     """Over Mach number and airspeed: a polynomial fit that has both of its tails."""
@@ -203,6 +204,7 @@ KNOWS_WIND = {"Shuttle composition", "stored gains"}
 NO_MODEL = {"bank profile", "control profiles", "sampled bank profile"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(helpers.all_laws) - NO_MODEL))
 def test_a_law_that_takes_the_air_to_be_still_refuses_a_wind(name, reference):
     law = helpers.all_laws[name](reference)

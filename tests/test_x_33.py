@@ -84,6 +84,7 @@ def test_cases_are_those_of_the_paper():
     assert moved == pytest.approx(0.3 * degree)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("states", [3, 4])
 def test_gains_are_those_of_riccati(states):
     """1e-6, also across the jump of the control, and up to the end."""
