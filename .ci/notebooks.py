@@ -17,11 +17,7 @@ from traitlets.config import Config
 
 FOLDER = Path(__file__).parent.parent / "notebooks"
 
-SHORT = (
-    "first_flight",
-    "four_laws_mars",
-    "your_own_mission",
-)
+SHORT = "first_flight", "four_laws_mars", "your_own_mission"
 """Those that take no more than a minute of a core"""
 
 

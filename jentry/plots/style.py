@@ -79,21 +79,18 @@ def panelled(
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height))
+    axes = list(figure.subplots(1, panels, squeeze=False).flat)
     if measured:
         figure.set_layout_engine("constrained", w_pad=0.08, h_pad=0.06, wspace=0.04)
-    each = (width - _LEFT - _RIGHT - (panels - 1) * _BETWEEN) / panels
-    room = {
-        "left": _LEFT / width,
-        "right": 1.0 - _RIGHT / width,
-        "bottom": _BELOW / height,
-        "top": 1.0 - _ABOVE / height,
-        "wspace": _BETWEEN / each,
-    }
-    axes = list(
-        figure.subplots(
-            1, panels, squeeze=False, gridspec_kw={} if measured else room
-        ).flat
-    )
+    else:
+        each = (width - _LEFT - _RIGHT - (panels - 1) * _BETWEEN) / panels
+        figure.subplots_adjust(
+            left=_LEFT / width,
+            right=1.0 - _RIGHT / width,
+            bottom=_BELOW / height,
+            top=1.0 - _ABOVE / height,
+            wspace=_BETWEEN / each,
+        )
     if title:
         figure.suptitle(title, fontsize=11.0)
     return figure, axes
