@@ -1,13 +1,13 @@
 """A campaign that is cheap to compile and to fly, for tests of what is around a flight."""
 
 import dataclasses
-import functools
 import math
 from typing import TYPE_CHECKING
 
 import jax.numpy as jnp
 from helpers import free_scenario
 
+from jentry._computed_once import computed_once
 from jentry.campaign import Dispersion, Uniform, add, multiply, run_campaign
 from jentry.flight import FixedStep, Scenario
 from jentry.guidance import BankProfile
@@ -27,20 +27,20 @@ SOLVER = FixedStep(1.0)
 SEED = 7
 
 
-@functools.cache
+@computed_once
 def scenario() -> Scenario:
     """Constant bank, at a bank that lets all dispersed flights go on to the end."""
     return free_scenario(50 * degree)
 
 
-@functools.cache
+@computed_once
 def at_trim() -> Scenario:
     """The same flight by a law that leaves the angle of attack to the vehicle."""
     cosine = PolynomialProfile(jnp.array([math.cos(50 * degree)]))
     return dataclasses.replace(scenario(), guidance=BankProfile(cosine))
 
 
-@functools.cache
+@computed_once
 def dispersions() -> dict[str, Dispersion]:
     """Of each way to move a leaf one, and one draw that moves two leaves."""
     both = lambda s: (s.vehicle.lift_scale, s.vehicle.drag_scale)
@@ -58,7 +58,7 @@ def dispersions() -> dict[str, Dispersion]:
     }
 
 
-@functools.cache
+@computed_once
 def mass_only() -> dict[str, Dispersion]:
     return {"mass": dispersions()["mass"]}
 

@@ -1,7 +1,5 @@
 """Apollo 10: the toolbox's numbers, its motion by scipy, and what the README says."""
 
-import functools
-
 import numpy as np
 import pytest
 from first_sets import populations
@@ -9,6 +7,7 @@ from helpers import ConstantBank, fly_compiled, truths, with_leaf
 from readme import README, assert_prints, assert_says, rows
 from scipy.integrate import solve_ivp
 
+from jentry._computed_once import computed_once
 from jentry.missions import find_mission
 from jentry.units import degree, foot, km, slug
 
@@ -19,7 +18,7 @@ ROTATION = 7.292115e-5
 """rad/s, WGS 84"""
 
 
-@functools.cache
+@computed_once
 def scenario():
     return MISSION.scenario()
 

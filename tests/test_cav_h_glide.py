@@ -13,6 +13,7 @@ from readme import assert_prints, assert_says, rows
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from jentry._computed_once import computed_once
 from jentry.flight import FixedStep, fly
 from jentry.missions import find_mission
 from jentry.motion.constraints import HeatRate, PathPoint
@@ -28,7 +29,7 @@ ROTATION = 7.292115e-5
 """rad/s, WGS 84"""
 
 
-@functools.cache
+@computed_once
 def scenario():
     return MISSION.scenario()
 

@@ -11,6 +11,7 @@ import pytest
 from helpers import fly_compiled, mars_scenario
 from scipy.spatial import ConvexHull
 
+from jentry._computed_once import computed_once
 from jentry.addresses import replace_leaves
 from jentry.flight import FixedStep, Scenario, Termination, VelocityBelow, fly
 from jentry.motion.constraints import LoadFactor
@@ -35,7 +36,7 @@ FREE = FreeControl(50 * degree, -90 * degree, 90 * degree)
 PROBLEM = FlightProblem(AtEnd("downrange"), FREE, nodes=5, history=2.0)
 
 
-@functools.cache
+@computed_once
 def entry() -> Scenario:
     """That ends at a velocity, wherever that is."""
     termination = Termination({"velocity": VelocityBelow(velocity=503.0)}, 1500.0)

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from helpers import fly_compiled, with_leaf
 
+from jentry._computed_once import computed_once
 from jentry.flight import FixedStep
 from jentry.guidance import ConstantBankShape, FixedSide, GlideDamping
 from jentry.missions.cav_h.predictor_corrector import guided
@@ -34,7 +35,7 @@ def at(altitude=40 * km, velocity=6000.0, path=-0.3 * degree):
     return EntryState(*map(number, (altitude, 0.3, -0.2, velocity, path, 1.0)))
 
 
-@functools.cache
+@computed_once
 def model():
     return OnboardModel(earth(), glider())
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers import ConstantBank, mars_planet, mars_vehicle, with_leaf
 
+from jentry._computed_once import computed_once
 from jentry.addresses import replace_leaves
 from jentry.flight import (
     AltitudeBelow,
@@ -33,7 +34,7 @@ ALTITUDE = 150 * km
 SPEED = 1500.0
 
 
-@functools.cache
+@computed_once
 def thrown() -> Scenario:
     """A throw in hardly any air, from and to one altitude: a Kepler arc."""
     planet = with_leaf(mars_planet(), lambda p: p.density_scale, 1e-30)

@@ -20,6 +20,7 @@ from helpers import (
 from scipy.integrate import solve_ivp
 from scipy.optimize import lsq_linear
 
+from jentry._computed_once import computed_once
 from jentry.campaign import monte_carlo
 from jentry.flight import FixedStep, Outcome, fly, misses
 from jentry.guidance import (
@@ -135,12 +136,12 @@ def test_a_number_without_effect_stays_where_it_is_best():
 # Predictions
 
 
-@functools.cache
+@computed_once
 def in_plane():
     return mars.in_plane()
 
 
-@functools.cache
+@computed_once
 def in_space():
     return mars.three_dimensional()
 

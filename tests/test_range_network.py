@@ -1,7 +1,6 @@
 """The range of the rest of a flight by a network, in place of its prediction."""
 
 import dataclasses
-import functools
 
 import equinox as eqx
 import jax
@@ -11,6 +10,7 @@ import pytest
 from helpers import ConstantBank, along_each, with_leaf
 
 import jentry
+from jentry._computed_once import computed_once
 from jentry.addresses import leaves_by_address, replace_leaves
 from jentry.guidance.bank_shapes import ConstantBankShape, LinearBankShape
 from jentry.guidance.glide_damping import GlideDamping
@@ -67,12 +67,12 @@ def of(law):
     return basis(law.model, in_plane().initial_state, angle, law.end.first())
 
 
-@functools.cache
+@computed_once
 def in_plane():
     return mars.in_plane()
 
 
-@functools.cache
+@computed_once
 def in_space():
     return mars.three_dimensional()
 

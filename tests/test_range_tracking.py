@@ -11,6 +11,7 @@ import pytest
 from first_sets import assert_first_set
 from helpers import fly_compiled, most_by_chance, with_leaf
 
+from jentry._computed_once import computed_once
 from jentry.campaign import monte_carlo
 from jentry.flight import FixedStep, Outcome, fly
 from jentry.guidance import FixedCycle, ObserverDragTracking, RangeTracking
@@ -30,7 +31,7 @@ KEY = 0
 """Of every campaign here"""
 
 
-@functools.cache
+@computed_once
 def scenario():
     return mars_range_tracking.three_dimensional()
 

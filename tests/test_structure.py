@@ -30,6 +30,7 @@ FLOORS = {
     "_setup": 0,
     "_collocation": 0,
     "_programs": 0,
+    "_computed_once": 0,
     "_provenance": 0,
     "_printed": 0,
     "world": 1,

@@ -12,6 +12,7 @@ import optimistix
 import pytest
 from helpers import mars_scenario, with_leaf
 
+from jentry._computed_once import computed_once
 from jentry.campaign import Dispersion, Uniform, monte_carlo
 from jentry.flight import FixedStep, misses
 from jentry.guidance import AbstractContinuousLaw
@@ -56,15 +57,14 @@ BEST = 40 * degree
 """Bank of the nominal flight that ends at the target, see `scenario`"""
 
 
-@functools.cache
+@computed_once
 def scenario():
     """Banked at 50 degrees, with the target where 40 degrees lead to."""
-    with jax.ensure_compile_time_eval():  # also for a build, which is traced
-        banked = with_leaf(cheap.scenario(), lambda s: s.guidance.bank_angle, BEST)
-        inputs = {"vehicle.mass": np.array([992.0])}
-        there = monte_carlo(banked, inputs=inputs, solver=cheap.SOLVER)
-        beyond = float(there.misses.downrange[0]) + float(banked.target.downrange)
-        return with_leaf(cheap.scenario(), lambda s: s.target.downrange, beyond)
+    banked = with_leaf(cheap.scenario(), lambda s: s.guidance.bank_angle, BEST)
+    inputs = {"vehicle.mass": np.array([992.0])}
+    there = monte_carlo(banked, inputs=inputs, solver=cheap.SOLVER)
+    beyond = float(there.misses.downrange[0]) + float(banked.target.downrange)
+    return with_leaf(cheap.scenario(), lambda s: s.target.downrange, beyond)
 
 
 def bank(s):

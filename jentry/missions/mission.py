@@ -1,15 +1,13 @@
 """What a mission is: a scenario with a name, its dispersions and its published table."""
 
-import contextlib
 import dataclasses
 import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import jax
 import numpy as np
 
-from .._programs import is_tracing
+from .._computed_once import known_numbers
 from .._setup import needs_float64
 from ..addresses import with_leaves
 from ..campaign.dispersions import Dispersion
@@ -149,7 +147,7 @@ class Mission:
                 f"a variant of mission {self.name} is a {type(scenario).__name__}: it "
                 "must be a function that returns a Scenario"
             )
-        with _known():
+        with known_numbers():
             return with_leaves(scenario)
 
     def dispersion_table(self, reading: str | None = None) -> Mapping[str, Dispersion]:
@@ -172,17 +170,8 @@ def _build(
 ) -> Any:
     """What is built under a name, or under the first."""
     build = _choose(options, name, what, mission)
-    with _known():
+    with known_numbers():
         return build()
-
-
-def _known() -> contextlib.AbstractContextManager:
-    """Within it all numbers are known, also where JAX traces what asks for a mission.
-
-    Builders keep what they have built, and would keep what only that trace knows. Where
-    nothing is traced they compute as ever: this takes `sx-2` 1.25 s in place of 1.
-    """
-    return jax.ensure_compile_time_eval() if is_tracing() else contextlib.nullcontext()
 
 
 def _choose(

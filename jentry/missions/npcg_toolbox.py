@@ -5,10 +5,9 @@ Iowa State University (Y. Lee, D. Y. Lee, B. Wie, 2024); the air is "Hicks 2009"
 is uncertain is all our own, in round numbers, and so are step and ceiling.
 """
 
-import functools
-
 import equinox as eqx
 
+from .._computed_once import computed_once
 from ..campaign.dispersions import Dispersion, add
 from ..campaign.distributions import Normal
 from ..flight.scenario import Scenario
@@ -75,7 +74,7 @@ def _initial(name: str, three_sigma: float) -> Dispersion:
     return Dispersion(where, Normal(0.0, three_sigma / 3.0), apply=add)
 
 
-@functools.cache
+@computed_once
 def entry_errors() -> dict[str, Dispersion]:
     """Of the state at entry: a tenth of a degree of each angle, and 10 m/s, at 3 sigma."""
     tenth = 0.1 * degree
@@ -88,7 +87,7 @@ def entry_errors() -> dict[str, Dispersion]:
     }
 
 
-@functools.cache
+@computed_once
 def air_and_coefficients() -> dict[str, Dispersion]:
     """At 3 sigma 30 % of the density and 10 % of each coefficient."""
     coefficient = Normal(1.0, 0.1 / 3.0)

@@ -1,12 +1,11 @@
 """What is uncertain in the Apollo 10 mission: what the toolbox's missions share."""
 
-import functools
-
+from ..._computed_once import computed_once
 from ...campaign.dispersions import Dispersion
 from ..npcg_toolbox import air_and_coefficients as air_and_vehicle, entry_errors
 
 
-@functools.cache
+@computed_once
 def everything() -> dict[str, Dispersion]:
     """Entry, air and vehicle together."""
     return entry_errors() | air_and_vehicle()

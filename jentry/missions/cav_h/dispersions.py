@@ -1,9 +1,9 @@
 """What is uncertain in the CAV-H mission: Table 2, sensors, air, and data for training."""
 
-import functools
 import math
 from collections.abc import Callable
 
+from ..._computed_once import computed_once
 from ...campaign.dispersions import Dispersion, add, multiply
 from ...campaign.distributions import AbstractDistribution, Constant, Normal, Uniform
 from ...units import degree, km, micro_g
@@ -55,19 +55,19 @@ def _factors(distribution) -> dict[str, Dispersion]:
     }
 
 
-@functools.cache
+@computed_once
 def normal() -> dict[str, Dispersion]:
     """Table 2 with the factors normal, 10 % at three sigma."""
     return _initial_state(_three_sigma) | _factors(Normal(1.0, FACTOR_DEVIATION))
 
 
-@functools.cache
+@computed_once
 def uniform() -> dict[str, Dispersion]:
     """Table 2 with the factors uniform within 10 %."""
     return _initial_state(_three_sigma) | _factors(Uniform(0.9, 1.1))
 
 
-@functools.cache
+@computed_once
 def _accelerometers() -> dict[str, Dispersion]:
     """Bias of 100 micro-g and scale factor of 300 ppm at three sigma, noise of 50
     micro-g in each sample.
@@ -95,7 +95,7 @@ def uniform_sensed() -> dict[str, Dispersion]:
     return uniform() | _accelerometers()
 
 
-@functools.cache
+@computed_once
 def _waves() -> dict[str, Dispersion]:
     """As in the dispersed atmosphere of studies of the RLV: a trend of 10 % at 30 km to
     25 % at 80 km at three sigma, and waves of 5 % (25 km) and 2 % (8 km).
@@ -126,7 +126,7 @@ def _wider(printed: float) -> Uniform:
     return Uniform(-1.5 * printed, 1.5 * printed)
 
 
-@functools.cache
+@computed_once
 def training_dispersions() -> dict[str, Dispersion]:
     """Dispersions of the training flights: uniform, half as wide again as Table 2.
 
@@ -141,7 +141,7 @@ def training_dispersions() -> dict[str, Dispersion]:
     }
 
 
-@functools.cache
+@computed_once
 def state_training_dispersions() -> dict[str, Dispersion]:
     """Dispersions that train a network that reads the state alone, on one curve.
 

@@ -5,13 +5,13 @@ Terminally Constrained Entry Flight", 2014. What the paper leaves open is stated
 is chosen.
 """
 
-import functools
 import math
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from ..._computed_once import computed_once
 from ...flight.scenario import Scenario, Target
 from ...flight.termination import AltitudeBelow, Outcome, TargetPassed, Termination
 from ...guidance.bezier.allocation import FlightLimits
@@ -214,25 +214,25 @@ def adjusted(
     return eqx.tree_at(lambda s: s.guidance.velocity_control, scenario, control)
 
 
-@functools.cache
+@computed_once
 def adjusted_once() -> Scenario:
     """The law with (38) at the start, and the velocity predicted by the flown model."""
     return adjusted(FlownModel())
 
 
-@functools.cache
+@computed_once
 def adjusted_at_epochs() -> Scenario:
     """The law with (38) at every 25th guidance cycle, by the polynomial of the place."""
     return adjusted(FlownModel(), Epochs(every=25))
 
 
-@functools.cache
+@computed_once
 def network_once() -> Scenario:
     """The law with (38) at the start, by the network that reads the estimated factors."""
     return adjusted(network_predictor("stored"))
 
 
-@functools.cache
+@computed_once
 def state_network_once() -> Scenario:
     """The law with (38) at the start, by the paper's network, which reads the state alone.
 

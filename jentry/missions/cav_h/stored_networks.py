@@ -1,9 +1,9 @@
 """The networks that come with the CAV-H mission, and what each is for."""
 
-import functools
 from pathlib import Path
 from typing import NamedTuple
 
+from ..._computed_once import computed_once
 from ...guidance.bezier.prediction import VELOCITIES, Inputs, NetworkPredictor
 from ...onboard.network import card_ranges, load_network
 
@@ -34,7 +34,7 @@ PURPOSES = {
 """Purposes of the networks by the names of their files; the last one is the paper's."""
 
 
-@functools.cache
+@computed_once
 def network_predictor(name: str, folder: Path = FOLDER) -> NetworkPredictor:
     """A stored network as a predictor.
 

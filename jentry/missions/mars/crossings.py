@@ -6,10 +6,10 @@ other chooses the size of the lift.
 """
 
 import dataclasses
-import functools
 
 import jax.numpy as jnp
 
+from ..._computed_once import computed_once
 from ..._programs import kept
 from ...flight.scenario import Scenario
 from ...flight.termination import Termination, VelocityBelow
@@ -32,7 +32,7 @@ def _flown(scenario: Scenario) -> LongitudinalReference:
     return as_longitudinal(ReferenceFlight.of(scenario))
 
 
-@functools.cache
+@computed_once
 def longitudinal_reference() -> LongitudinalReference:
     """The flight of the planned bank, over the time."""
     ends = {"velocity": VelocityBelow(velocity=END_VELOCITY)}

@@ -4,11 +4,10 @@ Source: H. Yan, Y. He, "Drag-Tracking Guidance for Entry Vehicles Without Drag R
 Measurement". What the paper leaves open is stated where it is chosen.
 """
 
-import functools
-
 import equinox as eqx
 import jax.numpy as jnp
 
+from ..._computed_once import computed_once
 from ..._programs import kept
 from ...campaign.dispersions import Dispersion, multiply
 from ...campaign.distributions import Uniform
@@ -127,7 +126,7 @@ def _plan(
     return plan_drag_reference(flight, index, gate, power=power)
 
 
-@functools.cache
+@computed_once
 def reference(
     index: AbstractIndex = EnergyIndex(), gate: float = 0.0, curvature: float = 0.0
 ) -> DragReference:
@@ -213,7 +212,7 @@ def observer_feedback() -> Scenario:
     return scenario(EnergyIndex(), nominal_gains(), nominal_observer())
 
 
-@functools.cache
+@computed_once
 def _mass_and_density() -> dict[str, Dispersion]:
     return {
         "mass": Dispersion(
@@ -223,7 +222,7 @@ def _mass_and_density() -> dict[str, Dispersion]:
     }
 
 
-@functools.cache
+@computed_once
 def lift_to_drag_held() -> dict[str, Dispersion]:
     """Table 2 with one factor on both coefficients: the reading that Table 3 fits."""
     both = Dispersion(
@@ -232,7 +231,7 @@ def lift_to_drag_held() -> dict[str, Dispersion]:
     return _mass_and_density() | {"coefficients": both}
 
 
-@functools.cache
+@computed_once
 def independent() -> dict[str, Dispersion]:
     """Table 2 to the letter. Some of these cannot reach the range at any bank."""
     return _mass_and_density() | {

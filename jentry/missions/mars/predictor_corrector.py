@@ -4,7 +4,6 @@ The entry, the target and the dispersions of `drag_tracking`. What is chosen say
 """
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..._computed_once import computed_once
 from ...fields import Vector
 from ...flight.scenario import Scenario
 from ...guidance.bank_shapes import ConstantBankShape
@@ -58,13 +58,13 @@ def in_plane() -> Scenario:
     return _guided(EquatorialDynamics(), FixedSide())
 
 
-@functools.cache
+@computed_once
 def range_network(folder: Path = FOLDER) -> RangeNetwork:
     """The stored network of `networked`. Raises `ValueError` for another one."""
     return RangeNetwork(*_stored(folder, _RANGE, PURPOSE))
 
 
-@functools.cache
+@computed_once
 def range_network_in_space(folder: Path = FOLDER) -> RangeNetwork:
     """Those of `networked_in_space`. Raises `ValueError` for others, and for two that have
     not been trained for the same model and the same end."""

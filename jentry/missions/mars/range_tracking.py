@@ -5,10 +5,10 @@ flies in the plane and tracks its reference as it is. What is chosen here says s
 """
 
 import dataclasses
-import functools
 
 import equinox as eqx
 
+from ..._computed_once import computed_once
 from ..._programs import kept
 from ...flight.scenario import Scenario
 from ...guidance.lateral import CrossrangeCorridor
@@ -60,7 +60,7 @@ def _plan(
     return drag, flown.profile("downrange")
 
 
-@functools.cache
+@computed_once
 def _reference() -> tuple[DragReference, QuinticProfile]:
     cos_bank = reference().cos_bank
     assert isinstance(cos_bank, PolynomialProfile)

@@ -6,13 +6,13 @@ the mission's six reversals. Gains are those of the law's own mission unless it 
 """
 
 import dataclasses
-import functools
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ..._computed_once import computed_once
 from ..._programs import kept
 from ...fields import Scalar
 from ...flight.flight import fly
@@ -196,7 +196,7 @@ def _flown_in_plane(scenario: Scenario) -> LongitudinalReference:
     return as_longitudinal(ReferenceFlight.of(scenario), _PARTS, _DEGREE)
 
 
-@functools.cache
+@computed_once
 def longitudinal_reference() -> LongitudinalReference:
     """That flight from the start to the last velocity."""
     return kept(_flown_in_plane)(in_plane())
@@ -245,7 +245,7 @@ class Recorded(eqx.Module):
     """angle_of_attack and bank, rad, over the energy in J/kg"""
 
 
-@functools.cache
+@computed_once
 def recorded() -> Recorded:
     """The nominal flight of `bank_alone`, reversals and lag included."""
     ends = {"velocity": VelocityBelow(velocity=_BEYOND)}
@@ -289,7 +289,7 @@ def _planned_track(
     return plan_ground_track(scenario, tracked, last, intervals=_INTERVALS)
 
 
-@functools.cache
+@computed_once
 def ground_track() -> GroundTrackPlan:
     """What that attitude gives over the energy."""
     flown = dataclasses.replace(

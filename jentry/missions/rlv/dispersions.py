@@ -1,9 +1,8 @@
 """What is uncertain in the RLV mission: Table 1, and the atmosphere of its third row."""
 
-import functools
-
 import numpy as np
 
+from ..._computed_once import computed_once
 from ...campaign.dispersions import Dispersion, add
 from ...campaign.distributions import Constant, Normal, Uniform
 from ...units import degree
@@ -17,7 +16,7 @@ def _phase(where) -> Dispersion:
     return Dispersion(where, Uniform(0.0, 2.0 * np.pi))
 
 
-@functools.cache
+@computed_once
 def atmosphere() -> dict[str, Dispersion]:
     """A trend, and three waves of random phase; the paper prints none of it."""
     air = lambda s: s.planet.atmosphere
@@ -33,7 +32,7 @@ def atmosphere() -> dict[str, Dispersion]:
     }
 
 
-@functools.cache
+@computed_once
 def table_1() -> dict[str, Dispersion]:
     """Table 1 without its last row: entry, coefficients and atmosphere."""
     return {
@@ -47,14 +46,14 @@ def table_1() -> dict[str, Dispersion]:
     } | atmosphere()
 
 
-@functools.cache
+@computed_once
 def table_1_noise() -> dict[str, Dispersion]:
     """`table_1` with other noise of the accelerometers in each flight."""
     seed = Dispersion(lambda s: s.accelerometers.noise_seed, Uniform(0.0, 1.0))
     return table_1() | {"noise seed": seed}
 
 
-@functools.cache
+@computed_once
 def table_1_estimated_angle() -> dict[str, Dispersion]:
     """All of Table 1, for the law that reads the angle of attack: the Shuttle's."""
     error = Dispersion(lambda s: s.angle_of_attack_error, Constant(0.1 * degree))

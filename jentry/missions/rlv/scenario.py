@@ -5,11 +5,11 @@ Reusable Launch Vehicle". What the paper leaves open is stated where it is chose
 """
 
 import dataclasses
-import functools
 
 import equinox as eqx
 import jax.numpy as jnp
 
+from ..._computed_once import computed_once
 from ..._programs import kept
 from ...flight.scenario import Scenario, Target
 from ...flight.termination import AltitudeBelow, Termination, VelocityBelow
@@ -63,7 +63,7 @@ TURN_RATE, TURN_ACCELERATION = 5.0 * degree, 1.7 * degree
 _RADIUS = 6371.0 * km
 
 
-@functools.cache
+@computed_once
 def air() -> SmoothedAtmosphere:
     """The US Standard Atmosphere 1976, smoothed over 1.5 km."""
     return kept(smoothed)(USStandardAtmosphere1976())
@@ -100,7 +100,7 @@ def actual_earth() -> Planet:
     )
 
 
-@functools.cache
+@computed_once
 def plan() -> Reference:
     """Constant heating, then a glide near equilibrium."""
     return kept(plan_glide)(earth(), vehicle(), ScheduledAngleOfAttack())

@@ -1,7 +1,6 @@
 """What is uncertain in the SX-2 mission: the initial state, the air and the vehicle."""
 
-import functools
-
+from ..._computed_once import computed_once
 from ...campaign.dispersions import Dispersion, add
 from ...campaign.distributions import AbstractDistribution, OneOfSeveral, Uniform
 from ...motion.state import EntryState
@@ -35,7 +34,7 @@ def _moved(
     return Dispersion(where, errors, apply=add, stream=stream)
 
 
-@functools.cache
+@computed_once
 def initial_errors() -> dict[str, Dispersion]:
     """All errors of the initial state at once, uniform."""
     return {
@@ -44,7 +43,7 @@ def initial_errors() -> dict[str, Dispersion]:
     }
 
 
-@functools.cache
+@computed_once
 def one_at_a_time() -> dict[str, Dispersion]:
     """An error of one component of the initial state, uniform, as the paper has them."""
     count = len(INITIAL_ERRORS)
@@ -56,7 +55,7 @@ def one_at_a_time() -> dict[str, Dispersion]:
     }
 
 
-@functools.cache
+@computed_once
 def air_and_vehicle() -> dict[str, Dispersion]:
     """Density by 20 %, lift and drag coefficients by 5 %, uniform."""
     coefficient = Uniform(0.95, 1.05)
@@ -67,7 +66,7 @@ def air_and_vehicle() -> dict[str, Dispersion]:
     }
 
 
-@functools.cache
+@computed_once
 def everything() -> dict[str, Dispersion]:
     """Initial errors, air and vehicle together."""
     return initial_errors() | air_and_vehicle()

@@ -5,11 +5,10 @@ Linearization", Journal of Guidance, Control, and Dynamics 21(5), 1998. What the
 leaves open is stated where it is chosen.
 """
 
-import functools
-
 import equinox as eqx
 import jax.numpy as jnp
 
+from ..._computed_once import computed_once
 from ..._math import smoothstep
 from ..._programs import kept
 from ...fields import Scalar, scalar
@@ -247,7 +246,7 @@ def entry() -> Scenario:
 _plan = kept(plan_ground_track)
 
 
-@functools.cache
+@computed_once
 def _planned(
     linearization: AbstractLinearization, angles: AbstractTrackAngles
 ) -> GroundTrackPlan:

@@ -6,10 +6,10 @@ those over time stand in seconds, the others are without dimensions.
 """
 
 import dataclasses
-import functools
 
 import jax.numpy as jnp
 
+from ..._computed_once import computed_once
 from ..._integrate import runge_kutta
 from ..._programs import kept
 from ...fields import Scalar
@@ -105,7 +105,7 @@ def _tabulated(scenario: Scenario, index: AbstractIndex) -> QuinticTable:
     return flight.tabulate(_quantities, index, _INTERVALS)
 
 
-@functools.cache
+@computed_once
 def table(index: AbstractIndex) -> QuinticTable:
     """The flight of the planned bank over an index."""
     return kept(_tabulated)(longer(), index)
@@ -197,7 +197,7 @@ def track_model() -> GroundTrackModel:
     )
 
 
-@functools.cache
+@computed_once
 def ground_track() -> GroundTrackPlan:
     """What the reference gives over the energy, with both of its ends longer."""
     energies = table(EnergyIndex())

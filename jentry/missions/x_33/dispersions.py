@@ -1,7 +1,6 @@
 """What is uncertain in the X-33 mission: the initial state, the air and the vehicle."""
 
-import functools
-
+from ..._computed_once import computed_once
 from ...campaign.dispersions import Dispersion, add
 from ...campaign.distributions import Uniform
 from .cases import CASES
@@ -13,7 +12,7 @@ def _initial(name: str) -> Dispersion:
     return Dispersion(where, Uniform(-most, most), apply=add)
 
 
-@functools.cache
+@computed_once
 def initial_errors() -> dict[str, Dispersion]:
     """Errors of the initial state at once, uniform, up to the largest of the tables."""
     return {
@@ -23,7 +22,7 @@ def initial_errors() -> dict[str, Dispersion]:
     }
 
 
-@functools.cache
+@computed_once
 def air_and_vehicle() -> dict[str, Dispersion]:
     """Density by 10 %, lift and drag coefficients by 5 %, uniform; the paper has none."""
     coefficient = Uniform(0.95, 1.05)
@@ -34,7 +33,7 @@ def air_and_vehicle() -> dict[str, Dispersion]:
     }
 
 
-@functools.cache
+@computed_once
 def everything() -> dict[str, Dispersion]:
     """Initial errors, air and vehicle together."""
     return initial_errors() | air_and_vehicle()

@@ -5,10 +5,10 @@ Method". What the paper leaves open is stated where it is chosen.
 """
 
 import dataclasses
-import functools
 
 import jax.numpy as jnp
 
+from ..._computed_once import computed_once
 from ..._programs import kept
 from ...flight.scenario import Scenario, Target
 from ...flight.termination import (
@@ -107,7 +107,7 @@ def corridor() -> Constraints:
     }
 
 
-@functools.cache
+@computed_once
 def plan(first_drag: float = FIRST_DRAG) -> DragPlan:
     """The smoothest drag in the corridor, from a drag at the entry (m/s2).
 
@@ -137,7 +137,7 @@ def inverse(exact: bool) -> AbstractInverse:
     return kind(earth(), vehicle(), ScheduledAngleOfAttack(), plan().drag)
 
 
-@functools.cache
+@computed_once
 def cos_bank(exact: bool = False) -> JoinedProfile:
     """Over the velocity; it jumps where the angle of attack begins to fall."""
     jump = float(ScheduledAngleOfAttack().top)
@@ -145,7 +145,7 @@ def cos_bank(exact: bool = False) -> JoinedProfile:
     return plan_bank_over_velocity(inverse(exact), ends)
 
 
-@functools.cache
+@computed_once
 def reference(exact: bool = False) -> LongitudinalReference:
     """The flight under that bank, from where the drag profile begins."""
     first = inverse(exact).at(jnp.asarray(FIRST_VELOCITY))
