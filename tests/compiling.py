@@ -11,6 +11,11 @@ same flights are compiled in two thirds of the time: bit for bit as users have i
 (`test_monte_carlo.py`), while with little optimization they round otherwise. So a test
 flies batch by batch, unless it is marked `batches`: one that compares bits with those of
 another process, or counts the parts of a campaign.
+
+Once a program with little optimization was wrong: second derivatives of `cav-h`, with the
+density as an argument, are NaN, and not where the same operations run one by one, nor with
+optimization, nor with the fusion emitters that are left out here. So one that is not
+finite, or not what it must be, is looked at as users compile it first.
 """
 
 import contextlib

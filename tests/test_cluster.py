@@ -461,25 +461,22 @@ def bits(tree):
 
 if __name__ == "__main__":
     jentry.setup(1)
-    for flights in (100, 300):
-        here = tuned(flights)
-        with jentry.Cluster(sys.argv[1]):
-            there = tuned(flights)
-        assert bits(here) == bits(there), flights
-        print(len(bits(here)))
+    here = tuned(300)
+    with jentry.Cluster(sys.argv[1]):
+        there = tuned(300)
+    assert bits(here) == bits(there)
+    print(len(bits(here)))
 """
 
 
 @pytest.mark.slow
 def test_tuning_takes_the_same_course(tmp_path, alike):
-    """Of 100 flights, where each part is one batch (whose programs the command above has
-    compiled), and of 300, where it is several."""
+    """Of flights that are several batches."""
     (tmp_path / "script.py").write_text(TUNING)
     flown = started("script.py", alike.address, cwd=tmp_path)
     printed, errors = flown.communicate(timeout=600)
     assert flown.returncode == 0 and not errors, errors
-    compared = [int(line) for line in printed.split()]
-    assert len(compared) == 2 and min(compared) > 10
+    assert int(printed) > 10
 
 
 # Who is lost, and who does not fit.

@@ -318,7 +318,7 @@ def test_every_declared_dispersion_changes_the_flight_when_it_alone_is_drawn_ane
 
 
 def readings_by_variant(mission):
-    """Each reading with the first variant that has what it moves."""
+    """The readings, by as few variants as have what they move: each is compiled."""
 
     def takes(variant, reading):
         try:
@@ -329,10 +329,13 @@ def readings_by_variant(mission):
             return False
         return True
 
-    found = {}
-    for reading in mission.dispersions:
-        variant = next(v for v in mission.variants if takes(v, reading))
-        found.setdefault(variant, []).append(reading)
+    found, left = {}, list(mission.dispersions)
+    while left:
+        taken = {v: [r for r in left if takes(v, r)] for v in mission.variants}
+        most = max(taken, key=lambda variant: len(taken[variant]))
+        assert taken[most], left
+        found[most] = taken[most]
+        left = [reading for reading in left if reading not in taken[most]]
     return found
 
 
