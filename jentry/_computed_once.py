@@ -3,7 +3,7 @@
 import contextlib
 import functools
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar, cast
 
 import jax
 
@@ -26,7 +26,8 @@ def computed_once(function: Callable[P, R]) -> Callable[P, R]:
         with known_numbers():
             return function(*given, **named)
 
-    return functools.update_wrapper(of_known_numbers, function)
+    cached = functools.update_wrapper(of_known_numbers, function)
+    return cast(Callable[P, R], cached)  # a plain cache does not tell what it takes
 
 
 def known_numbers() -> contextlib.AbstractContextManager:
