@@ -320,8 +320,10 @@ _C_FLAGS = (
 
 
 @functools.cache
-def c_program():
+def c_program(space: bool = False):
     """`fly_all` of `flights.c`, compiled into a folder that is gone afterwards.
+
+    In the plane, or in space: in three dimensions.
 
     Raises:
         NoCProgramError: There is no compiler `cc`, or it fails.
@@ -333,7 +335,8 @@ def c_program():
     source = Path(__file__).with_name("flights.c")
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "flights.so"
-        command = compiler, *_C_FLAGS, source, "-o", library, "-lm"
+        flags = (*_C_FLAGS, "-DSPACE") if space else _C_FLAGS
+        command = compiler, *flags, source, "-o", library, "-lm"
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             raise NoCProgramError(f"`cc` fails on {source.name}:\n{done.stderr}")
@@ -370,8 +373,12 @@ def c_flights(
     drag_scale: np.ndarray,
     step: float = 0.1,
     threads: int = 1,
+    space: bool = False,
 ):
     """Eight flights to a vector, classical Runge-Kutta: see `flights.c`.
+
+    In space, that is in three dimensions, the downrange that it returns is the longitude,
+    on the radius of the planet.
 
     Raises:
         NoCProgramError: There is no compiler `cc`, or it fails.
@@ -383,7 +390,7 @@ def c_flights(
     given = *given, _rows_for_c(reference), lift, drag
     out = np.empty((4, lift.size))
     places = [x.ctypes.data for x in given]
-    if c_program()(*places, lift.size, step, threads, out.ctypes.data) != 0:
+    if c_program(space)(*places, lift.size, step, threads, out.ctypes.data) != 0:
         raise RuntimeError(f"the system gives no {threads} threads")
     return tuple(out)
 

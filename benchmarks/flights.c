@@ -7,6 +7,9 @@
    flight that ends leaves its place in the vector to the next one; eight that have ended are
    brought to their end together. Threads draw from one count of flights.
 
+   With SPACE defined the flight is in three dimensions, over a sphere that does not turn: it
+   begins due east on the equator and banks to the right, so that there are eight states.
+
    It computes no peaks of path constraints, and has no check for numbers that are not finite
    or for singular points. `comparators.c_program` compiles it; the compiler needs vector
    extensions with `__builtin_shufflevector`, as GCC 12 has them. */
@@ -42,6 +45,9 @@ typedef Vector Row;
 
 typedef struct {
     Vector altitude, downrange, velocity, path, error, error_rate;
+#ifdef SPACE
+    Vector latitude, turned; /* from due east, to the right */
+#endif
 } State; /* or its time derivative */
 
 #define INLINE static inline __attribute__((always_inline))
@@ -211,9 +217,23 @@ INLINE State rates(State y, Vector lift_factor, Vector drag_factor, const Plan *
     Vector innovation = x1 - y.error;
 
     Vector turn = velocity * cos * per_radius;
+#ifdef SPACE
+    Vector sin_turned, cos_turned, sin_latitude, cos_latitude;
+    sine_cosine(y.turned, &sin_turned, &cos_turned);
+    sine_cosine(y.latitude, &sin_latitude, &cos_latitude);
+    Vector per_cosines = 1.0 / (cos * cos_latitude);
+    Vector eastward = turn * cos_turned * (per_cosines * cos);
+    Vector sideways = lift * root(1.0 - u * u) * per_velocity;
+#endif
     return (State){
         .altitude = velocity * sin,
+#ifdef SPACE
+        .downrange = eastward, /* the longitude */
+        .latitude = -turn * sin_turned,
+        .turned = sideways * (per_cosines * cos_latitude) + eastward * sin_latitude,
+#else
         .downrange = turn,
+#endif
         .velocity = -drag - gravity_along,
         .path = (lift * u - gravity * cos) * per_velocity + turn,
         .error = y.error_rate + p->innovation_error * innovation,
@@ -229,6 +249,10 @@ INLINE State moved(State y, Vector step, State k) {
     y.path += step * k.path;
     y.error += step * k.error;
     y.error_rate += step * k.error_rate;
+#ifdef SPACE
+    y.latitude += step * k.latitude;
+    y.turned += step * k.turned;
+#endif
     return y;
 }
 

@@ -1,6 +1,7 @@
 """How many guided Mars entries per second, on one core and on two, and against what?
 
     python benchmarks/monte_carlo.py --runs 1000 --rounds 5 --step 0.1
+    python benchmarks/monte_carlo.py --space
 
 The same dispersed flights by jentry and by four programs written without it (see
 `comparators`). jentry, C and numba take the same steps; scipy and diffrax choose theirs,
@@ -8,9 +9,13 @@ with a tolerance that makes them about as accurate, which the table shows: the r
 of the end points from a reference solution. Each program lives in a process of its own
 that is pinned to its cores. They take turns, round by round, so that a slow minute of the
 machine is shared by all; the table has medians over the rounds.
+
+With `--space` the same law flies in three dimensions, banked to the right all the way, by
+jentry and by C. Their reference is that of C with a tenth of the step.
 """
 
 import argparse
+import dataclasses
 import functools
 import importlib.metadata
 import multiprocessing
@@ -46,6 +51,8 @@ class Problem(NamedTuple):
     inputs: dict[str, np.ndarray]
     step: float
     tolerance: float
+    space: bool = False
+    """Whether it flies in three dimensions"""
 
 
 class Program(NamedTuple):
@@ -58,10 +65,14 @@ class Program(NamedTuple):
     """It flies only so many times fewer flights: for the slow ones"""
 
 
-def _scenario():
+def _scenario(space: bool = False):
     import jentry
+    from jentry.motion.dynamics import EntryDynamics
 
-    return jentry.find_mission("mars-drag-tracking").scenario("energy-index")
+    scenario = jentry.find_mission("mars-drag-tracking").scenario("energy-index")
+    if space:
+        scenario = dataclasses.replace(scenario, dynamics=EntryDynamics())
+    return scenario
 
 
 def prepare_jentry(problem: Problem, cores: int, fast: bool):
@@ -69,7 +80,7 @@ def prepare_jentry(problem: Problem, cores: int, fast: bool):
     import jentry
 
     jentry.setup(cores, fast=fast, cache=False)
-    scenario = _scenario()
+    scenario = _scenario(problem.space)
     inputs = {ADDRESSES[name]: values for name, values in problem.inputs.items()}
     solver = jentry.FixedStep(problem.step)
     runs = len(problem.inputs["mass"])
@@ -93,9 +104,8 @@ def prepare_plain_jentry(problem: Problem, cores: int):
 
 def prepare_c(problem: Problem, cores: int):
     given = problem.mission, problem.reference
-    return lambda: comparators.c_flights(
-        *given, **problem.inputs, step=problem.step, threads=cores
-    )
+    how = {"step": problem.step, "threads": cores, "space": problem.space}
+    return lambda: comparators.c_flights(*given, **problem.inputs, **how)
 
 
 def prepare_numba(problem: Problem, cores: int, fastmath: bool = False):
@@ -138,6 +148,9 @@ PROGRAMS = (
     Program("C, vectors, two threads", 2, prepare_c),
     Program("numba, prange, fastmath", 2, prepare_fast_numba),
 )
+
+
+_IN_SPACE = prepare_fast_jentry, prepare_plain_jentry, prepare_c
 
 
 def draw_inputs(runs: int) -> dict[str, np.ndarray]:
@@ -188,7 +201,10 @@ def jentry_mission() -> tuple[comparators.Mission, np.ndarray]:
 
 
 def true_ends(problem: Problem) -> np.ndarray:
-    """By scipy's method of order 8 with a tolerance of 1e-12."""
+    """By scipy's method of order 8 with a tolerance of 1e-12; in space by the program in C
+    with a tenth of the step."""
+    if problem.space:
+        return np.array(prepare_c(problem._replace(step=0.1 * problem.step), 1)())
     given = problem.mission, problem.reference
     ends = comparators.scipy_flights(
         *given, **problem.inputs, tolerance=1e-12, method="DOP853"
@@ -257,9 +273,16 @@ def first_flights(problem: Problem, count: int) -> Problem:
     return problem._replace(inputs=inputs)
 
 
-def available_programs() -> list[Program]:
-    """Those for which there are cores, and a C compiler if they need one."""
+def available_programs(space: bool = False) -> list[Program]:
+    """Those for which there are cores, and a C compiler if they need one.
+
+    Raises `comparators.NoCProgramError` in space without a C compiler, which all are
+    compared with there.
+    """
     programs = [p for p in PROGRAMS if p.cores <= available_cores()]
+    if space:
+        comparators.c_program(space)
+        return [p for p in programs if p.prepare in _IN_SPACE]
     try:
         comparators.c_program()
     except comparators.NoCProgramError as error:
@@ -316,16 +339,18 @@ def main() -> None:
         "--tolerance", type=float, default=1e-8, help="of the adaptive steps"
     )
     parser.add_argument("--judged", type=int, default=16, help="flights for the error")
+    parser.add_argument("--space", action="store_true", help="in three dimensions")
     options = parser.parse_args()
     os.environ["JAX_PLATFORMS"] = "cpu"
 
     print(machine())
     mission, reference = in_own_process(jentry_mission)
     inputs = draw_inputs(options.runs)
-    problem = Problem(mission, reference, inputs, options.step, options.tolerance)
+    how = options.step, options.tolerance, options.space
+    problem = Problem(mission, reference, inputs, *how)
     truth = in_own_process(true_ends, first_flights(problem, options.judged))
 
-    programs = available_programs()
+    programs = available_programs(options.space)
     workers, flights, errors = [], [], []
     for program in programs:
         count = max(min(options.judged, options.runs), options.runs // program.share)

@@ -36,6 +36,26 @@ def test_the_programs_that_are_compared_fly_the_same_flights(benchmark, monkeypa
     np.testing.assert_allclose(by_diffrax[1:3], truth[1:3], rtol=0, atol=0.5)
 
 
+@pytest.mark.slow
+def test_the_program_in_c_flies_the_same_flights_in_space(benchmark, monkeypatch):
+    """By the same steps, so that both err alike: a third of a metre."""
+    try:
+        programs = benchmark.available_programs(space=True)
+    except benchmark.comparators.NoCProgramError as error:
+        pytest.skip(str(error))
+    assert {p.name.split(",")[0] for p in programs} == {"jentry", "C"}
+    monkeypatch.setattr(jentry, "setup", lambda *how, **options: None)
+    given = *benchmark.jentry_mission(), benchmark.draw_inputs(3), 0.1, 1e-8, True
+    problem = benchmark.Problem(*given)
+    ours = benchmark.prepare_jentry(problem, jax.device_count(), fast=False)()
+    by_c = np.array(benchmark.prepare_c(problem, 1)())
+    np.testing.assert_allclose(ours, by_c, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(by_c, benchmark.true_ends(problem), rtol=0, atol=0.5)
+    # It turns: due east it would come as far as in the plane.
+    in_plane = benchmark.prepare_c(problem._replace(space=False), 1)()
+    assert np.all(np.abs(by_c - in_plane)[2] > 10e3)
+
+
 def test_a_program_that_flies_something_else_ends_the_benchmark(benchmark):
     programs = benchmark.PROGRAMS[:2]
     benchmark.check_errors(programs, [0.01, 0.02])
