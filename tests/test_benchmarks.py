@@ -51,9 +51,9 @@ def test_the_program_in_c_flies_the_same_flights_in_space(benchmark, monkeypatch
     by_c = np.array(benchmark.prepare_c(problem, 1)())
     np.testing.assert_allclose(ours, by_c, rtol=0, atol=1e-4)
     np.testing.assert_allclose(by_c, benchmark.true_ends(problem), rtol=0, atol=0.5)
-    # It turns: due east it would come as far as in the plane.
+    # It turns: due east it would come as far as in the plane, some 4 km farther.
     in_plane = benchmark.prepare_c(problem._replace(space=False), 1)()
-    assert np.all(np.abs(by_c - in_plane)[2] > 10e3)
+    assert np.all(np.abs(by_c - in_plane)[2] > 3e3)
 
 
 def test_a_program_that_flies_something_else_ends_the_benchmark(benchmark):
