@@ -390,7 +390,7 @@ def c_flights(
     given = *given, _rows_for_c(reference), lift, drag
     out = np.empty((4, lift.size))
     places = [x.ctypes.data for x in given]
-    if c_program(space)(*places, lift.size, step, threads, out.ctypes.data) != 0:
+    if c_program(space=space)(*places, lift.size, step, threads, out.ctypes.data) != 0:
         raise RuntimeError(f"the system gives no {threads} threads")
     return tuple(out)
 

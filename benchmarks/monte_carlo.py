@@ -281,7 +281,7 @@ def available_programs(space: bool = False) -> list[Program]:
     """
     programs = [p for p in PROGRAMS if p.cores <= available_cores()]
     if space:
-        comparators.c_program(space)
+        comparators.c_program(space=space)
         return [p for p in programs if p.prepare in _IN_SPACE]
     try:
         comparators.c_program()

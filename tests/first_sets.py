@@ -31,16 +31,21 @@ populations = benchmark("populations")
 """The benchmark that flies many sets of runs"""
 
 
-def fly_few(mission, variant, dispersions, seed=0):
-    """A scenario, and the campaign of as many runs as the first ones that are saved.
+def small_batches():
+    """Within it a batch has as many runs as the first ones that are saved.
 
-    No others fly beside them: a batch of users would be filled up with flights that nobody
-    asks for, and would take eight times as long.
+    A batch of users would be filled up with flights that nobody asks for, and would take
+    eight times as long.
     """
+    return mock.patch.object(batch, "LANES", populations.FIRST_RUNS)
+
+
+def fly_few(mission, variant, dispersions, seed=0):
+    """A scenario, and the campaign of as many runs as the first ones that are saved."""
     chosen = find_mission(mission)
     scenario, table = chosen.scenario(variant), chosen.dispersion_table(dispersions)
     runs = populations.FIRST_RUNS
-    with mock.patch.object(batch, "LANES", runs):
+    with small_batches():
         return scenario, monte_carlo(scenario, table, jax.random.key(seed), runs)
 
 
