@@ -2,9 +2,9 @@
 
 Four programs that a reader might write instead: vectors in C (`flights.c`), scalars in
 numba, scipy's `solve_ivp`, and diffrax batched with `vmap`. Each flies the same vehicle
-with the same law: a planar point mass over a sphere that does not turn, drag tracking with
-a high-gain observer over energy, ended at a velocity or an altitude, whichever is met
-first. State: altitude, downrange angle, velocity, flight-path angle, and the two estimates
+with the same law: a planar point mass over a sphere that does not turn (in C also one in
+three dimensions), drag tracking with a high-gain observer over energy, ended at a velocity
+or an altitude, whichever is met first. State: altitude, downrange angle, velocity, flight-path angle, and the two estimates
 of the observer.
 
 Each takes one array entry per flight and returns the arrays (time, altitude, downrange,
@@ -320,7 +320,7 @@ _C_FLAGS = (
 
 
 @functools.cache
-def c_program(space: bool = False):
+def c_program(*, space: bool):
     """`fly_all` of `flights.c`, compiled into a folder that is gone afterwards.
 
     In the plane, or in space: in three dimensions.

@@ -7,8 +7,9 @@
    flight that ends leaves its place in the vector to the next one; eight that have ended are
    brought to their end together. Threads draw from one count of flights.
 
-   With SPACE defined the flight is in three dimensions, over a sphere that does not turn: it
-   begins due east on the equator and banks to the right, so that there are eight states.
+   With SPACE defined the flight is in three dimensions, over a sphere that does not turn, with
+   latitude and heading as two more states: it begins due east on the equator and banks to the
+   right.
 
    It computes no peaks of path constraints, and has no check for numbers that are not finite
    or for singular points. `comparators.c_program` compiles it; the compiler needs vector
@@ -156,7 +157,8 @@ INLINE void look_up(const Row *table, Whole at, Vector *out) {
     out[3] = HALF_LOW(b3, b7), out[7] = HALF_HIGH(b3, b7);
 }
 
-/* Time derivative of eight flights: `comparators.rates`, line by line. */
+/* Time derivative of eight flights: `comparators.rates`, line by line, and in SPACE what is
+   about it. */
 INLINE State rates(State y, Vector lift_factor, Vector drag_factor, const Plan *p,
                    const Row *table) {
     Vector velocity = y.velocity, sin, cos;

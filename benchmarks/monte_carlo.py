@@ -284,7 +284,7 @@ def available_programs(space: bool = False) -> list[Program]:
         comparators.c_program(space=space)
         return [p for p in programs if p.prepare in _IN_SPACE]
     try:
-        comparators.c_program()
+        comparators.c_program(space=False)
     except comparators.NoCProgramError as error:
         print(f"without the programs in C: {error}")
         programs = [p for p in programs if p.prepare is not prepare_c]
@@ -348,9 +348,9 @@ def main() -> None:
     inputs = draw_inputs(options.runs)
     how = options.step, options.tolerance, options.space
     problem = Problem(mission, reference, inputs, *how)
+    programs = available_programs(options.space)
     truth = in_own_process(true_ends, first_flights(problem, options.judged))
 
-    programs = available_programs(options.space)
     workers, flights, errors = [], [], []
     for program in programs:
         count = max(min(options.judged, options.runs), options.runs // program.share)
@@ -367,7 +367,8 @@ def main() -> None:
     for worker in workers:
         worker.stop()
     print(f"{options.runs} flights, {options.rounds} rounds, float64, ", end="")
-    print(f"steps of {options.step} s, tolerance {options.tolerance:g}\n")
+    where = "in space, " if options.space else ""
+    print(f"{where}steps of {options.step} s, tolerance {options.tolerance:g}\n")
     print_table(programs, speeds, starts, errors)
 
 
