@@ -4,8 +4,8 @@ Four programs that a reader might write instead: vectors in C (`flights.c`), sca
 numba, scipy's `solve_ivp`, and diffrax batched with `vmap`. Each flies the same vehicle
 with the same law: a planar point mass over a sphere that does not turn (in C also one in
 three dimensions), drag tracking with a high-gain observer over energy, ended at a velocity
-or an altitude, whichever is met first. State: altitude, downrange angle, velocity, flight-path angle, and the two estimates
-of the observer.
+or an altitude, whichever is met first. State: altitude, downrange angle, velocity,
+flight-path angle, and the two estimates of the observer.
 
 Each takes one array entry per flight and returns the arrays (time, altitude, downrange,
 velocity) at the end of flight, in SI units.

@@ -38,8 +38,10 @@ def test_the_programs_that_are_compared_fly_the_same_flights(benchmark, monkeypa
 
 @pytest.mark.slow
 def test_the_program_in_c_flies_the_same_flights_in_space(benchmark, monkeypatch):
-    """By the same steps, so that both err alike, by a third of a metre; jentry's planet turns
-    at a rate of zero."""
+    """By the same steps, so that both err alike, by a third of a metre.
+
+    The planet of jentry turns, at a rate of zero.
+    """
     try:
         programs = benchmark.available_programs(space=True)
     except benchmark.comparators.NoCProgramError as error:
