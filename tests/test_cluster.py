@@ -422,12 +422,6 @@ def assert_says_the_same(cluster, folder, *command_words):
     assert said[0] == said[1]
 
 
-@pytest.mark.slow
-def test_the_command_tunes_there(tmp_path, alike):
-    words = "tune", "mars-drag-tracking", "--runs", 64, "--steps", 2, "--held-out", 64
-    assert_says_the_same(alike, tmp_path, *words)
-
-
 TUNING = """
 import sys
 import equinox as eqx
@@ -643,6 +637,13 @@ def test_the_command_flies_a_mission_of_a_file(lander, two):
     here, *others = (jentry.open_campaign(lander / name) for name in said)
     for other in others:
         xarray.testing.assert_identical(here, other)
+
+
+@pytest.mark.slow
+def test_the_command_tunes_there(lander, alike):
+    words = "tune", "my_lander.py", "--of", "downrange=1km", "--step", 1
+    words += "--runs", 64, "--steps", 2, "--held-out", 64
+    assert_says_the_same(alike, lander, *words)
 
 
 @pytest.mark.slow

@@ -76,7 +76,6 @@ def end_errors(scenario, inputs):
     return np.stack([missed.downrange, missed.crossrange]) / nautical_mile
 
 
-@pytest.mark.optimized(False)
 def test_every_case_of_the_paper_ends_within_a_mile():
     found = np.abs(fly_cases(MISSION.scenario("full")))
     assert np.all(found[:, :13] < 1.0)
