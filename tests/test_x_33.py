@@ -300,7 +300,7 @@ def test_weights_are_tuned():
             f"guidance.bank.regulator.at_end.{name}": Bounds(30.0, 1e4)
             for name in ("altitude", "downrange")
         },
-        solver=FixedStep(2.0),
+        solver=FixedStep(4.0),
         budget=Budget(steps=3),
     )
     loss = tuned.judgement["loss", ""]
