@@ -145,6 +145,7 @@ PROGRAMS = (
     Program("diffrax, vmap(diffeqsolve)", 1, prepare_diffrax),
     Program("scipy, solve_ivp", 1, prepare_scipy, share=50),
     Program("jentry, fast", 2, prepare_fast_jentry),
+    Program("jentry", 2, prepare_plain_jentry),
     Program("C, vectors, two threads", 2, prepare_c),
     Program("numba, prange, fastmath", 2, prepare_fast_numba),
 )
