@@ -5,6 +5,7 @@ import os
 import cheap
 import compiling
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import fly_compiled
@@ -51,6 +52,18 @@ def test_what_is_marked_flies_as_many_in_a_call_as_users_do():
 def test_programs_are_written_in_one_context():
     one, other = (jax.jit(f).lower(1.0) for f in (jax.numpy.sin, jax.numpy.cos))
     assert one.compiler_ir().context == other.compiler_ir().context
+
+
+@pytest.mark.parametrize(
+    "sines", [1, pytest.param(2, marks=pytest.mark.optimized)], ids=["little", "much"]
+)
+def test_what_is_computed_twice_is_taken_out_first(monkeypatch, sines):
+    """Where little is optimized; users have it as JAX writes it."""
+    written = lambda backend, module: str(module).count("stablehlo.sine")
+    monkeypatch.setattr(compiling, "_compile", written)
+    module = jax.jit(lambda x: jnp.sin(x) * jnp.sin(x)).lower(1.0).compiler_ir()
+    found = compiler.backend_compile_and_load(None, module)
+    assert found == (sines if compiling.little() else 2)
 
 
 @pytest.mark.slow
