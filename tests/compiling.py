@@ -28,7 +28,8 @@ import os
 import jax
 from jax._src import compiler
 from jax._src.interpreters import mlir
-from jax._src.lib.mlir import ir, passmanager
+from jax._src.lib.mlir import ir
+from jaxlib.mlir.passmanager import PassManager
 
 
 LITTLE = {
@@ -81,9 +82,7 @@ _compile = compiler.backend_compile_and_load
 def _compile_once_each(backend, module, *how, **options):
     if compiler.get_compile_options is _with_little:
         with module.context:
-            passes = passmanager.PassManager.parse(
-                "builtin.module(cse,canonicalize,cse)"
-            )
+            passes = PassManager.parse("builtin.module(cse,canonicalize,cse)")
             passes.run(module.operation)
     return _compile(backend, module, *how, **options)
 
