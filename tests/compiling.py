@@ -12,8 +12,8 @@ same flights are compiled in two thirds of the time: bit for bit as users have i
 flies batch by batch, unless it is marked `batches`: one that compares bits with those of
 another process, or counts the parts of a campaign.
 
-What such a program computes twice is taken out before the compiler sees it, which does so
-late: of 40 tests of derivatives and of `cav-h`, 175 s, that spares 6.
+What a program with little optimization computes twice is taken out before the compiler sees
+it, which does so late: of 40 tests of derivatives and of `cav-h`, 175 s, that spares 6.
 
 Once a program with little optimization was wrong: second derivatives of `cav-h`, with the
 density as an argument, are NaN, and not where the same operations run one by one, nor with
@@ -80,6 +80,7 @@ _compile = compiler.backend_compile_and_load
 
 
 def _compile_once_each(backend, module, *how, **options):
+    """In place of JAX's own, by which all programs are compiled that are not found."""
     if compiler.get_compile_options is _with_little:
         with module.context:
             passes = PassManager.parse("builtin.module(cse,canonicalize,cse)")
