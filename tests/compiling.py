@@ -15,10 +15,12 @@ another process, or counts the parts of a campaign.
 What a program with little optimization computes twice is taken out before the compiler sees
 it, which does so late: of 40 tests of derivatives and of `cav-h`, 175 s, that spares 6.
 
-Once a program with little optimization was wrong: second derivatives of `cav-h`, with the
+Twice a program with little optimization was wrong: second derivatives of `cav-h`, with the
 density as an argument, are NaN, and not where the same operations run one by one, nor with
-optimization, nor with the fusion emitters that are left out here. So one that is not
-finite, or not what it must be, is looked at as users compile it first.
+optimization, nor with the fusion emitters that are left out here; and so is its gradient
+where XLA's pass `reshape-mover` is left out, and not without fusion, nor with optimization.
+So all passes that change a program are run, and one that is not finite, or not what it must
+be, is looked at as users compile it first.
 """
 
 import contextlib
@@ -32,32 +34,19 @@ from jax._src.lib.mlir import ir
 from jaxlib.mlir.passmanager import PassManager
 
 
-_LEFT_OUT = (
-    "hlo-verifier",
-    "reshape-mover",
-    "simplify-conditional",
-    "tree_reduction_rewriter",
-    "zero_sized_hlo_elimination",
-    "cpu-parallel-task-assigner",
-    "small-while-loop-hoisting",
-    "dynamic-dimension-simplifier",
-    "while-loop-trip-count-annotator",
-)
-"""Passes of XLA that take longer than what they find is worth: a program that is optimized
-has them all, a check of what the others have made of it (the first, a third of this) too"""
-
 LITTLE = {
     # Without these a program takes more than twice as long.
     "xla_backend_optimization_level": 0,
     "xla_llvm_disable_expensive_passes": True,
     "xla_cpu_use_fusion_emitters": False,
-    # And without the rest, and what `_with_little` leaves out, a third longer: 20 programs
-    # 31.0 s of a core, where 23.5 are enough.
+    # And without these a fifth longer (20 programs 32.3 s of a core, and not 26.8): parts
+    # for several cores, and what the optimizer could know. The verifier looks at what each
+    # pass has made of a program; it is there for those that users have.
     "xla_cpu_parallel_codegen_split_count": 1,
     "xla_llvm_enable_alias_scope_metadata": False,
     "xla_llvm_enable_noalias_metadata": False,
     "xla_llvm_enable_invariant_load_metadata": False,
-    "xla_disable_hlo_passes": ",".join(_LEFT_OUT),
+    "xla_disable_hlo_passes": "hlo-verifier",
 }
 
 _make_ir_context = mlir.make_ir_context
@@ -95,11 +84,7 @@ def little() -> dict:
 
 def _with_little(*how, env_options_overrides=None, **options):
     options["env_options_overrides"] = little() | (env_options_overrides or {})
-    chosen = _get_compile_options(*how, **options)
-    if chosen.num_partitions == 1:  # and nothing is to be divided
-        chosen.executable_build_options.use_shardy_partitioner = False
-        chosen.executable_build_options.use_spmd_partitioning = False
-    return chosen
+    return _get_compile_options(*how, **options)
 
 
 _compile = compiler.backend_compile_and_load
