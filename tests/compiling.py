@@ -18,9 +18,9 @@ it, which does so late: of 40 tests of derivatives and of `cav-h`, 175 s, that s
 Twice a program with little optimization was wrong: second derivatives of `cav-h`, with the
 density as an argument, are NaN, and not where the same operations run one by one, nor with
 optimization, nor with the fusion emitters that are left out here; and so is its gradient
-in reverse where XLA's pass `reshape-mover` is left out, and not forward, nor without fusion,
-nor with optimization. So all passes that change a program are run, and one that is not
-finite, or not what it must be, is looked at as users compile it first.
+in reverse where XLA's pass `reshape-mover` is left out, and not forward, nor without
+fusion, nor with optimization. So all passes that change a program are run, and one that is
+not finite, or not what it must be, is looked at as users compile it first.
 """
 
 import contextlib
