@@ -605,7 +605,7 @@ def test_the_memory_of_the_factors_is_tuned(monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
     import mars_reach
 
-    found = mars_reach.tuned(runs=64, held_out=128, steps=6)
+    found = mars_reach.tuned(runs=32, held_out=128, steps=6)
     assert float(found.values[mars_reach.MEMORY]) < 5.0
     std = mars_reach.downrange_std(found.judgement)
     assert std.after.value < 0.8 * std.before.value
