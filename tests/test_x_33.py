@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from first_sets import small_batches
 from helpers import fly_batch
 from optimistix import LBFGS
 from readme import assert_prints, rows
@@ -287,22 +288,25 @@ def test_weights_are_tuned():
     law = PseudospectralTracking(regulator=weak, cycle=FixedCycle(40.0))
     law = compose(scenario.guidance.angle_of_attack, law)
     scenario = eqx.tree_at(lambda s: s.guidance, scenario, law)
-    tuned = tune(
-        scenario,
-        lambda s: (
-            s.guidance.bank.regulator.at_end.altitude,
-            s.guidance.bank.regulator.at_end.downrange,
-        ),
-        _square,
-        LBFGS(rtol=1e-3, atol=1e-3),
-        Draws(MISSION.dispersion_table("initial-errors"), jax.random.key(1), 64, 64),
-        ranges={
-            f"guidance.bank.regulator.at_end.{name}": Bounds(30.0, 1e4)
-            for name in ("altitude", "downrange")
-        },
-        solver=FixedStep(4.0),
-        budget=Budget(steps=3),
-    )
+    with small_batches():
+        tuned = tune(
+            scenario,
+            lambda s: (
+                s.guidance.bank.regulator.at_end.altitude,
+                s.guidance.bank.regulator.at_end.downrange,
+            ),
+            _square,
+            LBFGS(rtol=1e-3, atol=1e-3),
+            Draws(
+                MISSION.dispersion_table("initial-errors"), jax.random.key(1), 16, 16
+            ),
+            ranges={
+                f"guidance.bank.regulator.at_end.{name}": Bounds(30.0, 1e4)
+                for name in ("altitude", "downrange")
+            },
+            solver=FixedStep(4.0),
+            budget=Budget(steps=3),
+        )
     loss = tuned.judgement["loss", ""]
     assert loss.after.value < 0.2 * loss.before.value
 
