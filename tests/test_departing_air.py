@@ -10,7 +10,7 @@ import pytest
 from helpers import all_atmospheres, free_scenario, over
 
 from jentry.campaign import Dispersion, Uniform, monte_carlo
-from jentry.flight import fly
+from jentry.flight import Outcome, fly
 from jentry.motion import EntryState
 from jentry.motion.forces import air_data
 from jentry.onboard import OnboardModel
@@ -22,6 +22,8 @@ from jentry.world import (
     InverseSquareGravity,
     PerturbedAtmosphere,
     Planet,
+    RandomAltitudeProfile,
+    RandomAtmosphere,
     USStandardAtmosphere1976,
     Vehicle,
     smoothed,
@@ -144,6 +146,42 @@ def test_air_within_air():
     spared = without_zero_departures(departing)
     assert spared.undisturbed == AT_REST.undisturbed and spared.waves == ()
     assert without_zero_departures(AT_REST, ["waves.0.amplitude"]) is AT_REST
+
+
+def test_air_that_varies_over_the_ground_does_so_within_other_air():
+    wave = GroundWave(0.2, 2000e3, 3397e3)
+    inner = PerturbedAtmosphere(AT_REST.undisturbed, ground_waves=(wave,))
+    own = GroundWave(-0.1, 900e3, 3397e3)
+    about = {"trend": 1.0, "share_low": 0.05, "share_high": 0.05}
+    plain = PerturbedAtmosphere(inner, **about)
+    both = PerturbedAtmosphere(inner, ground_waves=(own,), **about)
+    random = RandomAtmosphere(inner, RandomAltitudeProfile(10e3), 0.0)
+    altitude = jnp.asarray(40e3)
+    along, across = (np.sin(2 * np.pi * 0.1 * 3397e3 / x) for x in (2000e3, 900e3))
+    for air, share in ((plain, 1.05), (both, 1.05 - 0.1 * across)):
+        for within in (air, dataclasses.replace(air, undisturbed=random)):
+            above = within.column(jnp.asarray(0.1), jnp.asarray(0.0))
+            ratio = float(above.density(altitude) / inner.undisturbed.density(altitude))
+            assert ratio == pytest.approx(share * (1.0 + 0.2 * along), rel=1e-9)
+    alone = PerturbedAtmosphere(AT_REST.undisturbed, **about)
+    assert alone.column(jnp.asarray(0.1), jnp.asarray(0.0)) is alone
+
+
+def test_no_flight_goes_through_air_of_negative_density():
+    """Without path constraints too, of which the heat rate would have told."""
+    scenario = dataclasses.replace(free_scenario(), constraints={})
+    air = scenario.planet.atmosphere
+    for depth, lost in ((0.9, []), (1.0, [0.0]), (1.5, [0.0, 39e3])):
+        departing = PerturbedAtmosphere(air, (DensityWave(-depth, 40e3, np.pi / 2),))
+        altitudes = [0.0, 20e3, 39e3]
+        found = [float(departing.density(jnp.asarray(h))) for h in altitudes]
+        assert [h for h, x in zip(altitudes, found, strict=True) if np.isnan(x)] == lost
+        if depth != 1.0:  # which is at one altitude alone, where no step need be
+            flown = eqx.tree_at(lambda s: s.planet.atmosphere, scenario, departing)
+            assert (flight_of(flown).outcome == Outcome.NOT_FINITE) == bool(lost)
+
+
+flight_of = eqx.filter_jit(fly)
 
 
 def test_what_does_not_depart_is_not_computed(monkeypatch):
@@ -298,3 +336,16 @@ def test_the_smoothed_standard_is_its_mean():
 def test_a_table_of_means_must_have_a_size(given):
     with pytest.raises(ValueError, match="both must be positive, and the table"):
         smoothed(ExponentialAtmosphere(1.225, 7200.0), **given)
+
+
+def test_a_gas_that_is_not_the_one_of_the_table_is_refused():
+    carbon_dioxide = {"gas_constant": 188.92, "heat_capacity_ratio": 1.29}
+    air = ExponentialAtmosphere(0.0158, 9354.0, **carbon_dioxide)
+    for given in ({}, {"gas_constant": 188.92}, {"heat_capacity_ratio": 1.29}):
+        with pytest.raises(ValueError, match=r"of a gas with gas_constant=188.92 J"):
+            smoothed(air, **given)
+    found = smoothed(air, **carbon_dioxide)
+    altitude = jnp.asarray(30e3)
+    for name in ("density", "temperature", "pressure", "speed_of_sound"):
+        ours, theirs = (float(getattr(x, name)(altitude)) for x in (found, air))
+        assert ours == pytest.approx(theirs, rel=1e-9), name

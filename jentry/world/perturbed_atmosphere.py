@@ -87,12 +87,15 @@ class PerturbedAtmosphere(AbstractAtmosphere):
     origins of the ground waves. Given by `column`"""
 
     def column(self, longitude: Scalar, latitude: Scalar) -> "PerturbedAtmosphere":
-        if not self.ground_waves:
+        undisturbed = self.undisturbed.column(longitude, latitude)
+        if undisturbed is self.undisturbed and not self.ground_waves:
             return self
-        return dataclasses.replace(self, above=(longitude, latitude))
+        above = (longitude, latitude) if self.ground_waves else self.above
+        return dataclasses.replace(self, undisturbed=undisturbed, above=above)
 
     def factor(self, altitude: Scalar) -> Scalar:
-        """Density in units of the undisturbed one, at the place."""
+        """Density in units of the undisturbed one, at the place; NaN where departures take
+        all of it away, so that no flight goes through air of negative density."""
         way = jnp.clip((altitude - self.low) / (self.high - self.low), 0.0, 1.0)
         share = self.share_low + way * (self.share_high - self.share_low)
         factor = 1.0 + self.trend * share
@@ -101,7 +104,7 @@ class PerturbedAtmosphere(AbstractAtmosphere):
         for wave in self.ground_waves:
             place = self.above or (wave.longitude, wave.latitude)
             factor = factor + wave.departure(*place)
-        return factor
+        return jnp.where(factor > 0.0, factor, jnp.nan)
 
     def density(self, altitude: Scalar) -> Scalar:
         return self.factor(altitude) * self.undisturbed.density(altitude)

@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import Tracer
 
 from .._interpolation import clamp
 from ..fields import Scalar, Vector, scalar, table
@@ -14,6 +15,8 @@ _REACH = 5.0
 """Widths to either side over which the mean is taken"""
 _POINTS = 401
 """Of the mean"""
+_SAME_GAS = 1e-3
+"""Share by which the numbers of a gas may differ that is the same"""
 
 
 class SmoothedAtmosphere(AbstractAtmosphere):
@@ -78,37 +81,43 @@ def smoothed(
     highest: float = 150.0 * km,
     spacing: float = 250.0,
     gas_constant: float = 287.05287,
+    heat_capacity_ratio: float = 1.4,
 ) -> SmoothedAtmosphere:
     """Means of an atmosphere by a normal distribution of altitudes.
 
     Of the logarithm of the density, so that an exponential stays as it is, and of the
-    temperature that has the speed of sound.
+    temperature that has the speed of sound: pressure and temperature are those of the
+    atmosphere if it is of this gas.
 
     **Arguments:**
 
     - `width`: standard deviation of the distribution, m.
     - `lowest`, `highest`: altitudes between which the means are tabulated, m.
     - `spacing`: of the table, m.
-    - `gas_constant`: of the gas, J/(kg K).
+    - `gas_constant`: of the gas, J/(kg K); of air if not given.
+    - `heat_capacity_ratio`: of the gas; of air if not given.
+
+    **Raises:** `ValueError` for a width or a spacing that is not positive, and for an
+    atmosphere of another gas, unless that is compiled, where its numbers are not known.
     """
     if not (width > 0.0 and spacing > 0.0 and highest - lowest >= 4.0 * spacing):
         raise ValueError(
             f"width is {width} m, spacing {spacing} m, from {lowest} to {highest} m: both "
             "must be positive, and the table four spacings or more"
         )
+    _refuse_another_gas(atmosphere, lowest, gas_constant, heat_capacity_ratio)
     count = round((highest - lowest) / spacing) + 1
     altitudes = lowest + spacing * np.arange(-2, count + 2)
     away = np.linspace(-_REACH, _REACH, _POINTS)
     weights = np.exp(-0.5 * away**2)
     weights /= weights.sum()
-    ratio = 1.4
 
     def logarithm(altitude: Scalar) -> Scalar:
         return jnp.log(atmosphere.density(altitude))
 
     def temperature(altitude: Scalar) -> Scalar:
         sound = atmosphere.speed_of_sound(altitude)
-        return sound * sound / (ratio * gas_constant)
+        return sound * sound / (heat_capacity_ratio * gas_constant)
 
     def mean(of):
         where = jnp.asarray(altitudes[:, None] + width * away[None, :])
@@ -125,5 +134,24 @@ def smoothed(
         altitudes[1],
         spacing,
         gas_constant,
-        ratio,
+        heat_capacity_ratio,
     )
+
+
+def _refuse_another_gas(
+    atmosphere: AbstractAtmosphere, altitude: float, constant: float, ratio: float
+) -> None:
+    """Refuse an atmosphere that at an altitude is not of a gas with these numbers."""
+    at = jnp.asarray(altitude)
+    pressure, density = atmosphere.pressure(at), atmosphere.density(at)
+    sound, temperature = atmosphere.speed_of_sound(at), atmosphere.temperature(at)
+    if any(isinstance(x, Tracer) for x in (pressure, density, sound, temperature)):
+        return
+    own_constant = float(pressure / (density * temperature))
+    own_ratio = float(density * sound * sound / pressure)
+    if not np.allclose([own_constant, own_ratio], [constant, ratio], rtol=_SAME_GAS):
+        raise ValueError(
+            f"at {altitude:g} m the atmosphere is of a gas with gas_constant="
+            f"{own_constant:.6g} J/(kg K) and heat_capacity_ratio={own_ratio:.6g}, and "
+            f"{constant:g} and {ratio:g} were given: give those of the gas"
+        )
