@@ -150,21 +150,24 @@ _SHORT = 10.0
 """m; lengths that are all below it are shown in metres"""
 
 
-def edge_unit(unit: str, values: Any) -> tuple[str, float]:
+def edge_unit(unit: str, values: Any, named: str | None = None) -> tuple[str, float]:
     """The unit in which people read values that are in an SI unit, and its SI value.
 
     Tables, figures and printed objects show every number in it. Values that stand beside
-    one another share it; those that are not finite do not count.
+    one another share it; those that are not finite do not count. `named` is another name
+    for the same numbers, such as g, where they have one: they stay as they are.
     """
+    if named is not None:
+        return named, 1.0
     sizes = np.abs(np.asarray(values, dtype=float))
     if unit == "m" and np.all(sizes[np.isfinite(sizes)] < _SHORT):
         return unit, 1.0
     return _EDGE.get(unit, (unit, 1.0))
 
 
-def at_edge(values: Any, unit: str) -> tuple[Any, str]:
+def at_edge(values: Any, unit: str, named: str | None = None) -> tuple[Any, str]:
     """Values in the unit in which people read them, and that unit: see `edge_unit`."""
-    shown, size = edge_unit(unit, values)
+    shown, size = edge_unit(unit, values, named)
     return np.asarray(values) / size, shown
 
 

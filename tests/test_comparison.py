@@ -118,6 +118,58 @@ def test_campaigns_of_unequal_length_and_other_inputs():
     )
 
 
+def test_runs_are_known_by_their_numbers():
+    """Of which a campaign may have any, in any order."""
+    one, other = pair(60)
+    first, second = campaign(one), campaign(other)
+    later = slice(15, None)
+    found = compared(first.isel(run=later), second.isel(run=later))
+    whole = compared(campaign(one[later]), campaign(other[later]))
+    assert (found.paired, found.runs, found.left_out, found.beyond) == (True, 45, 0, 0)
+    assert found.differences == whole.differences
+    shifted = compared(first.isel(run=slice(50)), second.isel(run=later))
+    assert (shifted.paired, shifted.runs, shifted.beyond) == (True, 35, 25)
+    backwards = second.isel(run=slice(None, None, -1))
+    assert compared(first, backwards) == compared(first, second)
+    relabelled = backwards.assign_coords(run=second["run"])
+    assert not compared(first, relabelled).paired
+    apart = compared(first.isel(run=slice(30)), second.isel(run=slice(30, None)))
+    assert (apart.paired, apart.why) == (False, "they have no run in common")
+    three = {"a": first, "b": second.isel(run=later), "c": first.isel(run=slice(50))}
+    rows = alternatives_of(three)
+    assert [row.runs for row in rows.rows] == [35] * 3 and rows.beyond == 25 + 10 + 15
+    three["c"] = first.isel(run=slice(10))
+    none = alternatives_of(three)
+    assert (none.same_draws, none.why) == (False, "no run is in all of them")
+
+
+def test_a_unit_of_its_own_is_of_the_same_number():
+    """Where a constraint names its unit, nothing is divided by another one."""
+    named = {"units": "Pa", "shown_units": "Pa"}
+    made = [campaign(np.zeros(40)) for _ in range(2)]
+    for pressure, results in zip((4e3, 5e3), made, strict=True):
+        results["peak_stagnation"] = "run", np.full(40, pressure), named
+    (_, each) = compared(*made).differences
+    assert (each.shown_unit, each.shown_size, each.mean.value) == ("Pa", 1.0, 1e3)
+    found = alternatives_of(dict(zip("ab", made, strict=True)), ["peak_stagnation"])
+    assert [(x.shown_unit, x.shown_size) for x in found.outputs] == [("Pa", 1.0)]
+
+
+def test_few_pairs_have_no_bounds(capsys):
+    """By which a difference could be told: they would be too near."""
+    one, other = pair(29)
+    few = compared(campaign(one), campaign(other))
+    for interval in (few.differences[0].mean, few.differences[0].percentile):
+        assert np.isfinite(interval.value) and np.isnan(interval[1:]).all()
+    one, other = pair(30)
+    enough = compared(campaign(one), campaign(other))
+    assert np.isfinite(enough.differences[0].mean).all()
+    print_alternatives(
+        alternatives_of({"a": campaign(one[:9]), "b": campaign(other[:9])})
+    )
+    assert "[-]" in capsys.readouterr().out
+
+
 def test_one_flight_is_no_comparison():
     one, other = pair(3)
     with pytest.raises(ValueError, match="takes two finite flights"):

@@ -8,6 +8,7 @@ from scipy import stats
 
 from jentry.statistics.intervals import (
     CONFIDENCE,
+    FEWEST,
     Interval,
     _accelerated,
     _without_each,
@@ -97,10 +98,20 @@ def test_too_few_runs_have_no_bound():
 def test_one_run_and_equal_runs():
     ((mean, deviation),) = moment_intervals(np.array([[3.0]]))
     assert mean.value == 3.0 and np.isnan([*mean[1:], *deviation]).all()
-    ((mean, deviation),) = moment_intervals(np.full((1, 9), -2.0))
+    ((mean, deviation),) = moment_intervals(np.full((1, FEWEST), -2.0))
     assert (mean, deviation) == (Interval(-2, -2, -2), Interval(0, 0, 0))
     with pytest.raises(ValueError, match="one run or more"):
         moment_intervals(np.empty((1, 0)))
+
+
+def test_a_bootstrap_of_few_runs_has_no_bounds():
+    values = np.random.default_rng(2).normal(size=(2, FEWEST))
+    for runs in (2, FEWEST - 1):
+        for row, pair in zip(values, moment_intervals(values[:, :runs]), strict=True):
+            expected = row[:runs].mean(), row[:runs].std(ddof=1)
+            np.testing.assert_allclose([x.value for x in pair], expected, rtol=1e-12)
+            assert all(np.isnan(x[1:]).all() for x in pair)
+    assert all(np.isfinite(x).all() for x in moment_intervals(values))
 
 
 @pytest.mark.parametrize("percentile", [0.0, 100.0, -3.0, np.nan])

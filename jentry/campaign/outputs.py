@@ -49,8 +49,13 @@ def unit_size(variable: "xarray.DataArray") -> float:
     return _edge(variable)[1]
 
 
-def _edge(variable: "xarray.DataArray") -> tuple[str, float]:
+def edge_of(variable: "xarray.DataArray", values: Any) -> tuple[str, float]:
+    """The unit in which people read values that are of a variable of a result, such as
+    differences of it, and its SI value."""
     attributes = variable.attrs
-    if "shown_units" in attributes:
-        return attributes["shown_units"], 1.0
-    return edge_unit(attributes.get("units", "1"), variable.values)
+    unit, named = attributes.get("units", "1"), attributes.get("shown_units")
+    return edge_unit(unit, values, named)
+
+
+def _edge(variable: "xarray.DataArray") -> tuple[str, float]:
+    return edge_of(variable, variable.values)

@@ -83,9 +83,7 @@ def told_first(summary: Summary) -> Iterator[str]:
             line += f"; {left_out} of them left out of the statistics"
         yield line
     for limit in summary.limits:
-        number, unit = at_edge(limit.limit, limit.unit)
-        # The same number where it is shown by another name, such as g.
-        unit = limit.shown_unit or unit
+        number, unit = at_edge(limit.limit, limit.unit, limit.shown_unit)
         words = f"the limit of the {in_words(limit.name)}, {float(number):g} {unit}"
         yield f"{limit.beyond} of {summary.finite} flights exceed {words}"
     for caveat, (flights, share) in summary.caveats.items():

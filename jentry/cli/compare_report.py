@@ -13,7 +13,7 @@ from ..flight.solver import FixedStep
 from ..flight.termination import Outcome
 from ..plots import save_figures
 from ..plots.comparison import draw_comparison
-from ..statistics.alternatives import Alternatives, no_output
+from ..statistics.alternatives import Alternatives, no_output, shared_runs
 from ..statistics.comparison import PERCENTILE, Comparison
 from ..statistics.intervals import CONFIDENCE, Interval
 from .options import chosen_scenario, dispersion_table, first_given
@@ -197,7 +197,9 @@ def _print_comparison(first: str, second: str, found: Comparison) -> None:
         "tell a difference"
     )
     if found.beyond:
-        console.print(f"{found.beyond} runs of the longer campaign are not compared")
+        console.print(
+            f"{found.beyond} runs that one of them alone has are not compared"
+        )
     if found.spread:
         console.print(
             "runs that a sampler spreads evenly repeat themselves better than these "
@@ -211,7 +213,7 @@ def _print_comparison(first: str, second: str, found: Comparison) -> None:
 
 def _told(interval: Interval, size: float) -> str:
     value, low, high = (in_digits(x / size, "+") for x in interval)
-    return f"{value} [{low}, {high}]"
+    return f"{value} [-]" if np.isnan(interval.lower) else f"{value} [{low}, {high}]"
 
 
 def _share(share: Interval) -> str:
@@ -224,10 +226,10 @@ def write_files(
 ) -> list[Path]:
     """Write all numbers as JSON and the rows as csv, and draw the first of the outputs."""
     names = [output.name for output in found.outputs]
-    compared = {
-        row.name: campaigns[row.name].isel(run=slice(row.runs)) for row in found.rows
-    }
-    figure = draw_comparison(compared, names)
+    if found.same_draws:
+        shared = shared_runs(campaigns)
+        campaigns = {name: x.sel(run=shared) for name, x in campaigns.items()}
+    figure = draw_comparison(campaigns, names)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / f"comparison.{kind}" for kind in ("json", "csv")]
     for path, text in zip(paths, (found.as_json(), found.as_csv()), strict=True):

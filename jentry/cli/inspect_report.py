@@ -12,7 +12,7 @@ from .._printed import in_words
 from ..addresses import unit_of
 from ..analysis.sensitivities import sensitivity
 from ..campaign.campaign import monte_carlo
-from ..campaign.outputs import unit_size
+from ..campaign.outputs import edge_of
 from ..campaign.results import OutputNamed, dataset
 from ..campaign.store import write_campaign
 from ..flight.cycle import Plan
@@ -24,7 +24,6 @@ from ..plots import save_figures
 from ..plots.one_flight import draw_flight
 from ..statistics.intervals import CONFIDENCE, Interval
 from ..statistics.ranking import WorstRun, inputs_of
-from ..units import at_edge, edge_unit
 from .figures import interval_of
 from .tables import in_digits, new_console, print_in_pieces
 
@@ -41,9 +40,7 @@ def print_worst(
     results: "xarray.Dataset", name: str, worst: Sequence[WorstRun], count: int
 ) -> None:
     """The worst runs, with each input as the share of runs that are below it."""
-    size = unit_size(results[name])
-    unit = edge_unit(results[name].attrs.get("units", "1"), results[name].values)[0]
-    unit = results[name].attrs.get("shown_units", unit)
+    unit, size = edge_of(results[name], results[name].values)
     addresses = list(inputs_of(results))
     heads = ["run", f"{in_words(name)} ({unit})", "outcome", *addresses]
     rows = []
@@ -111,9 +108,8 @@ def print_gradient(
         for address, slope in slopes.items()
         if address not in choices
     }
-    unit = results[name].attrs.get("units", "1")
-    shown, shown_unit = at_edge(list(effects.values()), unit)
-    shown_unit = results[name].attrs.get("shown_units", shown_unit)
+    shown_unit, size = edge_of(results[name], list(effects.values()))
+    shown = np.array(list(effects.values())) / size
     rows = []
     order = np.argsort(-np.abs(shown), kind="stable")
     for place in order:

@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import functools
 import io
 import itertools
 import json
@@ -11,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..addresses import nearest
-from ..campaign.outputs import MISS_DISTANCE, is_error, is_output
+from ..campaign.outputs import MISS_DISTANCE, edge_of, is_error, is_output
 from ..campaign.populations import finite_flights
 from ..flight.termination import Outcome
-from ..units import edge_unit
 from .comparison import Comparison, TooFewFlights, are_pairs, compared, quantity, words
 from .intervals import CONFIDENCE, RESAMPLES
 from .summary import END_STATE, without_nan
@@ -84,7 +84,7 @@ class Alternatives:
     why: str
     """Why they have, or which of them has not and why"""
     beyond: int
-    """Runs of longer campaigns that not all have, and that are left out"""
+    """Runs that not all of them have, and that are left out"""
     differences: dict[tuple[str, str], Comparison]
     """By the names of two campaigns: the second less the first"""
     untold: dict[tuple[str, str], str]
@@ -212,11 +212,12 @@ def alternatives_of(
     drawn_otherwise = [
         f"{name}: {why}" for name, (same, why) in found.items() if not same
     ]
-    beyond = 0
+    beyond, shared = 0, shared_runs(results)
+    if not drawn_otherwise and not shared.size:
+        drawn_otherwise = ["no run is in all of them"]
     if not drawn_otherwise:
-        counts = [x.sizes["run"] for x in results.values()]
-        beyond = sum(counts) - len(counts) * min(counts)
-        results = {n: x.isel(run=slice(min(counts))) for n, x in results.items()}
+        beyond = sum(x.sizes["run"] - shared.size for x in results.values())
+        results = {name: x.sel(run=shared) for name, x in results.items()}
     differences, untold = {}, {}
     for one, other in itertools.combinations(results, 2):
         if one != first and not all_pairs:
@@ -237,6 +238,13 @@ def alternatives_of(
         beyond=beyond,
         differences=differences,
         untold=untold,
+    )
+
+
+def shared_runs(campaigns: "Mapping[str, xarray.Dataset]") -> np.ndarray:
+    """Numbers of the runs that all of them have."""
+    return functools.reduce(
+        np.intersect1d, (x["run"].values for x in campaigns.values())
     )
 
 
@@ -283,11 +291,9 @@ def _sizes(results: "xarray.Dataset", name: str) -> np.ndarray:
 
 
 def _output(flown: "Sequence[xarray.Dataset]", name: str) -> Output:
-    attributes = flown[0][name].attrs
-    unit = attributes.get("units", "1")
+    variable = flown[0][name]
     together = np.concatenate([_sizes(x, name) for x in flown])
-    shown_unit, size = edge_unit(unit, together)
-    return Output(name, unit, attributes.get("shown_units", shown_unit), size)
+    return Output(name, variable.attrs.get("units", "1"), *edge_of(variable, together))
 
 
 def _row(

@@ -9,10 +9,9 @@ import numpy as np
 
 from .._printed import in_words
 from ..addresses import nearest
-from ..campaign.outputs import is_error, is_output
+from ..campaign.outputs import edge_of, is_error, is_output
 from ..campaign.populations import finite_flights
-from ..units import edge_unit
-from .intervals import CONFIDENCE, MOST_AT_ONCE, RESAMPLES, Interval
+from .intervals import CONFIDENCE, FEWEST, MOST_AT_ONCE, RESAMPLES, Interval
 from .summary import END_STATE
 
 
@@ -93,7 +92,7 @@ class Comparison:
     only_one: list[str]
     """Outputs that one of them has and the other has not"""
     beyond: int
-    """Runs of the longer campaign that have no partner; 0 without pairs"""
+    """Runs of either campaign that have no partner; 0 without pairs"""
     spread: bool
     """Whether a sampler has spread the runs of one of them: the intervals are too wide"""
 
@@ -122,7 +121,7 @@ def compared(
     flights are pairs: what the draws have in common falls out of the differences. Inputs
     that only one of them has, as a law's own, do not count; there must be a common one.
     Intervals are percentiles of a bootstrap that draws pairs, or, without pairs, the runs
-    of each campaign by themselves.
+    of each campaign by themselves; without bounds where there are fewer than `FEWEST`.
 
     **Arguments:**
 
@@ -134,12 +133,11 @@ def compared(
     first, second = (x.drop_dims("time", errors="ignore") for x in (first, second))
     paired, why = are_pairs(first, second)
     flown = [finite_flights(first), finite_flights(second)]
+    partners = len(common_runs(first, second))
     if paired:
-        count = min(first.sizes["run"], second.sizes["run"])
-        common = np.intersect1d(flown[0]["run"].values, flown[1]["run"].values)
-        common = common[common < count]
+        common = common_runs(*flown)
         flown = [x.sel(run=common) for x in flown]
-        left_out = count - len(common)
+        left_out = partners - len(common)
     else:
         left_out = sum(x.sizes["run"] for x in (first, second))
         left_out -= sum(x.sizes["run"] for x in flown)
@@ -164,7 +162,7 @@ def compared(
         left_out=left_out,
         differences=[_difference(flown[0], flown[1], name, paired) for name in both],
         only_one=sorted({*names[0], *names[1]} - set(both)),
-        beyond=abs(first.sizes["run"] - second.sizes["run"]) if paired else 0,
+        beyond=first.sizes["run"] + second.sizes["run"] - 2 * partners if paired else 0,
         spread=any(
             "sampler" in json.loads(x.attrs.get("campaign", "{}"))
             for x in (first, second)
@@ -173,28 +171,39 @@ def compared(
 
 
 def are_pairs(first: "xarray.Dataset", second: "xarray.Dataset") -> tuple[bool, str]:
-    """Whether run i of both has the same draws, and why or why not."""
+    """Whether run i of both has the same draws, and why or why not.
+
+    Runs are known by their number, wherever they stand.
+    """
     inputs = [
         {str(n) for n, x in runs.data_vars.items() if "." in str(n)}
         for runs in (first, second)
     ]
-    count = min(first.sizes["run"], second.sizes["run"])
+    both = common_runs(first, second)
+    if not both.size:
+        return False, "they have no run in common"
+    first, second = first.sel(run=both), second.sel(run=both)
     # What is the same in all runs makes no pairs.
     common = [
         address
         for address in sorted(inputs[0] & inputs[1])
-        if any(np.ptp(x[address].values[:count]) > 0.0 for x in (first, second))
+        if any(np.ptp(x[address].values) > 0.0 for x in (first, second))
     ]
     if not common:
         return False, "they have no input in common that varies"
     for address in common:
-        one, other = (x[address].values[:count] for x in (first, second))
+        one, other = (x[address].values for x in (first, second))
         if not np.array_equal(one, other):
             return False, f"{address} was drawn otherwise"
     number = "1 input is" if len(common) == 1 else f"{len(common)} inputs are"
     words = f"{number} the same in each run"
     alone = len(inputs[0] ^ inputs[1])
     return True, words + (f", {alone} are of one of them alone" if alone else "")
+
+
+def common_runs(first: "xarray.Dataset", second: "xarray.Dataset") -> np.ndarray:
+    """Numbers of the runs that both have."""
+    return np.intersect1d(first["run"].values, second["run"].values)
 
 
 def _difference(
@@ -205,11 +214,13 @@ def _difference(
         values = [np.abs(x) for x in values]
     one, other = values
     unit = first[name].attrs.get("units", "1")
-    shown_unit, size = edge_unit(unit, np.concatenate(values))
+    shown_unit, size = edge_of(first[name], np.concatenate(values))
     drawn = _resampled(one, other, paired)
     here = _statistics(other[None]) - _statistics(one[None])
     tails = 50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)
     bounds = np.percentile(drawn, tails, axis=1)
+    if min(one.size, other.size) < FEWEST:
+        bounds[:] = np.nan
     found = [
         Interval(float(value), float(low), float(high))
         for value, low, high in zip(here[:, 0], *bounds, strict=True)
@@ -217,7 +228,7 @@ def _difference(
     return Difference(
         name=name,
         unit=unit,
-        shown_unit=first[name].attrs.get("shown_units", shown_unit),
+        shown_unit=shown_unit,
         shown_size=size,
         first=float(one.mean()),
         second=float(other.mean()),

@@ -13,13 +13,18 @@ CONFIDENCE = 0.95
 RESAMPLES = 2000
 """Of a bootstrap"""
 
+FEWEST = 30
+"""Runs of a bootstrap that has bounds. Of fewer they are too near: intervals of normal
+numbers cover their standard deviation in 93 of 100 samples of 30, in 79 of 10"""
+
 MOST_AT_ONCE = 2**22
 """Numbers that a block of resamples takes"""
 
 METHODS = {
-    "mean": f"bootstrap of {RESAMPLES} resamples, bias-corrected and accelerated",
+    "mean": f"bootstrap of {RESAMPLES} resamples, bias-corrected and accelerated, of "
+    f"{FEWEST} runs or more",
     "standard_deviation": f"bootstrap of {RESAMPLES} resamples, bias-corrected and "
-    "accelerated",
+    f"accelerated, of {FEWEST} runs or more",
     "percentiles": "order statistics, without an assumption on the distribution",
 }
 """How the intervals of each statistic are found"""
@@ -44,16 +49,21 @@ def moment_intervals(
     The resamples are the same for all quantities, and the same in every call: the same
     sample has the same intervals. Bias-corrected and accelerated, after B. Efron, "Better
     Bootstrap Confidence Intervals", Journal of the American Statistical Association
-    82(397), 1987. One number has no standard deviation, and no interval.
+    82(397), 1987. Of fewer than `FEWEST` runs there are no bounds, and of one no standard
+    deviation.
     """
     runs = values.shape[1]
     if runs == 0:
         raise ValueError("a statistic takes one run or more: there is none")
     centers = values.mean(axis=1)
     if runs == 1:
-        nothing = Interval(np.nan, np.nan, np.nan)
-        return [(Interval(float(x), np.nan, np.nan), nothing) for x in centers]
+        return [(_unbounded(x), _unbounded(np.nan)) for x in centers]
     spreads = values.std(axis=1, ddof=1)
+    if runs < FEWEST:
+        return [
+            (_unbounded(x), _unbounded(s))
+            for x, s in zip(centers, spreads, strict=True)
+        ]
     # In units of the spread about the mean, where the squares keep their digits.
     scales = np.where(spreads > 0.0, spreads, 1.0)
     scaled = (values - centers[:, None]) / scales[:, None]
@@ -77,6 +87,10 @@ def moment_intervals(
             )
         )
     return found
+
+
+def _unbounded(value: float) -> Interval:
+    return Interval(float(value), np.nan, np.nan)
 
 
 def percentile_interval(
