@@ -5,6 +5,7 @@ gradient may not be judged by that weight.
 """
 
 import functools
+from dataclasses import fields
 
 import cheap
 import jax
@@ -13,13 +14,14 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jentry.campaign.batch import LANES
+from jentry.campaign.batch import LANES, sum_over_runs
 from jentry.campaign.campaign import drawn_inputs
 from jentry.flight import misses
 from jentry.parameters.parameters import Parameters
 from jentry.tuning.batch_gradients import (
     Problem,
     Simulation,
+    _gradient_of,
     batch_gradient,
     loss_and_weights,
     where_finite,
@@ -123,6 +125,31 @@ def test_a_flight_that_diverges_is_left_out_and_counted(forward):
     light = jax.tree.map(lambda w: jnp.where(diverges, 1e-9 * w, w), weights)
     found = batch_gradient(problem(), free, inputs, light, forward)
     assert int(found.failed) == 2
+
+
+@pytest.mark.parametrize("flights", [20, 65])
+def test_a_flight_is_measured_by_others_wherever_it_stands(flights):
+    """Also where it is the last one, or alone in its batch but for what fills that up."""
+
+    class Linear(Problem):
+        def __call__(self, free, inputs):
+            return {"miss": inputs["slope"] * free["gain"]}, jnp.ones((), bool)
+
+    linear = Linear(*(getattr(problem(), field.name) for field in fields(Problem)))
+
+    def summed(slopes):
+        runs = {"slope": slopes}, {"miss": np.full(flights, 1.0 / flights)}
+        given = linear, {"gain": jnp.asarray(1.0)}, True
+        found = sum_over_runs(_gradient_of, given, runs)
+        return float(found.total["gain"]), int(found.failed)
+
+    for place in (3, flights - 1):
+        slopes = np.ones(flights)
+        slopes[place] = 1e12
+        assert summed(slopes) == (pytest.approx(1.0 - 1.0 / flights, rel=1e-12), 1)
+    slopes = np.full(flights, 1e9)
+    slopes[-1] = 1.0
+    assert summed(slopes)[1] == 0
 
 
 # By differences.

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers import with_leaf
 
+from jentry.campaign import Discrete, Dispersion
 from jentry.campaign.campaign import drawn_inputs
 from jentry.flight.miss import misses
 from jentry.tuning.batch_gradients import Simulation, batch_outputs
@@ -16,6 +17,7 @@ from jentry.tuning.draws import held_out
 from jentry.tuning.judgement import Comparison, Estimate, judge
 from jentry.tuning.losses import MeanSquare
 from jentry.units import km
+from jentry.world import EnsembleAtmosphere
 
 
 RUNS = 100
@@ -150,6 +152,24 @@ def test_a_scenario_against_itself_has_not_changed():
         assert change.value == 0.0 and not comparison.lower
         unit = 1.0 if comparison.quantity == "loss" else 100.0 * km
         assert -1e-11 * unit < change.low < 0.0 < change.high < 1e-11 * unit
+
+
+def test_rounding_is_no_other_choice():
+    """The profile of an ensemble stays: beside it is none, and the flight would fail."""
+    known = cheap.scenario()
+    altitude = np.linspace(0.0, 130e3, 30)
+    density = np.array([float(known.planet.density(jnp.asarray(h))) for h in altitude])
+    air = EnsembleAtmosphere(altitude, np.stack([0.9 * density, density]))
+    before = with_leaf(known, lambda s: s.planet.atmosphere, air)
+    profile = lambda s: s.planet.atmosphere.profile
+    table = {"air": Dispersion(profile, Discrete([1.0]))}
+    after = with_leaf(before, lambda s: s.vehicle.mass, 992.0 * (1.0 + 1e-14))
+    simulation = Simulation(
+        lambda s, f: {"downrange": misses(s, f).downrange}, cheap.SOLVER
+    )
+    judgement = judge(before, after, table, KEY, RUNS, LOSS, simulation)
+    change = judgement["downrange", "mean"].change
+    assert change.value != 0.0 and change.low < 0.0 < change.high
 
 
 def test_nothing_is_compared_where_all_flights_fail():

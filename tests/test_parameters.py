@@ -35,6 +35,8 @@ MAPS = {
     "unbounded": Unbounded(-14.4, 14.4),
     "unbounded, zero": Unbounded(0.0, 2.5),
     "unbounded table": Unbounded([3.0, 0.0, -4.0], [5.0 / np.sqrt(3.0)] * 3),
+    "unbounded, zero, at its least": Unbounded(0.0, 2.5, least=0.0),
+    "unbounded, zero, at its largest": Unbounded(0.0, 2.5, largest=0.0),
     "between": Between(0.9, 0.7, 1.3),
     "between, negative": Between(-0.25, -0.3, -0.1),
     "between, rounded up": Between(0.0, -0.2, 0.1),  # -0.2 + (0.1 - -0.2) > 0.1
@@ -47,6 +49,8 @@ SLOPES = {
     "positive table": [2e-7, 4.0, 3e8],
     "unbounded": 14.4,
     "unbounded, zero": 2.5,
+    "unbounded, zero, at its least": 2.5,
+    "unbounded, zero, at its largest": 2.5,
     "unbounded table": np.full(3, 5.0 / np.sqrt(3.0)),
     # Of a logistic curve: the distances to both bounds, their product over their sum.
     "between": 0.2 * 0.4 / 0.6,

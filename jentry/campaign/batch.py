@@ -182,8 +182,7 @@ def _parts(machines: AbstractMachines, runs: PyTree) -> Iterator[tuple[PyTree, i
     size = LANES * -(-batches // (count * rounds))
     runs = jax.tree.map(np.asarray, runs)
     for begin in range(0, _count(runs), size):
-        part = jax.tree.map(operator.itemgetter(slice(begin, begin + size)), runs)
-        yield _filled(part, size), _count(part)
+        yield _around(runs, begin, size), min(size, _count(runs) - begin)
 
 
 def _in_order(values: Iterable[tuple[int, Any]]) -> Iterator[Any]:
@@ -216,8 +215,7 @@ def _fly_batches(given: tuple[Callable, PyTree], part: tuple[PyTree, int]) -> An
     """Here, what each batch gives, of runs of which the first so many count."""
     runs, counted = part
     size = _up(counted, LANES)
-    filled = _filled(jax.tree.map(lambda x: x[:size], runs), size)
-    batches = filled, np.arange(size) < counted
+    batches = _around(runs, 0, size), np.arange(size) < counted
     return _called(_batches, *given, batches, len(jax.devices()), _CHUNKS)
 
 
@@ -256,9 +254,9 @@ def _at(places: np.ndarray, runs: PyTree) -> PyTree:
 
 
 def filled_up(runs: np.ndarray) -> np.ndarray:
-    """Indices of runs, and so many times the last one that they are whole blocks."""
+    """Indices of runs, and the first ones again until they are whole blocks."""
     size = LANES * _CHUNKS * len(jax.devices())
-    return _filled(runs, _up(len(runs), size))
+    return _around(runs, 0, _up(len(runs), size))
 
 
 def _count(runs: PyTree) -> int:
@@ -270,15 +268,13 @@ def _up(count: int, multiple: int) -> int:
     return -(-count // multiple) * multiple
 
 
-def _filled(runs: PyTree, size: int) -> PyTree:
-    """Runs and so many times the last one that there are as many as are wanted."""
-    missing = size - _count(runs)
+def _around(runs: PyTree, begin: int, size: int) -> PyTree:
+    """So many runs from a place on, the first ones again behind the last.
 
-    def filled(values):
-        values = np.asarray(values)
-        return np.concatenate([values, np.repeat(values[-1:], missing, 0)])
-
-    return jax.tree.map(filled, runs)
+    What fills a batch up are other flights of the campaign, so that those at its end are
+    not beside themselves alone. On other machines they are the same.
+    """
+    return _at(np.arange(begin, begin + size) % _count(runs), runs)
 
 
 @kept

@@ -70,7 +70,10 @@ class Unbounded(AbstractMap):
     largest: float = eqx.field(default=np.inf, static=True)
 
     def __call__(self, free):
-        return jnp.clip(self.start + self.scale * free, self.least, self.largest)
+        value = self.start + self.scale * free
+        # Not `clip`, which has half the derivative where a number starts at an end.
+        value = jnp.where(value < self.least, self.least, value)
+        return jnp.where(value > self.largest, self.largest, value)
 
 
 class Between(AbstractMap):

@@ -12,7 +12,7 @@ from jax import lax
 from jaxtyping import Array, Key
 
 from .._programs import kept
-from ..addresses import leaves_by_address
+from ..addresses import field_metadata, leaves_by_address
 from ..analysis.sensitivities import named
 from ..campaign.batch import LANES
 from ..campaign.campaign import drawn_inputs
@@ -26,7 +26,7 @@ _CONFIDENCE = (2.5, 97.5)
 """Percent"""
 
 _NUDGE = 1.0 + 4.0 * np.finfo(float).eps
-"""By which the draws are multiplied, to see what rounding does to a statistic"""
+"""Factor on draws and entry velocity, to see what rounding does to a statistic"""
 
 _ROUNDINGS = 10.0
 """Of a statistic, as far as it is seen in a few flights"""
@@ -101,7 +101,8 @@ def judge(
     """Fly both with the same draws, and compare loss and outputs with intervals.
 
     The intervals are those of a bootstrap over the runs, 95 %. What rounding does is seen
-    in the first flights, flown again with draws that differ in their last digits.
+    in the first flights, flown again with draws and an entry velocity that differ in their
+    last digits.
     """
     flown: list[tuple[Any, np.ndarray]] = []
     rounding: dict[str, float] = {}
@@ -109,8 +110,7 @@ def judge(
         inputs = drawn_inputs(scenario, dispersions, key, np.arange(runs))
         values, finite = batch_outputs(simulation, scenario, inputs)
         flown.append((values, finite))
-        nudged = {a: _NUDGE * x[:LANES] for a, x in inputs.items()}
-        again, finite_again = batch_outputs(simulation, scenario, nudged)
+        again, finite_again = batch_outputs(simulation, *_nudged(scenario, inputs))
         both = finite[:LANES] & finite_again
         first = jax.tree.map(lambda x: x[:LANES], values)
         pair = where_finite(first, both), where_finite(again, both)
@@ -134,6 +134,21 @@ def judge(
         not_finite_after=int(runs - finite_after.sum()),
         comparisons=tuple(comparisons),
     )
+
+
+def _nudged(
+    scenario: Scenario, inputs: Mapping[str, np.ndarray]
+) -> tuple[Scenario, dict[str, np.ndarray]]:
+    """The scenario, and the inputs of the first flights, in other last digits.
+
+    What only chooses, as one profile of an ensemble, stays: another is another flight.
+    """
+    chooses = {a: bool(field_metadata(scenario, a).get("choice")) for a in inputs}
+    nudged = {
+        a: x[:LANES] if chooses[a] else _NUDGE * x[:LANES] for a, x in inputs.items()
+    }
+    velocity = lambda scenario: scenario.initial_state.velocity
+    return eqx.tree_at(velocity, scenario, _NUDGE * velocity(scenario)), nudged
 
 
 def _rounding(pair: tuple[Any, Any], loss: Loss, some: bool) -> dict[str, float]:
