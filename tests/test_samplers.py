@@ -290,7 +290,7 @@ def test_a_description_says_of_plain_draws_what_it_always_has():
     plain = told()
     assert set(plain) == {
         *("seed", "history_interval", "solver", "xla_options", "structure"),
-        *("dispersions", "inputs", "scenario", "versions"),
+        *("dispersions", "inputs", "scenario", "own_code", "versions"),
     }
     sobol, cube = told(sampler=Sobol()), told(sampler=LatinHypercube(8))
     assert sobol.pop("sampler")["method"] == "Sobol"
@@ -319,6 +319,10 @@ def test_a_campaign_is_resumed_by_its_own_sampler_only(tmp_path):
             fly(name, runs, sampler)
     with pytest.raises(ValueError, match="12 runs were asked for of a Latin hyper"):
         fly("cube", 12, LatinHypercube(8))
+    with pytest.raises(ValueError, match="12 runs were asked for of a Latin hyper"):
+        fly_part = {"part": (1, 3), "sampler": LatinHypercube(8)}
+        cheap.campaign(tmp_path / "part", 12, 3, cheap.mass_only(), **fly_part)
+    assert not (tmp_path / "part").exists()
 
 
 @pytest.mark.parametrize("name", ["latin-hypercube", "sobol"])

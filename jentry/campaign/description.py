@@ -14,6 +14,7 @@ from ..flight.solver import AbstractSolver
 from .dispersions import Dispersion
 from .distributions import static_fields
 from .samplers import AbstractSampler, described
+from .users_code import own_code
 
 
 _LONG = 100
@@ -34,6 +35,12 @@ def describe(
 ) -> dict[str, Any]:
     """A campaign as plain values: two with equal values fly the same runs."""
     leaves = leaves_by_address(scenario)
+    code = own_code(
+        scenario,
+        solver,
+        sampler,
+        *((each.distribution, each.apply) for each in (dispersions or {}).values()),
+    )
     return {
         **labels,
         "seed": seed,
@@ -67,6 +74,7 @@ def describe(
             address: {"value": _plain(leaf), "unit": unit_of(scenario, address)}
             for address, leaf in leaves.items()
         },
+        **({"own_code": code} if code else {}),
         "versions": {name: version(name) for name in _PACKAGES},
     }
 

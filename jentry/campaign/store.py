@@ -23,7 +23,7 @@ from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
 from .campaign import Campaign, fly_in_blocks
 from .description import describe, scalars_of
-from .dispersions import Dispersion, key_of
+from .dispersions import Dispersion, key_of, numbers_of_streams
 from .errors import CampaignError
 from .parts import (
     AGAIN,
@@ -37,7 +37,7 @@ from .parts import (
     read_manifest,
 )
 from .results import dataset
-from .samplers import AbstractSampler
+from .samplers import AbstractSampler, check_sampler
 
 
 if TYPE_CHECKING:
@@ -97,6 +97,8 @@ def run_campaign(
         )
 
     # Flies nothing yet, and refuses what cannot be flown.
+    if part is not None and dispersions and sampler is not None:
+        check_sampler(sampler, numbers_of_streams(dispersions), runs)
     blocks_of(runs if part is None else runs_of_part(runs, part))
     mine = runs_of_part(runs, part)
     description = describe(
