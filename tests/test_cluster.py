@@ -340,6 +340,19 @@ def test_another_processor_is_said_once(two, monkeypatch):
         over_runs(with_words, WORDS, {"x": np.ones(3)})
 
 
+def test_what_is_equal_may_be_another():
+    """True is equal to 1, and 0.0 to -0.0: each comes back as it went."""
+    structures = worker_module.Structures()
+    for given in (1, True, 1.0, 0.0, -0.0):
+        for tree in ({"x": given}, eqx.Partial(words_of, given)):
+            back = carried.loaded(structures.packed(tree).structure)
+            assert repr(back) == repr(tree)
+
+
+def words_of(x):
+    return repr(x)
+
+
 @pytest.fixture
 def nothing_sent(monkeypatch):
     """As in a worker that begins, and this process as it was afterwards."""

@@ -1,5 +1,6 @@
 """Draws have their distribution, depend on key, name and run alone, and reach leaves."""
 
+import dataclasses
 import functools
 import math
 import types
@@ -16,6 +17,7 @@ from scipy import special, stats
 
 from jentry.addresses import leaves_by_address
 from jentry.campaign import (
+    Discrete,
     Dispersion,
     Normal,
     OneOfSeveral,
@@ -35,7 +37,10 @@ from jentry.campaign.dispersions import (
     scaled_dispersions,
 )
 from jentry.campaign.distributions import Constant
+from jentry.flight.scenario import check
+from jentry.guidance import BankProfile, Sampled
 from jentry.missions import ALL
+from jentry.onboard import Accelerometers, FlowSensors
 
 
 DRAWS = 40_000
@@ -427,6 +432,60 @@ def test_leaves_that_move_by_one_draw_have_one_unit():
         check_dispersions(cheap.scenario(), table)
     table = {"x": Dispersion(both, Uniform(0.9, 1.1), apply=multiply)}
     check_dispersions(cheap.scenario(), table)
+
+
+SENSORS = {
+    "accelerometers": Accelerometers,
+    "flow_sensors": FlowSensors,
+}
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_noise_is_another_in_each_run(name, key):
+    """Of given size or dispersed; and by seeds that are told apart, up to 1."""
+    where = {
+        n: lambda s, n=n: getattr(getattr(s, name), n) for n in ("noise", "noise_seed")
+    }
+    noise = Dispersion(where["noise"], Uniform(0.01, 0.02))
+    seed = Dispersion(where["noise_seed"], Uniform(0.0, 1.0))
+
+    def sensing(**given):
+        law = Sampled(cheap.scenario().guidance, 1.0)
+        sensors = SENSORS[name](**given)
+        return dataclasses.replace(cheap.scenario(), guidance=law, **{name: sensors})
+
+    silent, noisy = sensing(noise=0.0), sensing(noise=0.01)
+    mass = cheap.mass_only()
+    refuse = functools.partial(pytest.raises, ValueError)
+    with refuse(match=f"{name}.noise is dispersed, and all runs would have the same"):
+        check_dispersions(silent, {"noise": noise})
+    with refuse(match=f"{name}.noise is 0.01.*, and all runs would have the same"):
+        check_dispersions(noisy, mass)
+    check_dispersions(silent, mass)
+    check_dispersions(silent, {"noise": noise, "seed": seed})
+    for wrong in (2.0, -1.0):
+        with refuse(match=f"{name}.noise_seed is {wrong:g}"):
+            check(sensing(noise_seed=wrong))
+        given = {f"{name}.noise_seed": [0.5, wrong]}
+        with refuse(match=f"the inputs, run 1: {name}.noise_seed is {wrong:g}"):
+            monte_carlo(noisy, inputs=given)
+
+
+class Counting(BankProfile):
+    """A law with a whole number among its leaves."""
+
+    count: jax.Array = dataclasses.field(default_factory=lambda: jnp.asarray(1))
+
+
+def test_a_whole_number_takes_whole_numbers(key):
+    """Anything else would be flown without its fraction, and stored with it."""
+    law = Counting(cheap.at_trim().guidance.cos_bank)
+    scenario = dataclasses.replace(cheap.scenario(), guidance=law)
+    table = {"x": Dispersion(lambda s: s.guidance.count, Discrete([2.0, 3.0]))}
+    with pytest.raises(ValueError, match="'x' reaches guidance.count, a whole number"):
+        monte_carlo(scenario, table, key, 1)
+    with pytest.raises(ValueError, match="the inputs, run 1: guidance.count is 1.5"):
+        monte_carlo(scenario, inputs={"guidance.count": [1.0, 1.5]})
 
 
 # Two words with one CRC-32, well known.

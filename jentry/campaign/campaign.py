@@ -229,7 +229,8 @@ def _check_inputs(
                 f"input {address} has shape {given[address].shape}: give one number a run"
             )
         runs = np.arange(len(given[address]))
-        _check_runs(scenario, address, given[address], runs, "the inputs")
+        leaf = known[address]
+        _check_runs(scenario, address, leaf, given[address], runs, "the inputs")
     lengths = {address: len(values) for address, values in given.items()}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"inputs of unequal length: {lengths}")
@@ -252,9 +253,10 @@ def drawn_inputs(
         f"dispersions.{name}": addresses_of(scenario, dispersion.where)
         for name, dispersion in dispersions.items()
     }
+    known = leaves_by_address(scenario)
     for address, values in inputs.items():
         source = " and ".join(name for name in moved if address in moved[name])
-        _check_runs(scenario, address, values, runs, source)
+        _check_runs(scenario, address, known[address], values, runs, source)
     return inputs
 
 
@@ -289,16 +291,25 @@ def check_draws(
 
 
 def _check_runs(
-    scenario: Scenario, address: str, values: np.ndarray, runs: np.ndarray, source: str
+    scenario: Scenario,
+    address: str,
+    leaf: Array,
+    values: np.ndarray,
+    runs: np.ndarray,
+    source: str,
 ) -> None:
     """Refuse values of a leaf, one a run, with the first run whose value is wrong."""
     metadata = field_metadata(scenario, address)
+    whole = not jnp.issubdtype(leaf.dtype, jnp.inexact)
 
     def refused(few: np.ndarray) -> str | None:
         try:
             check_values(address, few, metadata)
         except ValueError as error:
             return str(error)
+        if whole and np.any(few != np.floor(few)):
+            wrong = few[few != np.floor(few)][0]
+            return f"{address} is {wrong:g}: it must be a whole number"
         return None
 
     if refused(values) is None:

@@ -161,7 +161,7 @@ def disperse(
     Dispersions that move the same leaf do so one after the other, in their order.
 
     Raises `ValueError` for a dispersion that reaches no leaf, a whole module, one leaf
-    twice or one that is no single number, and for one that would discard what another
+    twice or one that is no single real number, and for one that would discard what another
     has done to the same leaf.
     """
     leaves = leaves_by_address(scenario)
@@ -172,6 +172,11 @@ def disperse(
                 raise ValueError(
                     f"dispersion {name!r} reaches {address}, a table of shape "
                     f"{leaves[address].shape}: disperse a factor on it instead"
+                )
+            if not jnp.issubdtype(leaves[address].dtype, jnp.inexact):
+                raise ValueError(
+                    f"dispersion {name!r} reaches {address}, a whole number: give its "
+                    "values as inputs"
                 )
             if address in inputs and dispersion.apply is replace:
                 raise ValueError(
@@ -267,10 +272,15 @@ def check_dispersions(
     require_felt(scenario, moved)
     for sensors, unit in (("accelerometers", " m/s2"), ("flow_sensors", "")):
         noise = leaves.get(f"{sensors}.noise", 0.0)
-        if f"{sensors}.noise_seed" not in moved and np.any(np.asarray(noise) > 0.0):
+        size = f"{float(noise):g}{unit}"
+        if f"{sensors}.noise" in moved:
+            size = "dispersed"
+        elif not np.any(np.asarray(noise) > 0.0):
+            continue
+        if f"{sensors}.noise_seed" not in moved:
             raise ValueError(
-                f"{sensors}.noise is {float(noise):g}{unit}, and all runs would have the "
-                f"same: disperse {sensors}.noise_seed by Uniform(0, 1)"
+                f"{sensors}.noise is {size}, and all runs would have the same: disperse "
+                f"{sensors}.noise_seed by Uniform(0, 1)"
             )
 
 

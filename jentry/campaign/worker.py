@@ -94,7 +94,8 @@ class Structures:
         """Structure and numbers of a pytree."""
         numbers, structure = eqx.partition(tree, eqx.is_array)
         leaves, form = jax.tree.flatten(structure)
-        known = form, tuple(leaves)
+        # Of what is equal, True is not 1 and -0.0 not 0.0: the words for it tell.
+        known = form, repr(form), tuple(leaves), repr(leaves)
         if known not in self._packed:
             carried = dumped(structure)
             self._packed[known] = carried.digest, carried

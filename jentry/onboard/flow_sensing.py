@@ -51,7 +51,7 @@ class FlowSensors(eqx.Module):
     noise: Scalar = scalar(0.0, range=NOT_NEGATIVE)
     """Standard deviation of a sample of the speed, as a share of it, and of each angle,
     rad; the samples are independent"""
-    noise_seed: Scalar = scalar(0.0, choice=True)
+    noise_seed: Scalar = scalar(0.0, range=(0.0, 1.0), choice=True)
     """A number between 0 and 1 that chooses the noise of this flight; disperse it with
     `Uniform(0, 1)`"""
     largest_mach: Scalar = scalar(20.0, positive=True)

@@ -67,7 +67,7 @@ class Accelerometers(AbstractAccelerometers):
     drag_scale_error: Scalar = scalar(0.0)
     noise: Scalar = scalar(0.0, unit="m/s2", range=NOT_NEGATIVE)
     """Standard deviation of a sample; the samples are independent"""
-    noise_seed: Scalar = scalar(0.0, choice=True)
+    noise_seed: Scalar = scalar(0.0, range=(0.0, 1.0), choice=True)
     """A number between 0 and 1 that chooses the noise of this flight; disperse it with
     `Uniform(0, 1)`"""
 
