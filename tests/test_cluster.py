@@ -123,7 +123,8 @@ def with_words(shared, run):
     """Of what the worker is set to, and of what these tests alone have."""
     factor, word = shared
     raises = jax.config.values["jax_numpy_rank_promotion"] == "raise"
-    assert word == "a part of the program"
+    if word != "a part of the program":  # pytest makes other code of what asserts
+        raise ValueError(word)
     return factor * run["x"], jnp.asarray(raises), jnp.asarray(len(jax.devices()))
 
 
@@ -723,6 +724,55 @@ def test_a_law_of_a_script_and_the_same_changed(lander, alike):
         latitudes += map(float, printed.split())
     one, other, started_for_it = latitudes
     assert one < 0.0 < other == started_for_it
+
+
+CHANGED = {
+    "a file after its import": (
+        "    jentry.setup(1)\n",
+        "    jentry.setup(1)\n    file = pathlib.Path('its_law.py')\n"
+        "    file.write_text(file.read_text() + MORE)\n",
+        "its_law.<lambda>",
+    ),
+    "a number in memory": (
+        "    jentry.setup(1)\n",
+        "    jentry.setup(1)\n    MORE = ''\n",
+        "__main__.MORE",
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("before", "after", "name"), CHANGED.values(), ids=CHANGED)
+def test_what_is_not_in_the_file_is_refused(lander, alike, before, after, name):
+    """Workers would fly another law than this process, and nobody would know."""
+    more = "\n\nLiftAgainstDrag.init = lambda self, measurement: None\n"
+    script = SCRIPT.replace("{sign}", "len(MORE) / len(MORE) * ").replace(before, after)
+    script = script.replace("Turned(0.5))", "Turned(0.5, LiftAgainstDrag(1.5, 0.01)))")
+    field = '    bank: jentry.Scalar = jentry.scalar(2.0, unit="rad")\n'
+    assert field in script
+    script = script.replace(field, f"{field}    other: LiftAgainstDrag | None = None\n")
+    script = script.replace("\n    here = fly()", "\n    here = None")
+    head = f"\nimport pathlib\nMORE = {more!r}\n\n\nclass"
+    (lander / "script.py").write_text(script.replace("\n\n\nclass", head, 1))
+    flown = started("script.py", alike.address, cwd=lander)
+    _, errors = flown.communicate(timeout=300)
+    assert flown.returncode == 1
+    assert f"ClusterError: {name} is not what its file says" in errors
+
+
+def test_other_code_than_of_who_asks_is_refused():
+    structures = worker_module.Structures()
+    given = eqx.Partial(words_of, 1.0)
+    known = structures.packed(given).code
+    assert list(known) == ["test_cluster.words_of"]
+    worker_module._refuse_other_code(known, given)
+    for wrong in (
+        {},
+        {"test_cluster.words_of": "another"},
+        known | {"more": "another"},
+    ):
+        with pytest.raises(jentry.ClusterError, match="is not what its file says"):
+            worker_module._refuse_other_code(wrong, given)
 
 
 @pytest.mark.slow

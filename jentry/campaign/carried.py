@@ -23,8 +23,8 @@ from typing import Any, NamedTuple
 import equinox as eqx
 
 
-_MAIN = "__main__"
-_SCRIPT = "jentry_script"
+MAIN = "__main__"
+SCRIPT = "jentry_script"
 """Name of the script of who asks, in a worker, which has a main module of its own"""
 
 
@@ -87,10 +87,10 @@ def _pickler() -> Any:
                 home, name = obj.__module__ or "", obj.__qualname__
                 self._note(home)
                 found = _named(home, name) is obj
-                if found and (home == _SCRIPT or home in self.homes and home == _MAIN):
+                if found and (home == SCRIPT or home in self.homes and home == MAIN):
                     return _found_in_script, (name,)
                 if isinstance(obj, type) and issubclass(obj, eqx.Module):
-                    _refuse_hidden(obj, found and home != _MAIN)
+                    _refuse_hidden(obj, found and home != MAIN)
             return super().reducer_override(obj)
 
         def _note(self, home: str) -> None:
@@ -118,9 +118,9 @@ def _named(home: str, name: str) -> Any:
 
 def _found_in_script(name: str) -> Any:
     """What the script of who asks defines: there, or here as it comes back."""
-    home = _MAIN
-    if _SCRIPT in _SENT:
-        home = importlib.import_module(_SCRIPT).__name__
+    home = MAIN
+    if SCRIPT in _SENT:
+        home = importlib.import_module(SCRIPT).__name__
     return _named(home, name)
 
 
@@ -146,7 +146,7 @@ def _sources_of(homes: set[str]) -> Sources:
     todo = [name for name in homes if name not in _SENT]
     while todo:
         name = todo.pop()
-        sent = _SCRIPT if name == _MAIN else name
+        sent = SCRIPT if name == MAIN else name
         if sent in found or not _is_own(name):
             continue
         found[sent] = source = _source(name)
@@ -159,7 +159,9 @@ def _sources_of(homes: set[str]) -> Sources:
 def _source(name: str) -> Source:
     module = sys.modules[name]
     file = str(module.__file__)
-    return Source(Path(file).read_text(), file, hasattr(module, "__path__"))
+    return Source(
+        Path(file).read_text(encoding="utf-8"), file, hasattr(module, "__path__")
+    )
 
 
 @functools.lru_cache(maxsize=256)

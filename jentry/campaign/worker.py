@@ -16,9 +16,10 @@ from jaxtyping import PyTree
 
 from .._provenance import Untold, code_of_jentry, settings_of_jax
 from .._setup import fast_options_are_on, processor, setup
-from .carried import Carried, dumped, loaded, receive
+from .carried import MAIN, SCRIPT, Carried, dumped, loaded, receive
 from .description import first_difference
 from .errors import ClusterError
+from .users_code import own_code
 
 
 _VERSIONS = "jax", "jaxlib", "numpy", "equinox", "diffrax", "optimistix", "lineax"
@@ -78,6 +79,8 @@ class Work(NamedTuple):
     digest: str
     structure: Carried
     numbers: Carried
+    code: dict[str, str]
+    """Digests of the user's own code in the structure, as who asks runs it"""
 
 
 class Structures:
@@ -88,7 +91,7 @@ class Structures:
     """
 
     def __init__(self):
-        self._packed: dict[Hashable, tuple[str, Carried]] = {}
+        self._packed: dict[Hashable, tuple[Carried, dict[str, str]]] = {}
 
     def packed(self, tree: PyTree) -> Work:
         """Structure and numbers of a pytree."""
@@ -97,9 +100,29 @@ class Structures:
         # Of what is equal, True is not 1 and -0.0 not 0.0: the words for it tell.
         known = form, repr(form), tuple(leaves), repr(leaves)
         if known not in self._packed:
-            carried = dumped(structure)
-            self._packed[known] = carried.digest, carried
-        return Work(*self._packed[known], dumped(numbers))
+            self._packed[known] = dumped(structure), _code_of(structure)
+        carried, code = self._packed[known]
+        return Work(carried.digest, carried, dumped(numbers), code)
+
+
+def _code_of(structure: PyTree) -> dict[str, str]:
+    """Digests of the user's own code, with one name for the script here and there."""
+    return {
+        name.replace(f"{SCRIPT}.", f"{MAIN}.", 1): digest
+        for name, digest in own_code(structure).items()
+    }
+
+
+def _refuse_other_code(known: dict[str, str], structure: PyTree) -> None:
+    """Refuse what is another here, as it comes from its file, than with who asks."""
+    ours = _code_of(structure)
+    for name in sorted(known.keys() | ours.keys()):
+        if known.get(name) != ours.get(name):
+            raise ClusterError(
+                f"{name} is not what its file says, which is what workers fly: the file "
+                "has changed since it was imported, or it was changed in memory. Start "
+                "again, and give what varies as a field of the law"
+            )
 
 
 class _Call:
@@ -144,12 +167,14 @@ def am_worker() -> bool:
 
 
 def _value(work: Work, part: Carried) -> Carried:
-    digest, structure, numbers = work
+    digest, structure, numbers, code = work
     others = [receive(carried.sources) for carried in (structure, numbers, part)]
     if any(others) or len(_UNPACKED) >= _MOST_UNPACKED:
         _UNPACKED.clear()
     if digest not in _UNPACKED:
-        _UNPACKED[digest] = loaded(structure)
+        unpacked = loaded(structure)
+        _refuse_other_code(code, unpacked)
+        _UNPACKED[digest] = unpacked
     function, shared = eqx.combine(loaded(numbers), _UNPACKED[digest])
     return dumped(function(shared, loaded(part)))
 
