@@ -31,6 +31,10 @@ TURN = 2.0 * math.pi
 """rad; an angle that is larger was meant in degrees, more likely than not"""
 
 
+class UnknownUnit(ValueError):
+    """A text that is no unit, or not one that is known."""
+
+
 class Quantity(NamedTuple):
     """A number as a user gives it, with the unit that stands behind it, if one does."""
 
@@ -67,7 +71,7 @@ def quantity(given: str | float | int) -> Quantity:
         pass
     found = _QUANTITY.fullmatch(text)
     if found is None or not _UNIT.fullmatch(_spelled(found[2])):
-        raise ValueError(
+        raise UnknownUnit(
             f"{given!r} is not a number: write it in SI units, or with a unit such as "
             f"{_SUCH_AS}"
         )
@@ -125,7 +129,7 @@ def _factor(given: str, unit: str, text: str) -> float:
         one = registry.Quantity(one) if isinstance(one, int | float) else one
         dimension = one.dimensionality
     except Exception as error:  # of whatever a parser makes of a text
-        raise ValueError(
+        raise UnknownUnit(
             f"{text!r} has a unit that is not known, {given!r}: take one such as "
             f"{_SUCH_AS}"
         ) from error

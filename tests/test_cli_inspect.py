@@ -143,7 +143,7 @@ def test_another_flight_is_told(command, folder, monkeypatch):
         (("--run", RUNS), f"has the runs 0 to {RUNS - 1}"),
         (("--run", -1), "has the runs 0 to"),
         (("--worst", 0), "--worst is 0"),
-        (("--history", 5), "of the history of --run"),
+        (("--history", 5), "--history is of the flight of --run"),
         (("--run", 1, "--history", 0), "must be positive"),
     ],
 )

@@ -130,6 +130,9 @@ def test_a_file_of_requirements_that_is_none(
         (("--percentiles", "many"), "write numbers with commas"),
         (("--format", "gif"), "choose from png, pdf, svg"),
         (("--figures-only",), "give one of them"),
+        (("--figures-only", "--json"), "says nothing: leave out --json"),
+        (("--figures-only", "--percentiles", "50"), "says nothing: leave out"),
+        (("--figures-only", "--require", "reached, 9 % at 9 %"), "says nothing"),
         (("--require", "mass < 3, 9 % at 9 %"), "the results have no mass"),
     ],
 )
@@ -337,6 +340,28 @@ def test_it_stops_at_the_most(command, tmp_path):
     words = ("--runs", 2, "--until-decided", "--require", LONG, "--most-runs", 5)
     code, printed, _ = monte_carlo(command, *words, "--out", tmp_path / "out")
     assert code == 6 and "5 of 5 runs" in printed and "more runs if none" in printed
+
+
+def test_the_most_runs_are_of_a_campaign_that_is_extended(command, tmp_path):
+    out = "--out", tmp_path / "out"
+    result = monte_carlo(command, "--most-runs", 5, *out)
+    assert_refused(result, "--most-runs is of --until-decided")
+    words = ("--runs", 2, "--until-decided", "--require", LONG, "--most-runs", 1)
+    assert_refused(monte_carlo(command, *words, *out), "--most-runs is 1, and --runs")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_number_that_is_set_and_drawn_is_refused(command, tmp_path):
+    """Each run would have the drawn one. What is drawn about a number may be set."""
+    out = "--out", tmp_path / "out"
+    words = "--runs", 2, "--no-figures", "--set"
+    result = monte_carlo(command, *words, "planet.density_scale=1.1", *out)
+    assert_refused(result, "planet.density_scale is set, and every run draws it anew")
+    variants = "compare", "cheap", "--variant", "right", "--variant", "steep"
+    result = command(*variants, "--set", "planet.density_scale=1.1", *out)
+    assert_refused(result, "every run draws it anew by the dispersion 'density'")
+    assert not (tmp_path / "out").exists()
+    assert monte_carlo(command, *words, "vehicle.mass=900", *out)[0] == 0
 
 
 def test_until_decided_needs_a_requirement(command, tmp_path):

@@ -494,6 +494,18 @@ def test_three_of_which_all_pairs_are_asked(command, tmp_path):
     assert float(first["peak_drag maximum (m/s2)"]) == drag.max()
 
 
+def test_how_many_of_each_are_not_paired(command, tmp_path):
+    """All of both are compared; a number that one has not is refused."""
+    cheap.campaign(tmp_path / "one", 5)
+    cheap.campaign(tmp_path / "two", 3, seed=cheap.SEED + 1)
+    words = "compare", "one", "two", "--outputs", "|downrange error|"
+    code, printed, _ = command(*words)
+    assert code == 0 and "two less one: 3 and 5 flights, not paired" in printed
+    told = json.loads(command(*words, "--json")[1])["differences"][0]
+    assert (told["flights"], told["runs"]) == ([5, 3], 3)
+    assert_refused(command(*words, "--runs", 4), "--runs is 4, and two has 3")
+
+
 def test_a_narrow_terminal_has_the_table_in_pieces(monkeypatch, capsys):
     """Each piece with the names of the alternatives, and no number cut."""
     made, *_ = laws()

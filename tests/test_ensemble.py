@@ -1,5 +1,6 @@
 """Profiles of the air from files: which is met, and what is refused, by file."""
 
+import contextlib
 import dataclasses
 
 import cheap
@@ -190,6 +191,29 @@ def test_a_netcdf_file_is_read(file):
     ensemble = read_ensemble(file(), COLUMNS, altitude_unit="km")
     assert ensemble.names == ("0", "1", "2")
     assert_read(ensemble)
+
+
+UNITS = {
+    "the same": ("Dens", "kg m-3", ""),
+    "none": ("Dens", "", ""),
+    "not known": ("Temp", "kelvins of old", ""),
+    "another": ("Dens", "g/m3", "Dens says of itself to be in g/m3; expected kg/m3"),
+    "another kind": ("Temp", "Pa", "Temp says of itself to be in Pa; expected K"),
+    "altitude": ("Height", "m", "Height says of itself to be in m; expected km"),
+}
+
+
+@pytest.mark.parametrize(("name", "unit", "message"), UNITS.values(), ids=UNITS)
+def test_units_of_a_netcdf_file_are_read(file, name, unit, message):
+    def stated(data):
+        data[name].attrs["units"] = unit
+        return data
+
+    expected = contextlib.nullcontext()
+    if message:
+        expected = pytest.raises(ValueError, match=f"gram.nc: {message}")
+    with expected:
+        assert_read(read_ensemble(file(stated), COLUMNS, altitude_unit="km"))
 
 
 def test_what_is_not_named_is_not_there(folder):

@@ -112,7 +112,10 @@ def test_slices_by_the_command(command, tmp_path):
         assert not (folder / "summary.json").exists()
         folders.append(folder)
     code, printed, _ = command("merge", tmp_path / "all", *folders)
-    assert code == 0 and printed == f"stored: {tmp_path / 'all'}, 5 runs\n"
+    assert (
+        code == 0
+        and printed == f"stored: {tmp_path / 'all'}, 5 runs, the last of them 4\n"
+    )
     words = ("--runs", 5, "--seed", 7, "--out", tmp_path / "same")
     monte_carlo(command, *words)
     same = open_campaign(tmp_path / "same")

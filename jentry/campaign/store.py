@@ -204,7 +204,9 @@ def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
         places = places[indices < runs]
     result = result.isel(run=places)
     if not np.array_equal(result["run"], np.arange(len(places))):
-        raise CampaignError(f"{out} lacks some of its runs: {AGAIN}")
+        raise CampaignError(
+            f"{out} lacks some of its runs: {AGAIN}, or merge the parts of --slice"
+        )
     result.attrs["campaign"] = json.dumps(description)
     return result
 

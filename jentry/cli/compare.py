@@ -80,8 +80,9 @@ def command(
     out: Annotated[
         Path | None,
         typer.Option(
+            file_okay=False,
             help="Folder of what is flown, of the numbers and of the figure; "
-            "results/MISSION-compared if not given, and no files of stored campaigns."
+            "results/MISSION-compared if not given, and no files of stored campaigns.",
         ),
     ] = None,
     json: Annotated[
@@ -110,7 +111,11 @@ def command(
 
     refuse_both(json, quiet)
     percentages = chosen_percentiles(percentiles, PERCENTILES)
-    names = None if outputs is None else [name.strip() for name in outputs.split(",")]
+    names = None
+    if outputs is not None:  # as the table has them, or as they are called in results
+        names = [
+            name.strip().strip("|").replace(" ", "_") for name in outputs.split(",")
+        ]
 
     asked = [*(variant or ()), *(config or ())]
     if len(what) == 1 and not Path(what[0]).is_dir():
@@ -143,6 +148,11 @@ def command(
     campaigns = {
         name: open_campaign(path, limit) for name, (path, limit) in entries.items()
     }
+    for name, results in campaigns.items():
+        if runs is not None and results.sizes["run"] < runs:
+            raise ValueError(
+                f"--runs is {runs}, and {name} has {results.sizes['run']}: give no more"
+            )
     found = alternatives_of(campaigns, names, percentages, all_pairs=all_pairs)
     # Before anything is printed, which somebody may cut off.
     paths = [] if folder is None else write_files(folder, campaigns, found)

@@ -16,7 +16,12 @@ from ..plots.comparison import draw_comparison
 from ..statistics.alternatives import Alternatives, no_output, shared_runs
 from ..statistics.comparison import PERCENTILE, Comparison
 from ..statistics.intervals import CONFIDENCE, Interval
-from .options import chosen_scenario, dispersion_table, first_given
+from .options import (
+    chosen_scenario,
+    dispersion_table,
+    first_given,
+    refuse_set_in_vain,
+)
 from .progress import reported
 from .tables import in_digits, new_console, print_in_pieces
 
@@ -78,6 +83,7 @@ def fly_entries(
                 mission, variant, config, assignments
             )
             _, table = dispersion_table(chosen, overrides, dispersions)
+            refuse_set_in_vain(scenario, overrides, table)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
         flown = first_given(variant, overrides.variant, *chosen.variants)
@@ -189,12 +195,15 @@ def _print_comparison(first: str, second: str, found: Comparison) -> None:
                 "-" if each.smaller is None else _share(each.smaller),
             )
         )
-    kind = "pairs" if found.paired else "flights, not paired"
-    title = f"{second} less {first}: {found.runs} {kind}, since {found.why}"
+    ours, theirs = found.flights
+    kind = f"{theirs} and {ours} flights, not paired"
+    if found.paired:
+        kind = f"{found.runs} pairs"
+    title = f"{second} less {first}: {kind}, since {found.why}"
     print_in_pieces(console, title, heads, rows, repeated=2)
     console.print(
         f"in brackets: intervals of {CONFIDENCE:.0%}, by bootstrap; those without zero "
-        "tell a difference"
+        "tell a difference; - where the runs are too few. Of equal values half are smaller"
     )
     if found.beyond:
         console.print(

@@ -29,7 +29,9 @@ def command(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Result file (netCDF) to write, with the history."),
+        typer.Option(
+            dir_okay=False, help="Result file (netCDF) to write, with the history."
+        ),
     ] = None,
     figure: Annotated[
         Path | None,

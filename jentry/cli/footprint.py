@@ -43,7 +43,8 @@ def command(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for table and figure: results/MISSION-footprint if not given."
+            file_okay=False,
+            help="Folder for table and figure: results/MISSION-footprint if not given.",
         ),
     ] = None,
     variant: Variant = None,

@@ -51,7 +51,7 @@ def print_worst(
         rows.append((str(each.run), value, outcome.name.lower(), *shares))
     title = (
         f"the worst {len(worst)} of {count} runs by {in_words(name)}; of each input, how "
-        "many of the runs are below"
+        "many of the runs are below, equal ones by half"
     )
     print_in_pieces(new_console(), title, heads, rows, repeated=3)
 

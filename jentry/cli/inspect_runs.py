@@ -60,11 +60,12 @@ def command(
         print_worst,
     )
 
-    if history is not None and (run is None or not history > 0.0):
+    if history is not None and run is None:
         raise ValueError(
-            f"--history is {history}: it is the interval of the history of --run, and "
-            "must be positive"
+            "--history is of the flight of --run: give the number of a run"
         )
+    if history is not None and not history > 0.0:
+        raise ValueError(f"--history is {history}: the interval must be positive")
     if worst < 1:
         raise ValueError(f"--worst is {worst}: it must be 1 or more")
     results = open_campaign(folder)

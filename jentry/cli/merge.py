@@ -28,6 +28,6 @@ def command(
     if any(each is not None for each in decided):
         every = dict.fromkeys(r for each in decided for r in each or ())
         note_until_decided(out, list(every), digest)
-    typer.echo(f"stored: {out}, {runs} runs")
+    typer.echo(f"stored: {out}, {runs} runs, the last of them {runs + lacking - 1}")
     if lacking:
         typer.echo(f"{lacking} runs between them are not there yet: merge their parts")

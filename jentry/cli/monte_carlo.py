@@ -30,6 +30,7 @@ from .options import (
     first_given,
     flying_at,
     import_meanwhile,
+    refuse_set_in_vain,
     set_up,
 )
 
@@ -86,8 +87,11 @@ def command(
         ),
     ] = False,
     most_runs: Annotated[
-        int, typer.Option(help="With --until-decided: fly so many at most.")
-    ] = 100_000,
+        int | None,
+        typer.Option(
+            help="With --until-decided: fly so many at most; 100 000 if not given."
+        ),
+    ] = None,
     slice_: Annotated[
         str | None,
         typer.Option(
@@ -143,6 +147,8 @@ def command(
         raise ValueError("--until-decided needs a requirement: give --require")
     if until_decided and inputs is not None:
         raise ValueError("--until-decided draws more runs, and --inputs has no more")
+    if most_runs is not None and not until_decided:
+        raise ValueError("--most-runs is of --until-decided: give that as well")
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
     variant = first_given(variant, overrides.variant, *chosen.variants)
     if sampler is not Sampling.PLAIN and asked:
@@ -155,6 +161,7 @@ def command(
     reading, table = "", {}
     if inputs is None:
         reading, table = dispersion_table(chosen, overrides, dispersions)
+        refuse_set_in_vain(scenario, overrides, table)
     part = None if slice_ is None else chosen_slice(slice_)
     if part is not None and (asked or until_decided or json):
         raise ValueError(
@@ -169,6 +176,11 @@ def command(
             raise ValueError(f"--runs is {runs}, and {inputs} has {rows}: give no more")
     elif runs is None:
         runs = 1000
+    most = 100_000 if most_runs is None else most_runs
+    if until_decided and most < runs:
+        raise ValueError(
+            f"--most-runs is {most}, and --runs, with which it begins, {runs}: give more"
+        )
     named = chosen.name
     if part is not None:
         figures = False
@@ -180,7 +192,7 @@ def command(
         scenario, table, seed, given, runs, history, solver, spread
     )
     resumed = rounding_off("the same command resumes")
-    to_fly = most_runs if until_decided else runs
+    to_fly = most if until_decided else runs
     if part is not None:
         to_fly = len(runs_of_part(runs, part))
     with (
@@ -218,7 +230,7 @@ def command(
             if not until_decided:
                 break
             note_until_decided(folder, asked, digest_of(read_manifest(folder)))
-            more = further_runs(asked, results, most_runs)
+            more = further_runs(asked, results, most)
             if not more:
                 break
             runs += more

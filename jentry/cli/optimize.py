@@ -91,7 +91,8 @@ def command(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for the best flight: results/MISSION-optimized if not given."
+            file_okay=False,
+            help="Folder for the best flight: results/MISSION-optimized if not given.",
         ),
     ] = None,
     variant: Variant = None,

@@ -240,6 +240,22 @@ def dispersions_before(mission, overrides, reading):
     return mission.dispersion_table(reading)
 
 
+def refuse_set_in_vain(scenario, overrides, table) -> None:
+    """Refuse to set a number that every run draws anew, whatever it is."""
+    from ..addresses import addresses_of
+    from ..campaign.dispersions import replace
+
+    for name, dispersion in table.items():
+        if dispersion.apply is not replace:
+            continue
+        for address in addresses_of(scenario, dispersion.where):
+            if address in overrides.values:
+                raise ValueError(
+                    f"{address} is set, and every run draws it anew by the dispersion "
+                    f"{name!r}: leave out one of them, or change the dispersion in --config"
+                )
+
+
 def first_given(*options: str | None) -> str:
     """The first that is not none. An empty name is given, and is nobody's name."""
     return next(option for option in options if option is not None)

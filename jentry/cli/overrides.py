@@ -12,7 +12,7 @@
     lower = 0.7
     upper = 1.3
 
-A `[dispersions.NAME]` table changes the mission's dispersion of that name, or is added
+A `[dispersions.NAME]` table takes the place of the mission's of that name, or is added
 to them. In `[dispersions]`, `reading = "independent"` chooses which of the mission's
 readings are changed, and `replace = true` leaves out all of them. `dispersions =
 "independent"` chooses a reading and changes nothing. A `normal` dispersion may say how

@@ -59,6 +59,12 @@ def command(
     refuse_both(json, quiet)
     if runs is not None and runs < 1:
         raise ValueError(f"--runs is {runs}: it must be 1 or more")
+    said = percentiles, require, requirements
+    if figures_only and (json or any(x is not None for x in said)):
+        raise ValueError(
+            "--figures-only draws, and says nothing: leave out --json, --percentiles, "
+            "--require and --requirements"
+        )
     if figures_only and not figures:
         raise ValueError("--figures-only and --no-figures: give one of them")
     formats = chosen_formats(format_)

@@ -56,8 +56,9 @@ def command(
     out: Annotated[
         Path | None,
         typer.Option(
+            file_okay=False,
             help="Folder for tuned.toml, course.csv and the record that the same "
-            "command resumes from; results/MISSION-tuned if not given."
+            "command resumes from; results/MISSION-tuned if not given.",
         ),
     ] = None,
     optimizer: Annotated[

@@ -92,7 +92,9 @@ def panelled(
             wspace=_BETWEEN / each,
         )
     if title:
-        figure.suptitle(title, fontsize=11.0)
+        # A letter is about half as wide as it is high, of which an inch has 72 points.
+        fits = 72.0 * width / (0.55 * len(title))
+        figure.suptitle(title, fontsize=min(11.0, fits))
     return figure, axes
 
 

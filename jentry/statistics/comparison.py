@@ -86,6 +86,8 @@ class Comparison:
     """Why the runs are pairs, or why not"""
     runs: int
     """Pairs of finite flights; or the smaller number of finite flights"""
+    flights: tuple[int, int]
+    """Finite flights that are compared, of each"""
     left_out: int
     """Pairs of which a flight is not finite; or flights"""
     differences: list[Difference]
@@ -102,6 +104,7 @@ class Comparison:
             "paired": self.paired,
             "why": self.why,
             "runs": self.runs,
+            "flights": list(self.flights),
             "left_out": self.left_out,
             "beyond": self.beyond,
             "spread_by_a_sampler": self.spread,
@@ -159,6 +162,7 @@ def compared(
         paired=paired,
         why=why,
         runs=min(x.sizes["run"] for x in flown),
+        flights=(flown[0].sizes["run"], flown[1].sizes["run"]),
         left_out=left_out,
         differences=[_difference(flown[0], flown[1], name, paired) for name in both],
         only_one=sorted({*names[0], *names[1]} - set(both)),

@@ -1,6 +1,7 @@
 """Reading an ensemble of profiles of the air: a folder of csv files, or one netCDF file."""
 
 import dataclasses
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,12 +11,19 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._tables import read_columns
-from ..units import km
+from ..units import UnknownUnit, km, parse_quantity
 from .ensemble import EnsembleAtmosphere, EnsembleWind
 
 
-QUANTITIES = "altitude", "density", "temperature", "pressure", "east", "north"
-"""What of the columns of a file is read; in SI, but for the altitude"""
+QUANTITIES = {
+    "altitude": "m",
+    "density": "kg/m3",
+    "temperature": "K",
+    "pressure": "Pa",
+    "east": "m/s",
+    "north": "m/s",
+}
+"""What of the columns of a file is read, with its unit; the altitude may be in km"""
 
 _POSITIVE = "density", "temperature", "pressure"
 
@@ -97,7 +105,8 @@ def read_ensemble(
         csv files must be of numbers as well.
     - `altitude_unit`: "m" or "km".
 
-    **Raises:** `ValueError` that names the file for a column that is not there, a number
+    **Raises:** `ValueError` that names the file for a column that is not there, a variable
+    that says of itself to be in another unit, a number
     that is not finite, altitudes that do not increase or are not those of the other files,
     a density, temperature or pressure that is not positive, and altitudes that can only
     be in another unit.
@@ -116,8 +125,11 @@ def read_ensemble(
         )
     if altitude_unit not in _UNITS:
         raise ValueError(f'altitude_unit is {altitude_unit!r}: it must be "m" or "km"')
-    read = _read_folder if path.is_dir() else _read_netcdf
-    names, found = read(path, columns)
+    if path.is_dir():
+        names, found = _read_folder(path, columns)
+    else:
+        units = QUANTITIES | {"altitude": altitude_unit}
+        names, found = _read_netcdf(path, columns, units)
     altitudes = found.pop("altitude") * _UNITS[altitude_unit]
     _refuse_other_unit(path, altitudes, altitude_unit)
     return Ensemble(names, altitudes, found)
@@ -153,7 +165,9 @@ def _read_folder(folder: Path, columns: Mapping[str, str]) -> Found:
     return tuple(file.stem for file in files), {"altitude": altitudes, **stacked}
 
 
-def _read_netcdf(path: Path, columns: Mapping[str, str]) -> Found:
+def _read_netcdf(
+    path: Path, columns: Mapping[str, str], units: Mapping[str, str]
+) -> Found:
     import xarray
 
     if not path.exists():
@@ -171,6 +185,8 @@ def _read_netcdf(path: Path, columns: Mapping[str, str]) -> Found:
                 f"{path}: no variable {column!r}; found "
                 f"{', '.join(map(str, data.variables))}"
             )
+    for name, column in columns.items():
+        _refuse_stated_unit(path, data[column], units[name])
     altitude = data[columns["altitude"]]
     if altitude.ndim != 1:
         raise ValueError(
@@ -191,6 +207,23 @@ def _read_netcdf(path: Path, columns: Mapping[str, str]) -> Found:
             found[name] = _variable(path, data[column], (along, altitude.dims[0]), name)
     names = data[along].values if along in data.coords else range(data.sizes[along])
     return tuple(map(str, names)), found
+
+
+def _refuse_stated_unit(path: Path, variable: Any, unit: str) -> None:
+    """Refuse a variable whose attribute `units` is known, and another unit."""
+    stated = str(variable.attrs.get("units", "")).strip()
+    if not stated:
+        return
+    try:
+        same = math.isclose(parse_quantity(f"1 {stated}", unit), 1.0, rel_tol=1e-9)
+    except UnknownUnit:
+        return
+    except ValueError:
+        same = False
+    if not same:
+        raise ValueError(
+            f"{path}: {variable.name} says of itself to be in {stated}; expected {unit}"
+        )
 
 
 def _variable(path: Path, variable, dims: tuple[Any, ...], name: str) -> np.ndarray:
