@@ -138,6 +138,16 @@ def test_the_figure_draws_parts_over_the_index_as_time_goes_on():
     assert "1 deadbeat" in imaginary.get_title(loc="left")
 
 
+def test_the_legend_stands_below_the_axes_and_over_nothing():
+    from jentry.plots.eigenvalues import draw_eigenvalues
+
+    figure = draw_eigenvalues(loop(), "title")
+    figure.draw_without_rendering()
+    (legend,) = figure.legends
+    for axes in figure.axes:
+        assert axes.xaxis.label.get_window_extent().y0 > legend.get_window_extent().y1
+
+
 @pytest.mark.slow
 def test_linearize_as_a_process(tmp_path):
     def run(*words):

@@ -27,7 +27,7 @@ def draw_eigenvalues(found: FrozenLoop, title: str = "") -> "matplotlib.figure.F
     unit, size = edge_unit(found.unit, found.index)
     at = found.index / size
     with in_style():
-        figure, panels = panelled(11.0, 4.4, 2, title)
+        figure, panels = panelled(11.0, 4.4, 2, title, measured=True)
         for axes, part, name in zip(
             panels, (np.real, np.imag), ("Real", "Imaginary"), strict=True
         ):
