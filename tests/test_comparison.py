@@ -19,12 +19,14 @@ from test_report import rows
 from jentry.campaign import monte_carlo, open_campaign
 from jentry.campaign.outputs import is_output
 from jentry.campaign.results import output_names
+from jentry.cli.campaign_report import told_first
 from jentry.cli.compare_report import print_alternatives, write_files
 from jentry.flight import Outcome
 from jentry.motion.constraints import HeatLoad, HeatRate
 from jentry.plots.comparison import draw_comparison
 from jentry.statistics.alternatives import alternatives_of
 from jentry.statistics.comparison import compared
+from jentry.statistics.summary import summarize
 
 
 def campaign(errors, mass=None, outcomes=None, **more):
@@ -145,7 +147,7 @@ def test_runs_are_known_by_their_numbers():
 
 def test_a_unit_of_its_own_is_of_the_same_number():
     """Where a constraint names its unit, nothing is divided by another one."""
-    named = {"units": "Pa", "shown_units": "Pa"}
+    named = {"units": "Pa", "shown_units": "Pa", "limit": 4500.0}
     made = [campaign(np.zeros(40)) for _ in range(2)]
     for pressure, results in zip((4e3, 5e3), made, strict=True):
         results["peak_stagnation"] = "run", np.full(40, pressure), named
@@ -153,6 +155,8 @@ def test_a_unit_of_its_own_is_of_the_same_number():
     assert (each.shown_unit, each.shown_size, each.mean.value) == ("Pa", 1.0, 1e3)
     found = alternatives_of(dict(zip("ab", made, strict=True)), ["peak_stagnation"])
     assert [(x.shown_unit, x.shown_size) for x in found.outputs] == [("Pa", 1.0)]
+    (*_, said) = told_first(summarize(made[1]))
+    assert said == "40 of 40 flights exceed the limit of the peak stagnation, 4500 Pa"
 
 
 def test_few_pairs_have_no_bounds(capsys):
