@@ -203,7 +203,7 @@ def _print_comparison(first: str, second: str, found: Comparison) -> None:
     print_in_pieces(console, title, heads, rows, repeated=2)
     console.print(
         f"in brackets: intervals of {CONFIDENCE:.0%}, by bootstrap; those without zero "
-        "tell a difference; - where the runs are too few. Of equal values half are smaller"
+        "tell a difference; - with too few runs. Of equal values half are smaller"
     )
     if found.beyond:
         console.print(
