@@ -5,6 +5,7 @@ import sys
 
 import cheap
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import pytest
 
@@ -147,6 +148,8 @@ def test_the_same_names_with_other_contents():
     assert own(made(1.0)) == own(made(1.0)) != own(made(2.0))
     assert own(made(1.0)) != own(made(1.0, 2.0))
     assert own(made(jnp.ones(2))) != own(made(jnp.zeros(2)))
+    one, other = (made(jax.random.key(seed)) for seed in (1, 2))
+    assert own(one) == own(made(jax.random.key(1))) != own(other)
     assert own((lambda x: x + 1,)) != own((lambda x: x + 2,))
     assert own(eqx.Partial(made(1.0), 2.0)) != own(eqx.Partial(made(3.0), 2.0))
 

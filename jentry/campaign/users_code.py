@@ -16,6 +16,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
@@ -58,6 +59,8 @@ def _told(thing: Any) -> str | None:
     """In words, what is no container of other things; None for all else."""
     match thing:
         case np.ndarray() | jax.Array() if not isinstance(thing, Tracer):
+            if jnp.issubdtype(thing.dtype, jax.dtypes.prng_key):
+                thing = jax.random.key_data(thing)
             values = np.asarray(thing)
             if values.dtype != object:
                 digest = hashlib.sha256(values.tobytes()).hexdigest()
