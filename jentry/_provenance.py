@@ -264,13 +264,14 @@ def _function(x: types.FunctionType, seen: Seen) -> Iterator[str]:
     yield _of_home(home, x.__qualname__)
     if home.split(".")[0] != _OURS:
         return
-    yield _code(x.__code__)
-    cells = [cell.cell_contents for cell in x.__closure__ or () if _is_filled(cell)]
+    yield digest_of_code(x.__code__)
+    cells = [cell.cell_contents for cell in x.__closure__ or () if is_filled(cell)]
     for part in (x.__defaults__, x.__kwdefaults__, *cells, vars(x)):
         yield from _living(part, seen)
 
 
-def _is_filled(cell: types.CellType) -> bool:
+def is_filled(cell: types.CellType) -> bool:
+    """Whether a variable of a function around has a value yet."""
     try:
         cell.cell_contents  # noqa: B018
     except ValueError:
@@ -284,11 +285,12 @@ def _of_home(module: str, name: str) -> str:
     return f"{module}:{name}"
 
 
-def _code(code: types.CodeType) -> str:
+def digest_of_code(code: types.CodeType) -> str:
+    """Of what a function does: its instructions, with names and numbers in them."""
     told = [code.co_code.hex(), repr((code.co_names, code.co_varnames, code.co_flags))]
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
-            told.append(_code(constant))
+            told.append(digest_of_code(constant))
         elif isinstance(constant, frozenset):
             told.append(repr(sorted(map(repr, constant))))
         else:

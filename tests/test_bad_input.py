@@ -263,6 +263,7 @@ TUNE = {
     "--loss least": "loss is 'least'",
     "--optimizer newton": "optimizer is 'newton'",
     "--optimizer=": "optimizer is ''",
+    "--set planet.density_scale=1.1": "every run draws it anew by the dispersion",
     "--gains guidance.bank": "no leaf 'guidance.bank'",
     "--gains=": "no leaf ''",
     "--gains vehicle.mass": "the dispersion 'mass' moves it",

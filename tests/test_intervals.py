@@ -162,3 +162,16 @@ def test_intervals_cover_at_their_rate(name):
         # Conservative by up to one order statistic.
         covers = [i.lower <= truth <= i.upper for i in found]
         assert 0.935 <= np.mean(covers) <= 0.985, p
+
+
+@pytest.mark.slow
+def test_fewer_runs_would_be_covered_less(monkeypatch):
+    """Why there is a smallest number of runs. The rates are those of 8000 other samples."""
+    monkeypatch.setattr("jentry.statistics.intervals.FEWEST", 2)
+    draws = np.random.default_rng(5).normal(size=(2000, FEWEST))
+    for runs, rates in ((10, (0.902, 0.821)), (FEWEST, (0.931, 0.910))):
+        moments = moment_intervals(draws[:, :runs])
+        for which, (truth, rate) in enumerate(zip((0.0, 1.0), rates, strict=True)):
+            covers = [m[which].lower <= truth <= m[which].upper for m in moments]
+            deviation = np.sqrt(rate * (1.0 - rate) / 2000)
+            assert np.mean(covers) == pytest.approx(rate, abs=3.0 * deviation)

@@ -1,5 +1,6 @@
 """A campaign knows the user's own code: with other code it is another campaign."""
 
+import functools
 import importlib
 import sys
 
@@ -148,10 +149,30 @@ def test_the_same_names_with_other_contents():
     assert own(made(1.0)) == own(made(1.0)) != own(made(2.0))
     assert own(made(1.0)) != own(made(1.0, 2.0))
     assert own(made(jnp.ones(2))) != own(made(jnp.zeros(2)))
+    cached = [functools.cache(made(x)) for x in (1.0, 2.0)]
+    assert own(cached[0]) != own(cached[1])
+    decorated = [wrapped_otherwise(jnp.sin, factor) for factor in (1.0, 2.0)]
+    assert own(decorated[0]) != own(decorated[1])
+    names = {f"{__name__}.{DECORATED}", f"{__name__}.{DECORATED}.factor"}
+    assert set(own_code(decorated[0])) == names
     one, other = (made(jax.random.key(seed)) for seed in (1, 2))
     assert own(one) == own(made(jax.random.key(1))) != own(other)
     assert own((lambda x: x + 1,)) != own((lambda x: x + 2,))
     assert own(eqx.Partial(made(1.0), 2.0)) != own(eqx.Partial(made(3.0), 2.0))
+
+
+DECORATED = "wrapped_otherwise.<locals>.function"
+
+
+def wrapped_otherwise(of_jentry, factor):
+    """A function of the user's own that has the names of another."""
+
+    @functools.wraps(of_jentry)
+    def function(x):
+        return factor * of_jentry(x)
+
+    function.__qualname__ = DECORATED
+    return function
 
 
 def test_the_missions_have_none():

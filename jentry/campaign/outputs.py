@@ -40,13 +40,13 @@ def is_output(name: str) -> bool:
 
 def shown(variable: "xarray.DataArray") -> tuple[Any, str]:
     """Values of a variable of a result as people read them, and their unit."""
-    unit, size = _edge(variable)
+    unit, size = edge_of(variable, variable.values)
     return variable.values / size, unit
 
 
 def unit_size(variable: "xarray.DataArray") -> float:
     """SI value of the unit in which people read a variable of a result."""
-    return _edge(variable)[1]
+    return edge_of(variable, variable.values)[1]
 
 
 def edge_of(variable: "xarray.DataArray", values: Any) -> tuple[str, float]:
@@ -55,7 +55,3 @@ def edge_of(variable: "xarray.DataArray", values: Any) -> tuple[str, float]:
     attributes = variable.attrs
     unit, named = attributes.get("units", "1"), attributes.get("shown_units")
     return edge_unit(unit, values, named)
-
-
-def _edge(variable: "xarray.DataArray") -> tuple[str, float]:
-    return edge_of(variable, variable.values)

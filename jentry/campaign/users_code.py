@@ -20,9 +20,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from .._provenance import digest_of_code, is_filled
+from .carried import MAIN
+
 
 _OURS = __name__.split(".")[0]
-_MAIN = "__main__"
 _PACKAGES = "site-packages", "dist-packages"
 """Folders of what is installed"""
 
@@ -42,7 +44,7 @@ def own_code(*trees: Any) -> dict[str, str]:
     while todo:
         name, thing = todo.pop()
         if isinstance(thing, types.FunctionType):
-            name = _name(thing)
+            name = f"{_home(thing)}.{thing.__qualname__}"
         told = _told(thing)
         if told is not None and name:
             found.setdefault(name, []).append(told)
@@ -65,8 +67,8 @@ def _told(thing: Any) -> str | None:
             if values.dtype != object:
                 digest = hashlib.sha256(values.tobytes()).hexdigest()
                 return f"{values.dtype} {values.shape} {digest}"
-        case types.FunctionType() if _is_own(thing.__module__):
-            return _code(thing.__code__)
+        case types.FunctionType() if _is_own(_home(thing)):
+            return digest_of_code(thing.__code__)
         case _ if isinstance(thing, _PLAIN):
             return repr(thing)
     return None
@@ -87,8 +89,7 @@ def _inside(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
         case types.MethodType():
             yield from ((name, x) for x in (thing.__func__, thing.__self__))
         case types.FunctionType():
-            if _is_own(thing.__module__):
-                yield from _used(thing)
+            yield from _used(thing)
             if hasattr(thing, "__wrapped__"):
                 yield name, thing.__wrapped__
         case type():
@@ -120,18 +121,22 @@ def _of_class(kind: type) -> Iterator[tuple[str, Any]]:
 
 
 def _used(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
-    """What the code of a function uses: of its module, of those around it, its defaults."""
-    name, names = _name(function), set(_names(function.__code__))
+    """What the code of a function uses: of its module, of those around it, its defaults.
+
+    Of a function of a package what it has been given, which may be the user's own.
+    """
+    home, code = _home(function), function.__code__
+    own = _is_own(home)
+    name = f"{home}.{function.__qualname__}" if own else ""
     yield name, function.__defaults__
     yield name, function.__kwdefaults__
-    for variable, cell in zip(
-        function.__code__.co_freevars, function.__closure__ or (), strict=True
-    ):
-        try:
-            yield f"{name}.{variable}", cell.cell_contents
-        except ValueError:  # which has no contents yet
-            continue
-    home = function.__module__
+    cells = zip(code.co_freevars, function.__closure__ or (), strict=True)
+    for variable, cell in cells:
+        if is_filled(cell):
+            yield f"{name}.{variable}" if own else "", cell.cell_contents
+    if not own:
+        return
+    names = set(_names(code))
     for used in sorted(names & function.__globals__.keys()):
         value = function.__globals__[used]
         if not isinstance(value, types.ModuleType):
@@ -141,26 +146,16 @@ def _used(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
                 yield f"{value.__name__}.{inner}", vars(value)[inner]
 
 
+def _home(function: types.FunctionType) -> str:
+    """The module where it was written: `functools.wraps` copies all names but this one."""
+    return function.__globals__.get("__name__", "")
+
+
 def _names(code: types.CodeType) -> Iterator[str]:
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, types.CodeType):
             yield from _names(constant)
-
-
-def _code(code: types.CodeType) -> str:
-    """Of what a function does: its instructions, with names and numbers in them."""
-    told = [
-        _code(x)
-        if isinstance(x, types.CodeType)
-        else repr(sorted(map(repr, x)))
-        if isinstance(x, frozenset)
-        else repr(x)
-        for x in code.co_consts
-    ]
-    names = code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars
-    whole = code.co_code + repr((names, told)).encode()
-    return hashlib.sha256(whole).hexdigest()
 
 
 def _name(thing: Any) -> str:
@@ -170,7 +165,7 @@ def _name(thing: Any) -> str:
 @functools.cache
 def _is_own(module: str | None) -> bool:
     """Whether a module is no part of Python, of an installed package or of jentry."""
-    if module == _MAIN:
+    if module == MAIN:
         return True
     file = getattr(sys.modules.get(module or ""), "__file__", None)
     if file is None or (module or "").split(".")[0] == _OURS:

@@ -25,6 +25,7 @@ from .options import (
     expanded,
     first_given,
     flying_at,
+    refuse_set_in_vain,
     set_up,
 )
 
@@ -168,6 +169,7 @@ def command(
     chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
     variant = first_given(variant, overrides.variant, *chosen.variants)
     reading, table = dispersion_table(chosen, overrides, dispersions)
+    refuse_set_in_vain(scenario, overrides, table)
     if loss not in BY_NAME:
         raise ValueError(f"loss is {loss!r}: choose from {', '.join(BY_NAME)}")
     if smooth and smooth_reversals:

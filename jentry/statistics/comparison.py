@@ -84,8 +84,6 @@ class Comparison:
     """Whether run i of one has the draws of run i of the other"""
     why: str
     """Why the runs are pairs, or why not"""
-    runs: int
-    """Pairs of finite flights; or the smaller number of finite flights"""
     flights: tuple[int, int]
     """Finite flights that are compared, of each"""
     left_out: int
@@ -97,6 +95,11 @@ class Comparison:
     """Runs of either campaign that have no partner; 0 without pairs"""
     spread: bool
     """Whether a sampler has spread the runs of one of them: the intervals are too wide"""
+
+    @property
+    def runs(self) -> int:
+        """Pairs of finite flights; or the smaller number of finite flights."""
+        return min(self.flights)
 
     def plain(self) -> dict[str, Any]:
         """As plain values, SI."""
@@ -161,7 +164,6 @@ def compared(
     return Comparison(
         paired=paired,
         why=why,
-        runs=min(x.sizes["run"] for x in flown),
         flights=(flown[0].sizes["run"], flown[1].sizes["run"]),
         left_out=left_out,
         differences=[_difference(flown[0], flown[1], name, paired) for name in both],
