@@ -272,11 +272,7 @@ def _function(x: types.FunctionType, seen: Seen) -> Iterator[str]:
 
 def is_filled(cell: types.CellType) -> bool:
     """Whether a variable of a function around has a value yet."""
-    try:
-        cell.cell_contents  # noqa: B018
-    except ValueError:
-        return False
-    return True
+    return cell != types.CellType()  # two without a value are equal
 
 
 def _of_home(module: str, name: str) -> str:
