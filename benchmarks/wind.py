@@ -66,12 +66,11 @@ def nominal() -> jentry.Scenario:
     return eqx.tree_at(
         lambda s: (
             s.guidance.end.altitude,
-            s.guidance.altitude,
             s.termination.conditions["altitude"].altitude,
             s.target.altitude,
         ),
         find_mission("apollo-10").scenario(),
-        4 * (jnp.asarray(END),),
+        3 * (jnp.asarray(END),),
     )
 
 

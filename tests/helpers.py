@@ -29,7 +29,6 @@ from jentry.guidance import (
     AbstractContinuousLaw,
     AbstractSampledLaw,
     Adjustment,
-    Aim,
     AngleOfAttackProfile,
     AttitudeBand,
     AttitudeLag,
@@ -232,7 +231,7 @@ def mars_scenario(
         mars_entry(),
         bank_profile() if guidance is None else guidance,
         Termination(ends, time_limit),
-        Target(10 * km, 503.0, 723.32 * km),
+        Target(10 * km, 503.0, 723.32 * km, origin=mars_entry()),
         dynamics=dynamics,
     )
 
@@ -280,7 +279,6 @@ def range_tracking(reference) -> RangeTracking:
         reference=reference,
         range_flown=PolynomialProfile([0.0, 723.32 * km], 10.6e6, -23.1e6),
         model=model,
-        aim=Aim(mars_entry(), 723.32 * km, 0.0, 10 * km, 503.0),
         limits=ScaleLimits(0.5, 2.0, 10 * km),
         lateral=CrossrangeCorridor(300.0, 4e-4),
     )
@@ -292,11 +290,7 @@ def predictor_corrector() -> PredictorCorrector:
         model=OnboardModel(mars_planet(), mars_vehicle()),
         shape=ConstantBankShape(),
         end=GuidedEnd(503.0, 10 * km, ceiling=135 * km),
-        origin=mars_entry(),
         lateral=FixedSide(),
-        downrange=723.32 * km,
-        crossrange=0.0,
-        altitude=10 * km,
         in_space=False,
         step=8.0,
         steps=80,

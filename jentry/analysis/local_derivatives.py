@@ -58,7 +58,7 @@ def fly_points(
     """Fly a scenario, and keep points of the flight; see `linearize` for its errors."""
     if points < 1:
         raise ValueError(f"points is {points}: it must be 1 or more")
-    sampled = isinstance(scenario.guidance, AbstractSampledLaw)
+    sampled = isinstance(scenario.law, AbstractSampledLaw)
     plan = Plan.of(scenario, solver, None)
     if not sampled:
         plan = Plan.of(scenario, solver, plan.step)
@@ -204,7 +204,7 @@ def derivatives_at(
         def fed_back(flat: Vector) -> Array:
             there = put(flat, lane)
             sensed = sense(scenario, there.flown, there.moving, there.held)
-            tracked = scenario.guidance.tracked(there.flown, sensed, there.held)
+            tracked = scenario.law.tracked(there.flown, sensed, there.held)
             numbers = [] if tracked is None else sum(tracked.errors, ())
             return jnp.stack(numbers) if numbers else jnp.zeros(0)
 
@@ -216,7 +216,7 @@ def derivatives_at(
 
     def at(lane: Lane) -> LoopDerivatives:
         flat, gradient = _flat(lane), slope(lane)
-        if not isinstance(scenario.guidance, AbstractSampledLaw):
+        if not isinstance(scenario.law, AbstractSampledLaw):
             derivative, (over, rate) = jax.jacfwd(over_index, has_aux=True)(flat, lane)
             both = lambda flat: (slope(put(flat, lane)), errors(put(flat, lane)))
             (_, error), then = jax.jvp(both, (flat,), (over,))
@@ -257,7 +257,7 @@ def plant_derivatives(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> PlantDerivatives:
     """Derivatives of the vehicle, from its controls to the outputs its law tracks."""
-    planet, vehicle, law = scenario.planet, scenario.vehicle, scenario.guidance
+    planet, vehicle, law = scenario.planet, scenario.vehicle, scenario.law
 
     def at(lane: Lane) -> PlantDerivatives:
         lane = plan.decided(scenario, lane)
@@ -307,6 +307,6 @@ def what_is_tracked(scenario: Scenario, lanes: Lane) -> Tracked | None:
     def tracked(lanes: Lane) -> Tracked | None:
         lane = jax.tree.map(lambda x: x[0], lanes)
         sensed = sense(scenario, lane.flown, lane.moving, lane.held)
-        return scenario.guidance.tracked(lane.flown, sensed, lane.held)
+        return scenario.law.tracked(lane.flown, sensed, lane.held)
 
     return eqx.filter_eval_shape(tracked, lanes)

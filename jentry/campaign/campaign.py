@@ -355,12 +355,6 @@ def fly_run(
     solver: AbstractSolver,
     history: float | None = None,
 ) -> tuple[Flight, Scenario]:
-    """Fly one run of a campaign, and give the scenario that its misses are counted from.
-
-    That is the dispersed scenario, but for the entry point: the target stays where it
-    is when that is dispersed.
-    """
+    """Fly one run of a campaign, and give the dispersed scenario that it flew."""
     dispersed = replace_leaves(scenario, inputs)
-    flight = fly(dispersed, solver, history)
-    aimed = eqx.tree_at(lambda s: s.initial_state, dispersed, scenario.initial_state)
-    return flight, aimed
+    return fly(dispersed, solver, history), dispersed

@@ -129,6 +129,8 @@ def dataset(
         values, name = getattr(campaign.misses, miss), error_of(miss)
         if values is not None:
             signed = {"comment": "actual minus desired"} if is_error(name) else {}
+            if miss in ("downrange", "crossrange"):
+                signed["counted_from"] = scenario.target.counted_from
             put(name, values, unit, in_words(name), **signed)
     for name, peak in flights.peaks.items():
         constraint, words = scenario.constraints[name], in_words(peak_of(name))

@@ -44,6 +44,7 @@ def print_leaves(scenario: Scenario) -> None:
     console = new_console()
     console.width = max(console.width, 100)
     print_under(console, "scenario", table)
+    console.print(f"downrange and crossrange: {scenario.target.counted_from}")
     idle = unfelt(scenario)
     if idle:
         console.print(f"without effect in this scenario: {', '.join(idle)}")
@@ -80,6 +81,7 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     title = f"{mission.name}: {outcome.message}" + (f" ({ended_by})" if met else "")
     console = new_console()
     print_under(console, title, table)
+    console.print(f"downrange and crossrange: {scenario.target.counted_from}")
     for name, share in flight.caveats.items():
         if share > 0.0:
             console.print(f"caveat: {caveat_sentence(name, share)}")

@@ -93,7 +93,7 @@ class Lane(eqx.Module):
 
 def guidance_period(scenario: Scenario) -> float | None:
     """Longest guidance cycle of a sampled law, s; none for a continuous one."""
-    law = scenario.guidance
+    law = scenario.law
     return law.cycle.period if isinstance(law, AbstractSampledLaw) else None
 
 
@@ -128,7 +128,7 @@ def _acting(scenario: Scenario, flown: Scalar, moving: Moving, held: Any) -> Tra
         measurement = Measurement(
             state, lift, drag, angle, trim, scenario.constraints, bank
         )
-        return commanded(scenario.guidance, flown, measurement, memory, held)
+        return commanded(scenario.law, flown, measurement, memory, held)
 
     return Traced(act, *3 * [state.altitude])
 
@@ -143,7 +143,7 @@ def _sensed(
     if angle is None:
         angle = acting.independent(lambda out: out[0].angle_of_attack)
     if angle is None:
-        law = scenario.guidance
+        law = scenario.law
         hold = (
             "decide it at the guidance cycle, in `update`, and hold it"
             if isinstance(law, AbstractSampledLaw)
@@ -194,7 +194,7 @@ def first_measurement(scenario: Scenario) -> Measurement:
     first = scenario.attitude.first_angle_of_attack
     if first is not None:
         return _measured(scenario, scenario.initial_state, first)
-    law, state = scenario.guidance, scenario.initial_state
+    law, state = scenario.law, scenario.initial_state
     trim = scenario.vehicle.trim_angle_of_attack
 
     def act(lift: Scalar, drag: Scalar, angle: Scalar) -> tuple[Controls, Any]:
@@ -214,11 +214,11 @@ def start(scenario: Scenario, step: float) -> Lane:
     """The flight before its first step, of which `step` is the length (s)."""
     state = scenario.initial_state
     measurement = first_measurement(scenario)
-    memory, held = begun(scenario.guidance, measurement)
+    memory, held = begun(scenario.law, measurement)
     flown = 0.0 * state.altitude
     conditions = scenario.termination
     margin = conditions.smallest_margin(flown, state, conditions.always)
-    first, _ = commanded(scenario.guidance, flown, measurement, memory, held)
+    first, _ = commanded(scenario.law, flown, measurement, memory, held)
     integrals = {n: jnp.zeros_like(flown) for n in integrals_of(scenario.constraints)}
     attitude = scenario.attitude.init(first)
     moving = Moving(state, attitude, memory, integrals)
@@ -241,7 +241,7 @@ def start(scenario: Scenario, step: float) -> Lane:
 @eqx.filter_jit
 def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
     """The flight after what a sampled law decides, if its guidance cycle is due."""
-    law = scenario.guidance
+    law = scenario.law
     if not isinstance(law, AbstractSampledLaw):
         return lane
     measurement = sense(scenario, lane.flown, lane.moving, lane.held, lane.flown)
@@ -268,14 +268,14 @@ def command(
 
 def caveats(scenario: Scenario, held: Any) -> dict[str, Scalar]:
     """What a sampled law says of how it decided."""
-    law = scenario.guidance
+    law = scenario.law
     return law.caveats(held) if isinstance(law, AbstractSampledLaw) else {}
 
 
 def vector_field(scenario: Scenario, held: Any):
     """Time derivative of what is integrated within a cycle, `field(flown, moving)`."""
     dynamics, attitude = scenario.dynamics, scenario.attitude
-    shared = shares_reversals(scenario.guidance)
+    shared = shares_reversals(scenario.law)
 
     def field(flown: Scalar, moving: Moving) -> Moving:
         wish, memory_rate = command(scenario, flown, moving, held)

@@ -81,7 +81,7 @@ class Plan(eqx.Module):
                 "the Adaptive solver cannot be compiled with the options of "
                 "jentry.setup(fast=True), which would end this process: leave them off"
             )
-        law, period = scenario.guidance, guidance_period(scenario)
+        law, period = scenario.law, guidance_period(scenario)
         if isinstance(solver, FixedStep):
             usual = period if period and varies(law) else _STEP
             solver = solver.or_step(scenario.step or usual)
@@ -132,11 +132,11 @@ class Plan(eqx.Module):
 
     def stacked_every(self, scenario: Scenario) -> int:
         """How many cycles lie between those whose starts are stacked for a history."""
-        return 1 if varies(scenario.guidance) else self.keep_every
+        return 1 if varies(scenario.law) else self.keep_every
 
     def kept(self, scenario: Scenario, lanes: Lane) -> Lane:
         """Lanes that the history keeps, of those that are stacked."""
-        if not varies(scenario.guidance):
+        if not varies(scenario.law):
             count = math.ceil(self.scheduled / self.keep_every)
             return jax.tree.map(lambda x: x[:count], lanes)
         interval = self.duration * self.keep_every
@@ -161,7 +161,7 @@ class Plan(eqx.Module):
 
     def moved(self, scenario: Scenario, lane: Lane) -> Lane:
         """The lane after a cycle, of which the decision was made."""
-        law, duration = scenario.guidance, self.duration
+        law, duration = scenario.law, self.duration
         if varies(law):
             assert isinstance(law, AbstractSampledLaw)
             duration = law.cycle.seconds(lane.held)

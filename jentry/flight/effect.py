@@ -93,7 +93,7 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
     """Of the initial state and given controls."""
     planet, vehicle, state = scenario.planet, scenario.vehicle, scenario.initial_state
     time = 0.0 * state.altitude
-    sampled_at = time if isinstance(scenario.guidance, AbstractSampledLaw) else None
+    sampled_at = time if isinstance(scenario.law, AbstractSampledLaw) else None
     controls = Controls(0.1, 0.8, 0.6)
     integrals = {n: time for n in integrals_of(scenario.constraints)}
     moving = Moving(state, None, None, integrals)
@@ -121,7 +121,7 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
 def _guidance(scenario: Scenario) -> Any:
     """All that one cycle computes."""
     lane = decide(scenario, start(scenario, 1.0), None)
-    law = scenario.guidance
+    law = scenario.law
     return (
         lane,
         law.cycle.seconds(lane.held) if isinstance(law, AbstractSampledLaw) else None,

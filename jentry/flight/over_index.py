@@ -43,7 +43,7 @@ def fly_over(
     if steps < 1:
         raise ValueError(f"steps is {steps}: it must be 1 or more")
     scenario = checked(scenario)
-    law = scenario.guidance
+    law = scenario.law
     if not isinstance(law, AbstractContinuousLaw):
         raise ValueError(
             f"{type(law).__name__} decides at guidance cycles, which are times: "

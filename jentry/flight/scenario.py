@@ -1,8 +1,10 @@
 """What flies: planet, vehicle, initial state, guidance and end conditions in one pytree."""
 
+import dataclasses
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,8 +12,15 @@ import numpy as np
 from jax.core import Tracer
 
 from .._printed import as_text
-from ..addresses import field_metadata, leaves_by_address, unit_of, with_leaves
+from ..addresses import (
+    address_of,
+    field_metadata,
+    leaves_by_address,
+    unit_of,
+    with_leaves,
+)
 from ..fields import QUARTER, Scalar, optional_scalar, scalar
+from ..guidance.aim import Aim, TargetOfScenario, is_aim, told
 from ..guidance.law import (
     AbstractLaw,
     kept_constraints,
@@ -25,6 +34,7 @@ from ..motion.constraints import (
     usual_constraints,
 )
 from ..motion.dynamics import AbstractDynamics, EntryDynamics
+from ..motion.quantities import from_ground_track, ground_track
 from ..motion.state import EntryState
 from ..onboard.flow_sensing import FlowSensors
 from ..onboard.navigation import (
@@ -32,19 +42,24 @@ from ..onboard.navigation import (
     Accelerometers,
     PerfectAccelerometers,
 )
-from ..units import degree
+from ..onboard.track import Track
+from ..units import degree, km
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 from .termination import Termination
 
 
 class Target(eqx.Module):
-    """Where guided flight should end: the misses are counted from here.
+    """Where guided flight should end: laws fly there, and misses are counted from there.
 
-    A law has an aim or a reference of its own, which does not move with the target.
+    Downrange and crossrange are arcs on the surface, see `ground_track`. With an origin
+    they are a place, which stays where it is when the start of a flight moves. Without one
+    they are the range that each flight is to fly from its own start, wherever that is: it
+    is for laws that know no place, such as `DragTracking`.
 
-    Downrange and crossrange are arcs on the surface from the entry point, see
-    `ground_track`.
+    A law that flies to a place (`RangeTracking`, `PredictorCorrector`) reads it here. What
+    a reference was planned for, and the track of a Bézier curve, do not move with it:
+    `check` refuses a track that ends elsewhere.
     """
 
     altitude: Scalar = scalar(unit="m")
@@ -56,10 +71,17 @@ class Target(eqx.Module):
     heading: Scalar | None = optional_scalar(unit="rad")
     """Desired heading; None where any will do"""
     origin: EntryState | None = None
-    """Place and heading from which downrange and crossrange are counted; None for those of
-    the initial state. Give it where the initial state is one that is off its reference"""
+    """Place and heading from which downrange and crossrange are counted; None for those
+    at which each flight starts"""
 
     __str__ = as_text
+
+    @property
+    def counted_from(self) -> str:
+        """What the misses of downrange and crossrange are counted from, in words."""
+        if self.origin is None:
+            return "range flown from the start of each flight"
+        return "place of the target, which does not move with the start"
 
 
 class Scenario(eqx.Module):
@@ -88,6 +110,31 @@ class Scenario(eqx.Module):
     here either it is 0.1, or for a law with a guidance cycle that varies, which holds its
     command, one step a cycle"""
 
+    @property
+    def law(self) -> AbstractLaw:
+        """The guidance law, which knows the target: what flies.
+
+        Raises `ValueError` for a law that flies to a place where the target is none.
+        """
+        parts = jax.tree.leaves(self.guidance, is_leaf=is_aim)
+        if not any(isinstance(part, TargetOfScenario) for part in parts):
+            return self.guidance
+        target = self.target
+        if target.origin is None:
+            raise ValueError(
+                f"{type(self.guidance).__name__} flies to a place, and target.origin is "
+                "None, which leaves the target a range: give the place and heading from "
+                "which it is counted, such as Target(..., origin=initial_state)"
+            )
+        aim = Aim(
+            target.origin,
+            target.downrange,
+            target.crossrange,
+            target.altitude,
+            target.velocity,
+        )
+        return told(self.guidance, aim)
+
     def __check_init__(self):
         if self.step is not None and not 0.0 < self.step < math.inf:
             raise ValueError(f"step is {self.step} s: it must be positive and finite")
@@ -102,6 +149,7 @@ def check(scenario: Scenario) -> None:
     """
     with_leaves(scenario)
     _check_kept(scenario.dynamics, scenario.initial_state)
+    _check_one_target(scenario)
     _check_noise(scenario)
     _check_constraints(scenario)
     _warn_without_limits(scenario)
@@ -135,6 +183,65 @@ def _check_kept(dynamics: AbstractDynamics, start: EntryState) -> None:
                 f"{type(dynamics).__name__} keeps it at {wanted:g}; take that, or other "
                 "dynamics such as dynamics=EntryDynamics()"
             )
+
+
+_APART = 1.0
+"""m; a track ends at the target where they are nearer to each other than this"""
+
+
+def _check_one_target(scenario: Scenario) -> None:
+    """Refuse a scenario that says in two places where to go, and differently."""
+    for part, address in _parts(scenario.guidance, is_aim, "guidance"):
+        if isinstance(part, Aim):
+            raise ValueError(
+                f"{address} is an Aim, and the scenario has a target: leave it out, "
+                "and the law flies to scenario.target"
+            )
+    _ = scenario.law  # refuses a target that is no place where the law flies to one
+    target, planet = scenario.target, scenario.planet
+    origin = scenario.initial_state if target.origin is None else target.origin
+    for track, address in tracks_of(scenario):
+        numbers = jax.tree.leaves((target, origin, planet.radius, track))
+        if any(isinstance(x, Tracer) for x in numbers):
+            continue
+        there = dataclasses.replace(
+            origin, longitude=track.target_longitude, latitude=track.target_latitude
+        )
+        downrange, crossrange = ground_track(planet, origin, there)
+        off = np.hypot(downrange - target.downrange, crossrange - target.crossrange)
+        if off > _APART:
+            longitude, latitude = from_ground_track(
+                planet, origin, target.downrange, target.crossrange
+            )
+            raise ValueError(
+                f"{address} ends at {_place(track.target_longitude, track.target_latitude)}"
+                f", and the target lies at {_place(longitude, latitude)}, "
+                f"{float(off) / km:.6g} km from there: a scenario has one target, so set "
+                f"all of {address}.target_longitude, {address}.target_latitude, "
+                "target.downrange and target.crossrange to one place"
+            )
+
+
+def _place(longitude: Scalar, latitude: Scalar) -> str:
+    east, north = float(longitude) / degree, float(latitude) / degree
+    return f"longitude {east:.7g} deg and latitude {north:.7g} deg"
+
+
+def tracks_of(scenario: Scenario) -> list[tuple[Track, str]]:
+    """Tracks along which the scenario flies, and on which it ends, with addresses."""
+    is_track = lambda node: isinstance(node, Track)
+    return [
+        *_parts(scenario.guidance, is_track, "guidance"),
+        *_parts(scenario.termination, is_track, "termination"),
+    ]
+
+
+def _parts(tree: Any, is_one: Callable[[Any], bool], place: str) -> list:
+    """Nodes of a kind, with their addresses."""
+    found, _ = jax.tree_util.tree_flatten_with_path(tree, is_leaf=is_one)
+    return [
+        (node, f"{place}.{address_of(path)}") for path, node in found if is_one(node)
+    ]
 
 
 def _check_constraints(scenario: Scenario) -> None:
@@ -186,7 +293,7 @@ def _warn_without_limits(scenario: Scenario) -> None:
 
 
 def _check_noise(scenario: Scenario) -> None:
-    sensors, law = scenario.accelerometers, scenario.guidance
+    sensors, law = scenario.accelerometers, scenario.law
     if not isinstance(sensors, Accelerometers) or isinstance(sensors.noise, Tracer):
         return
     if np.asarray(sensors.noise) != 0.0:
@@ -210,7 +317,7 @@ def without_effect(scenario: Scenario) -> tuple[str, ...]:
 def require_effect(scenario: Scenario, address: str) -> None:
     """Refuse to vary a number that this scenario does not use, or cannot."""
     if address == "accelerometers.noise":
-        _require_samples(scenario.guidance, scenario, "is varied")
+        _require_samples(scenario.law, scenario, "is varied")
     if address in without_effect(scenario):
         raise ValueError(
             f"{address} has no effect in this scenario: "

@@ -1,5 +1,6 @@
 """Floor 4: guidance laws."""
 
+from .aim import Aim as Aim, TargetOfScenario as TargetOfScenario
 from .angle_of_attack import (
     AngleOfAttackProfile as AngleOfAttackProfile,
     TrimAngleOfAttack as TrimAngleOfAttack,
@@ -113,7 +114,6 @@ from .pseudospectral_tracking import (
     plan_gains as plan_gains,
 )
 from .range_tracking import (
-    Aim as Aim,
     RangeTracking as RangeTracking,
     ScaleLimits as ScaleLimits,
 )

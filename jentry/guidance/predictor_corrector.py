@@ -46,6 +46,7 @@ from ..onboard.propagation import Command, Prediction, SampledCommand, propagate
 from ..onboard.turning import BankTurning
 from ..onboard.wind_estimation import WindEstimate, WindEstimator
 from ..world.wind import StillAir
+from .aim import Aim, TargetOfScenario, known as known_aim
 from .bank_shapes import AbstractBankShape, ConstantBankShape, Numbers
 from .bounded_step import least_squares_step, within_bounds
 from .cycle import FixedCycle
@@ -109,7 +110,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
 
     The range is predicted in three dimensions, over a rotating planet as well, as if the
     bank kept its side: the downrange at the end is to be that of the target, both counted
-    from `origin`. Or it is predicted in the vertical plane (`in_space=False`), where the
+    from its origin. Or it is predicted in the vertical plane (`in_space=False`), where the
     range to go is the arc to the target: this costs half as much, and for a vehicle that
     turns far to the sides it is the better guess of what reversals will make of its path.
     Of the rotation of the planet that counts there which is about the axis of the great
@@ -132,15 +133,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     model: OnboardModel
     shape: AbstractBankShape
     end: GuidedEnd
-    origin: EntryState
-    """Where downrange and crossrange are counted from"""
     lateral: AbstractLateralLogic
-    downrange: Scalar = scalar(unit="m")
-    """Of the target"""
-    crossrange: Scalar = scalar(unit="m")
-    """Of the target, positive to the left"""
-    altitude: Scalar = scalar(unit="m")
-    """Of the target; a shape with two numbers meets it too"""
+    aim: Aim | TargetOfScenario = TargetOfScenario()
+    """Where it flies to; a shape with two numbers meets the altitude too"""
     angle_of_attack: AbstractProfile | None = None
     """rad, over the index; None for the angle of attack at which the vehicle trims, which
     is then taken for the rest of the flight too"""
@@ -292,7 +287,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             learnt = self._seen(self.wind, measurement, held.wind)
             _, decided = self._in_wind(learnt).update(time, measurement, memory, held)
             return (), dataclasses.replace(decided, wind=learnt)
-        state, planet = measurement.state, self.model.planet
+        state, planet, aim = measurement.state, self.model.planet, known_aim(self.aim)
         senses = measurement.drag > self.gate
         estimate = self._estimate(measurement, held.estimate, senses)
         sign, reverses_in = self._side(time, held)
@@ -317,9 +312,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                         time, measurement, estimate.ahead, numbers, sign, in_space=True
                     )
                     place, known, lasts = end.state, end.has_end, end.time
-                _, reached = ground_track(planet, self.origin, place)
+                _, reached = ground_track(planet, aim.origin, place)
                 error = jnp.where(
-                    known, reached - self.crossrange, unknown.crossrange_error
+                    known, reached - aim.crossrange, unknown.crossrange_error
                 )
                 return PredictedPassage(error, lasts)
 
@@ -327,7 +322,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             return where_due(senses, predict, unknown)
 
         destination = Destination(
-            planet, self.origin, self.downrange, self.crossrange, passage
+            planet, aim.origin, aim.downrange, aim.crossrange, passage
         )
         side = self.lateral.update(time, measurement, held.side, destination)
         since = self.index.value(planet, time, state)
@@ -497,13 +492,13 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
 
     def range_to_go(self, state: EntryState) -> Scalar:
         """Arc to the target, m; negative where it lies behind."""
-        radius = self.model.planet.radius
-        downrange, crossrange = ground_track(self.model.planet, self.origin, state)
+        radius, aim = self.model.planet.radius, known_aim(self.aim)
+        downrange, crossrange = ground_track(self.model.planet, aim.origin, state)
         # By half angles: a small distance from its own cosine would be lost in rounding.
-        along = sincos(0.5 * (self.downrange - downrange) / radius)[0]
-        across = sincos(0.5 * (self.crossrange - crossrange) / radius)[0]
+        along = sincos(0.5 * (aim.downrange - downrange) / radius)[0]
+        across = sincos(0.5 * (aim.crossrange - crossrange) / radius)[0]
         _, here = sincos(crossrange / radius)
-        _, there = sincos(self.crossrange / radius)
+        _, there = sincos(aim.crossrange / radius)
         half = safe_sqrt(across * across + here * there * along * along)
         return jnp.where(along < 0.0, -2.0, 2.0) * radius * arcsin(half)
 
@@ -545,6 +540,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         """The numbers after the corrections of a cycle, and 1 if the last prediction told
         nothing, else 0."""
         planet, shape, most = self.model.planet, self.shape, self.largest_step
+        aim = known_aim(self.aim)
         to_go = self.range_to_go(measurement.state)
         least, largest = (
             jnp.array(bounds) for bounds in zip(*shape.bounds, strict=True)
@@ -553,8 +549,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         def too_far(place: EntryState) -> Scalar:
             if not self.in_space:
                 return planet.radius * place.longitude - to_go
-            reached, _ = ground_track(planet, self.origin, place)
-            return reached - self.downrange
+            reached, _ = ground_track(planet, aim.origin, place)
+            return reached - aim.downrange
 
         def missed(numbers: Numbers) -> tuple[Numbers, _End]:
             if self.network is not None:
@@ -566,7 +562,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             end = self.predicted(
                 time, measurement, factors, numbers, sign, self.in_space, reverses_in
             )
-            high = end.state.altitude - self.altitude
+            high = end.state.altitude - aim.altitude
             both = too_far(end.state), self.altitude_weight * high
             goes_on = end.time > (self.steps - 1) * self.step
             skips = self.end.is_skip(end.ended_by)

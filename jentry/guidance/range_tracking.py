@@ -14,11 +14,12 @@ from .._newton import by_jvp, newton
 from ..fields import Scalar, scalar
 from ..motion.index import EnergyIndex
 from ..motion.quantities import ground_track
-from ..motion.state import Controls, EntryState
+from ..motion.state import Controls
 from ..onboard.model import OnboardModel, require_still_air
 from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
 from ..onboard.reference import DragReference
+from .aim import Aim, TargetOfScenario, known
 from .cycle import FixedCycle
 from .drag_tracking import (
     ErrorGains,
@@ -37,20 +38,6 @@ from .switching import AbstractSwitching, Sharp
 _NEWTON_STEPS = 4
 """From the end of the reference; with half of its density to twice of it the fourth is
 the last that matters: the miss at the end of a flight changes by less than a metre."""
-
-
-class Aim(eqx.Module):
-    """Where the law is to bring the vehicle; its own copy, which is never dispersed.
-
-    Guided flight ends at the first of the altitude and the velocity, and should then be
-    at the downrange and the crossrange, counted from the origin as in `ground_track`.
-    """
-
-    origin: EntryState
-    downrange: Scalar = scalar(unit="m")
-    crossrange: Scalar = scalar(unit="m")
-    altitude: Scalar = scalar(unit="m")
-    velocity: Scalar = scalar(unit="m/s", positive=True)
 
 
 class ScaleLimits(eqx.Module):
@@ -176,11 +163,11 @@ class RangeTracking(AbstractSampledLaw[ObserverState, HeldScale]):
     range_flown: AbstractProfile
     """Range that the reference has flown (m) over energy"""
     model: OnboardModel
-    aim: Aim
     limits: ScaleLimits
     lateral: AbstractLateralLogic
     switching: AbstractSwitching = Sharp()
     cycle: FixedCycle = FixedCycle(1.0)
+    aim: Aim | TargetOfScenario = TargetOfScenario()
 
     def __check_init__(self):
         if not isinstance(self.reference.index, EnergyIndex):
@@ -208,7 +195,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, HeldScale]):
         memory: ObserverState,
         held: HeldScale,
     ) -> tuple[ObserverState, HeldScale]:
-        aim, planet, state = self.aim, self.model.planet, measurement.state
+        aim, planet, state = known(self.aim), self.model.planet, measurement.state
         downrange, _ = ground_track(planet, aim.origin, state)
         range_to_go = aim.downrange - downrange
 

@@ -169,7 +169,7 @@ def predict_samples(
 
 
 def _law(scenario: Scenario) -> PredictorCorrector:
-    law = scenario.guidance
+    law = scenario.law
     if not isinstance(law, PredictorCorrector):
         raise ValueError(
             f"the law is {type(law).__name__}: expected a PredictorCorrector, whose "

@@ -131,10 +131,6 @@ def guided() -> Scenario:
             planet, there, first=FIRST_BANK, final=FINAL_BANK, largest=LARGEST_BANK
         ),
         end=GuidedEnd(altitude=END_ALTITUDE, ceiling=toolbox.CEILING),
-        origin=start,
-        downrange=downrange,
-        crossrange=crossrange,
-        altitude=END_ALTITUDE,
         lateral=lateral(),
         limits=PathLimits(),
         least_effect=LEAST_EFFECT,
@@ -168,14 +164,9 @@ def skip() -> Scenario:
     Far beyond it the ceiling would have to be higher.
     """
     return eqx.tree_at(
-        lambda s: (
-            s.guidance.downrange,
-            s.guidance.crossrange,
-            s.target.downrange,
-            s.target.crossrange,
-        ),
+        lambda s: (s.target.downrange, s.target.crossrange),
         guided(),
-        2 * tuple(map(jnp.asarray, (SKIP_RANGE, 0.0))),
+        (jnp.asarray(SKIP_RANGE), jnp.asarray(0.0)),
     )
 
 

@@ -40,17 +40,12 @@ def guided() -> Scenario:
     which end nearer the target and nearer the paper's heading.
     """
     paper = stored()
-    target = paper.target
     law = PredictorCorrector(
         model=OnboardModel(earth(), glider()),
         shape=TwoEndedBankShape(
             end=FINAL_VELOCITY, final=50.0 * degree, largest=LARGEST_BANK
         ),
         end=GuidedEnd(velocity=FINAL_VELOCITY),
-        origin=paper.initial_state,
-        downrange=target.downrange,
-        crossrange=target.crossrange,
-        altitude=target.altitude,
         lateral=PredictedCrossrange(factor=2.0, most=20.0),
         angle_of_attack=PolynomialProfile(jnp.array([ANGLE_OF_ATTACK])),
         damping=GlideDamping(lowest=math.cos(LARGEST_BANK)),

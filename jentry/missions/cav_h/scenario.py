@@ -181,6 +181,7 @@ def glide(
             downrange=RADIUS * TARGET_LATITUDE,
             flight_path_angle=arrival.flight_path_angle,
             heading=arrival.heading,
+            origin=start,
         ),
         accelerometers=Accelerometers(),
         constraints=constraints(),

@@ -4,6 +4,8 @@ Source: H. Yan, Y. He, "Drag-Tracking Guidance for Entry Vehicles Without Drag R
 Measurement". What the paper leaves open is stated where it is chosen.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
 
@@ -113,6 +115,15 @@ def entry() -> Scenario:
         target=Target(altitude=10.0 * km, velocity=END_VELOCITY, downrange=723.32 * km),
         dynamics=EquatorialDynamics(),
     )
+
+
+def to_the_place(scenario: Scenario) -> Scenario:
+    """The target as a place, which does not move with the start: for laws that fly there.
+
+    The paper's law knows no place. Its downrange is the range from where a flight starts.
+    """
+    target = dataclasses.replace(scenario.target, origin=scenario.initial_state)
+    return dataclasses.replace(scenario, target=target)
 
 
 @kept

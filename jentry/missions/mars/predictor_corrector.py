@@ -25,7 +25,7 @@ from ...motion.dynamics import AbstractDynamics, EntryDynamics, EquatorialDynami
 from ...onboard.model import OnboardModel
 from ...onboard.network import Network, load_network, save_network
 from ...units import km
-from .drag_tracking import entry, independent
+from .drag_tracking import entry, independent, to_the_place
 
 
 FOLDER = Path(__file__).parent / "networks"
@@ -42,14 +42,10 @@ def _guided(dynamics: AbstractDynamics, lateral: AbstractLateralLogic) -> Scenar
         model=OnboardModel(start.planet, start.vehicle),
         shape=ConstantBankShape(),
         end=GuidedEnd(target.velocity, target.altitude, ceiling=135.0 * km),
-        origin=start.initial_state,
-        downrange=target.downrange,
-        crossrange=target.crossrange,
-        altitude=target.altitude,
         lateral=lateral,
         in_space=dynamics.has_crossrange,
     )
-    guided = eqx.tree_at(lambda s: s.guidance, start, law)
+    guided = eqx.tree_at(lambda s: s.guidance, to_the_place(start), law)
     return dataclasses.replace(guided, dynamics=dynamics)
 
 

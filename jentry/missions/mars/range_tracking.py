@@ -12,7 +12,7 @@ from ..._computed_once import computed_once
 from ..._programs import kept
 from ...flight.scenario import Scenario
 from ...guidance.lateral import CrossrangeCorridor
-from ...guidance.range_tracking import Aim, RangeTracking, ScaleLimits
+from ...guidance.range_tracking import RangeTracking, ScaleLimits
 from ...motion.dynamics import EntryDynamics, EquatorialDynamics
 from ...motion.index import EnergyIndex
 from ...motion.quantities import ground_track
@@ -31,6 +31,7 @@ from .drag_tracking import (
     nominal_gains,
     nominal_observer,
     reference,
+    to_the_place,
 )
 
 
@@ -76,24 +77,16 @@ def three_dimensional() -> Scenario:
     """
     start = entry()
     drag, range_flown = _reference()
-    target = start.target
     law = RangeTracking(
         gains=nominal_gains(),
         observer=nominal_observer(),
         reference=drag,
         range_flown=range_flown,
         model=OnboardModel(start.planet, start.vehicle),
-        aim=Aim(
-            origin=start.initial_state,
-            downrange=target.downrange,
-            crossrange=target.crossrange,
-            altitude=target.altitude,
-            velocity=target.velocity,
-        ),
         limits=ScaleLimits(lower=0.5, upper=2.0, last_range=LAST_RANGE),
         lateral=CrossrangeCorridor(floor=300.0, widening=4e-4),
     )
-    guided = eqx.tree_at(lambda s: s.guidance, start, law)
+    guided = eqx.tree_at(lambda s: s.guidance, to_the_place(start), law)
     return dataclasses.replace(guided, dynamics=EntryDynamics())
 
 

@@ -1,6 +1,6 @@
 """RLV, numerical predictor-corrector: to a point, through the attitude that lags."""
 
-import equinox as eqx
+import dataclasses
 
 from ...flight.scenario import Scenario
 from ...guidance.bank_shapes import LinearBankShape
@@ -19,7 +19,6 @@ from .scenario import (
     entry,
     model,
     plan,
-    start,
 )
 
 
@@ -43,10 +42,6 @@ def guided() -> Scenario:
             end=END_VELOCITY, final=45.0 * degree, largest=LARGEST_BANK
         ),
         end=GuidedEnd(velocity=END_VELOCITY, ceiling=130.0 * km),
-        origin=start(),
-        downrange=RANGE,
-        crossrange=0.0,
-        altitude=0.0,
         lateral=PredictedCrossrange(factor=10.0, foresees=True),
         angle_of_attack=table.profile("angle_of_attack"),
         turning=BankTurning(TURN_RATE, TURN_ACCELERATION),
@@ -55,4 +50,8 @@ def guided() -> Scenario:
         step=5.0,
         steps=400,
     )
-    return eqx.tree_at(lambda s: s.target.downrange, entry(law, 5.0), RANGE)
+    scenario = entry(law, 5.0)
+    target = dataclasses.replace(
+        scenario.target, downrange=RANGE, origin=scenario.initial_state
+    )
+    return dataclasses.replace(scenario, target=target)

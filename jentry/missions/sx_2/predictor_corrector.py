@@ -9,7 +9,7 @@ from ...guidance.lateral import PredictedCrossrange
 from ...guidance.path_limits import PathLimits
 from ...guidance.predictor_corrector import PredictorCorrector
 from ...units import degree
-from .scenario import energies, full, reference_controls, start, track_model
+from .scenario import energies, full, reference_controls, track_model
 
 
 def guided() -> Scenario:
@@ -20,16 +20,11 @@ def guided() -> Scenario:
     Six reversals are enough for a target that lies 145 n mile to one side.
     """
     scenario, (_, last) = full(), energies()
-    target = scenario.target
     angle, _ = reference_controls()
     law = PredictorCorrector(
         model=track_model().onboard,
         shape=LinearBankShape(end=last, final=25.0 * degree, largest=80.0 * degree),
         end=GuidedEnd(energy=last),
-        origin=start(),
-        downrange=target.downrange,
-        crossrange=target.crossrange,
-        altitude=target.altitude,
         lateral=PredictedCrossrange(factor=5.0),
         angle_of_attack=angle,
         limits=PathLimits(),

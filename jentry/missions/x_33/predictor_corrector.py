@@ -14,7 +14,7 @@ from ...guidance.predictor_corrector import PredictorCorrector
 from ...motion.index import VelocityIndex
 from ...units import degree
 from .airframe import ScheduledAngleOfAttack
-from .scenario import LAST_VELOCITY, glide, glide_in_space, model, reference, start
+from .scenario import LAST_VELOCITY, glide, glide_in_space, model
 
 
 STEP = 0.5
@@ -32,17 +32,12 @@ def _guided(
     largest_bank: float = 80.0 * degree,
     prediction_step: float = 5.0,
 ) -> Scenario:
-    of = reference()
     law = PredictorCorrector(
         model=model().onboard,
         shape=TwoEndedBankShape(
             end=LAST_VELOCITY, final=45.0 * degree, largest=largest_bank
         ),
         end=GuidedEnd(velocity=LAST_VELOCITY),
-        origin=start(of),
-        downrange=of.end.downrange,
-        crossrange=0.0,
-        altitude=of.end.altitude,
         lateral=lateral,
         angle_of_attack=ScheduledAngleOfAttack(),
         limits=limits,
