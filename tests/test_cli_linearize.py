@@ -59,7 +59,7 @@ def test_every_option_of_linearize_arrives(command, monkeypatch, tmp_path):
     scenario, index, points = seen["given"]
     assert isinstance(index, DownrangeIndex) and points == 20
     assert float(scenario.vehicle.mass) == 800.0
-    assert index.origin is scenario.initial_state
+    assert index.origin is scenario.target.origin
 
 
 def test_linearize_refuses_what_is_no_figure_or_index(command):

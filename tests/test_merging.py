@@ -1,5 +1,6 @@
 """Parts of a campaign on several machines: the same numbers, and nothing else taken in."""
 
+import json
 import os
 import signal
 import subprocess
@@ -13,6 +14,7 @@ import xarray
 from commands import assert_refused, monte_carlo
 
 from jentry.campaign import CampaignError, merge_campaigns, open_campaign
+from jentry.campaign.merging import slices_lacking
 from jentry.campaign.store import runs_of_part
 
 
@@ -98,7 +100,7 @@ def test_a_damaged_part_is_not_taken_in(tmp_path):
     path.write_bytes(bytes(contents))
     with pytest.raises(CampaignError, match="not as this campaign has written"):
         merge_campaigns(tmp_path / "out", [one, other])
-    assert merge_campaigns(tmp_path / "out", [one]) == (2, 0)
+    assert merge_campaigns(tmp_path / "out", [one]) == (2, 2)
 
 
 def test_slices_by_the_command(command, tmp_path):
@@ -112,16 +114,38 @@ def test_slices_by_the_command(command, tmp_path):
         assert not (folder / "summary.json").exists()
         folders.append(folder)
     code, printed, _ = command("merge", tmp_path / "all", *folders)
-    assert (
-        code == 0
-        and printed == f"stored: {tmp_path / 'all'}, 5 runs, the last of them 4\n"
-    )
+    assert code == 0 and printed == f"stored: {tmp_path / 'all'}, 5 of 5 runs\n"
     words = ("--runs", 5, "--seed", 7, "--out", tmp_path / "same")
     monte_carlo(command, *words)
     same = open_campaign(tmp_path / "same")
     xarray.testing.assert_identical(open_campaign(tmp_path / "all"), same)
     code, printed, _ = command("report", tmp_path / "all", "--no-figures")
     assert code == 0 and "5 of 5 runs" in printed
+
+
+def test_a_merged_half_says_which_slices_lack(command, tmp_path):
+    """The last slice too, of which nothing that is there could tell."""
+    parts(tmp_path, 3, 11)
+    names = sorted(path for path in tmp_path.iterdir() if path.is_dir())
+    first = names[0]
+    assert merge_campaigns(tmp_path / "all", [first]) == (3, 8)
+    assert slices_lacking(tmp_path / "all") == ["2/3", "3/3"]
+    code, printed, _ = command("merge", tmp_path / "all", names[1])
+    assert code == 0 and "stored: " in printed and "7 of 11 runs" in printed
+    assert "4 runs are not there yet, of slices 3/3" in printed
+    assert merge_campaigns(tmp_path / "all", names[2:3]) == (11, 0)
+    assert slices_lacking(tmp_path / "all") == []
+
+
+def test_a_note_of_slices_that_lies_is_refused(tmp_path):
+    one, _ = parts(tmp_path, 2, 4)
+    note = one / "slices.json"
+    told = json.loads(note.read_text())
+    assert (told["runs"], told["count"]) == (4, 2)
+    for wrong in ({**told, "campaign": "0"}, {**told, "count": 0}, [1]):
+        note.write_text(json.dumps(wrong))
+        with pytest.raises(CampaignError, match="slices.json is damaged"):
+            merge_campaigns(tmp_path / "out", [one])
 
 
 @pytest.mark.parametrize(

@@ -175,7 +175,7 @@ def test_mars(variant, unplanned):
 
 def test_mars_in_three_dimensions(unplanned):
     """The gains are those of the nominal study: the mission says why."""
-    aim = mars_target("guidance.aim") | mars_entry("guidance.aim.origin")
+    aim = mars_entry("target.origin")
     for variant, dynamics in (
         ("three-dimensional", EntryDynamics),
         ("in-plane", EquatorialDynamics),
@@ -186,9 +186,8 @@ def test_mars_in_three_dimensions(unplanned):
 
 
 def test_mars_by_a_predictor_corrector():
-    """To the target of the paper, which the law knows as its own."""
-    aim = mars_entry("guidance.origin") | mars_target("guidance")
-    aim = {a: value for a, value in aim.items() if a != "guidance.velocity"}
+    """To the target of the paper, which the law reads from the scenario."""
+    aim = mars_entry("target.origin")
     target = YAN_HE["target"]
     ends = {"velocity": target["velocity_m_s"], "altitude": target["altitude_m"]}
     expected = mars_world() | mars_world("guidance.model.") | mars_entry()
@@ -374,13 +373,13 @@ def test_cav_h_by_a_predictor_corrector():
         scenario,
         theirs
         | below(
-            "guidance",
+            "target",
             downrange=assumed["radius_m"] * assumed["target_latitude_deg"] * degree,
             crossrange=0.0,
             altitude=target["altitude_m"],
         )
         | below(
-            "guidance.origin",
+            "target.origin",
             longitude=0.0,
             latitude=0.0,
             heading=start["heading_deg"] * degree,

@@ -14,6 +14,7 @@ from helpers import (
     ahead,
     along_each,
     fly_compiled,
+    mars_entry,
     predictor_corrector,
     with_leaf,
 )
@@ -24,6 +25,7 @@ from jentry._computed_once import computed_once
 from jentry.campaign import monte_carlo
 from jentry.flight import FixedStep, Outcome, fly, misses
 from jentry.guidance import (
+    Aim,
     AngleOfAttackProfile,
     BankProfile,
     ConstantBankShape,
@@ -147,7 +149,7 @@ def in_space():
 
 
 def start_of(scenario):
-    law = scenario.guidance
+    law = scenario.law
     angle = scenario.vehicle.trim_angle_of_attack
     return measure(law.model.planet, law.model.vehicle, scenario.initial_state, angle)
 
@@ -163,7 +165,7 @@ def predicted(
 def test_what_is_predicted_is_flown():
     """Open loop under the same bank, in the steps of the simulation, to its end."""
     scenario = in_plane()
-    law = dataclasses.replace(scenario.guidance, step=1.0, steps=400)
+    law = dataclasses.replace(scenario.law, step=1.0, steps=400)
     end = predicted(law, start_of(scenario), jnp.array([0.8]), 1.0, False)
     held = eqx.tree_at(
         lambda s: s.guidance, scenario, BankProfile(PolynomialProfile([0.6]))
@@ -180,7 +182,7 @@ def turning_from(bank):
     """The law with a bank that turns by a degree a second, and what it senses."""
     scenario = in_space()
     turning = BankTurning(1.0 * degree, 5.0 * degree)
-    law = dataclasses.replace(scenario.guidance, turning=turning, step=2.0, steps=200)
+    law = dataclasses.replace(scenario.law, turning=turning, step=2.0, steps=200)
     swing = Swing(number(bank * degree), number(0.0))
     return law, dataclasses.replace(start_of(scenario), bank=swing)
 
@@ -207,7 +209,7 @@ def test_what_is_predicted_while_the_bank_turns_is_flown():
     flown = fly_compiled(
         dataclasses.replace(in_space(), guidance=bank, attitude=attitude)
     )
-    at_once = predicted(in_space().guidance, seen, jnp.array([0.75]), 1.0, True)
+    at_once = predicted(in_space().law, seen, jnp.array([0.75]), 1.0, True)
     radius = float(in_space().planet.radius)
     off, moved = (
         [radius * float(getattr(a, axis) - getattr(b.state, axis)) for axis in AXES]
@@ -255,7 +257,7 @@ def test_a_flight_has_its_derivatives_where_reversals_are_foreseen():
     reach = Response(1.0, 1.0, 10.0 * degree, 5.0 * degree, -math.pi, math.pi)
     attitude = SecondOrderAttitude(dataclasses.replace(reach, frequency=2.0), reach)
     law = dataclasses.replace(
-        in_space().guidance,
+        in_space().law,
         corrections=1,
         turning=BankTurning(10.0 * degree, 5.0 * degree),
         lateral=PredictedCrossrange(factor=3.0, foresees=True),
@@ -283,7 +285,7 @@ def test_a_bank_that_is_flown_at_once_has_no_turning():
 @pytest.mark.slow
 def test_what_is_predicted_with_an_angle_of_attack_is_flown():
     scenario = x_33()
-    law = scenario.guidance
+    law = scenario.law
     angle = AngleOfAttackProfile(law.angle_of_attack)
     cosine = math.cos(40 * degree)
     bank = BankProfile(PolynomialProfile([cosine]))
@@ -303,7 +305,7 @@ def test_what_is_predicted_with_an_angle_of_attack_is_flown():
 def test_side_of_the_bank_is_that_of_the_predicted_crossrange():
     scenario = in_space()
     ends = [
-        predicted(scenario.guidance, start_of(scenario), jnp.array([0.7]), sign, True)
+        predicted(scenario.law, start_of(scenario), jnp.array([0.7]), sign, True)
         for sign in (1.0, -1.0)
     ]
     right, left = (float(end.state.latitude) for end in ends)
@@ -312,7 +314,7 @@ def test_side_of_the_bank_is_that_of_the_predicted_crossrange():
 
 
 def test_factors_are_those_of_the_prediction():
-    law, seen = in_plane().guidance, start_of(in_plane())
+    law, seen = in_plane().law, start_of(in_plane())
     thicker = Factors(1.2, 1.2)
     by_factor = predicted(law, seen, jnp.array([0.8]), 1.0, False, thicker)
     denser = with_leaf(law, lambda law: law.model.planet.density_scale, 1.2)
@@ -325,9 +327,8 @@ def test_factors_are_those_of_the_prediction():
 
 @pytest.mark.parametrize("bearing", [0.0, 35.0, -60.0, 170.0])
 def test_range_to_go_is_the_arc_to_the_target(bearing):
-    law = dataclasses.replace(
-        predictor_corrector(), downrange=900 * km, crossrange=-120 * km
-    )
+    aim = Aim(mars_entry(), 900 * km, -120 * km, 10 * km, 503.0)
+    law = dataclasses.replace(predictor_corrector(), aim=aim)
     radius = float(law.model.planet.radius)
     # The target by the textbook: east along the equator, then to the right, to the south.
     target = 900 * km / radius / degree, -120 * km / radius / degree
@@ -359,14 +360,14 @@ def underway():
     """The nominal flight, and what is measured after 80 s of it."""
     flight = fly_compiled(in_plane(), FixedStep(), 10.0)
     state = jax.tree.map(lambda x: x[8], flight.history.states)
-    model = in_plane().guidance.model
+    model = in_plane().law.model
     angle = in_plane().vehicle.trim_angle_of_attack
     return flight, measure(model.planet, model.vehicle, state, angle)
 
 
 @pytest.mark.slow
 def test_a_decision_is_a_zero_of_the_prediction():
-    law, (_, seen) = in_plane().guidance, underway()
+    law, (_, seen) = in_plane().law, underway()
     numbers = jnp.array([0.7])
     for _ in range(4):
         numbers = after(law, seen, numbers).numbers
@@ -377,8 +378,8 @@ def test_a_decision_is_a_zero_of_the_prediction():
 
 @pytest.mark.parametrize(("share", "best"), [(0.2, 0.0), (3.0, 1.0)])
 def test_what_cannot_be_reached_saturates_on_the_side_that_comes_nearest(share, best):
-    law, (_, seen) = in_plane().guidance, underway()
-    law = with_leaf(law, lambda law: law.downrange, share * 723.32 * km)
+    law, (_, seen) = in_plane().law, underway()
+    law = with_leaf(law, lambda law: law.aim.downrange, share * 723.32 * km)
     numbers = jnp.array([0.5])
     for _ in range(3):
         held = after(law, seen, numbers)
@@ -390,15 +391,15 @@ def test_what_cannot_be_reached_saturates_on_the_side_that_comes_nearest(share, 
 
 
 def test_before_there_is_air_nothing_is_decided():
-    law = in_plane().guidance
+    law = in_plane().law
     held = after(law, start_of(in_plane()), jnp.array([0.3]))
     assert float(held.numbers[0]) == 0.3
     assert float(held.decisions) == 0.0
 
 
 def test_where_the_number_can_do_little_it_stays():
-    law, (_, seen) = in_plane().guidance, underway()
-    law = with_leaf(law, lambda law: law.downrange, law.downrange + 2 * km)
+    law, (_, seen) = in_plane().law, underway()
+    law = with_leaf(law, lambda law: law.aim.downrange, law.aim.downrange + 2 * km)
     assert float(after(law, seen, jnp.array([0.7])).numbers[0]) != 0.7
     # Effects are of some hundreds of km: none of them is enough, nor is the miss.
     lazy = with_leaf(law, lambda law: law.least_effect, 1e9)
@@ -411,11 +412,11 @@ def test_a_flight_that_skips_out_goes_too_far():
     shallow = with_leaf(
         scenario, lambda s: s.initial_state.flight_path_angle, -4.0 * degree
     )
-    law = with_leaf(shallow.guidance, lambda law: law.gate, 1e-12)
+    law = with_leaf(shallow.law, lambda law: law.gate, 1e-12)
     seen = start_of(shallow)
     end = predicted(law, seen, jnp.array([1.0]), 1.0, False)
     assert bool(law.end.is_skip(end.ended_by))
-    far = with_leaf(law, lambda law: law.downrange, 1e7)
+    far = with_leaf(law, lambda law: law.aim.downrange, 1e7)
     held = after(far, seen, jnp.array([1.0]))
     assert float(held.numbers[0]) == pytest.approx(1.0 - 2 * 0.3, abs=1e-12)
     assert float(held.without_prediction) == 0.0
@@ -423,14 +424,14 @@ def test_a_flight_that_skips_out_goes_too_far():
 
 @pytest.mark.slow
 def test_a_flight_that_outlasts_its_steps_goes_too_far():
-    law, (_, seen) = in_plane().guidance, underway()
+    law, (_, seen) = in_plane().law, underway()
     short = dataclasses.replace(law, steps=8, step=1.0)
     held = after(short, seen, jnp.array([0.7]))
     assert float(held.numbers[0]) == pytest.approx(0.7 - 2 * 0.3, abs=1e-12)
 
 
 def test_without_a_prediction_the_numbers_stay_and_it_is_said():
-    law, (_, seen) = in_plane().guidance, underway()
+    law, (_, seen) = in_plane().law, underway()
     lost = with_leaf(law, lambda law: law.model.vehicle.mass, jnp.nan)
     held = after(lost, seen, jnp.array([0.7]))
     assert float(held.numbers[0]) == 0.7
@@ -458,7 +459,7 @@ def test_what_cannot_predict_is_refused(changes, said):
 def test_a_plane_over_a_planet_that_turns_is_that_of_the_great_circle():
     """By scipy: polar coordinates in the plane, of the air that turns with the planet."""
     mission = find_mission("cav-h-glide").scenario("undamped")
-    planet, craft, law = mission.planet, mission.vehicle, mission.guidance
+    planet, craft, law = mission.planet, mission.vehicle, mission.law
     turns, heading, latitude = float(planet.rotation_rate), 1.1, 0.5
     state = dataclasses.replace(
         mission.initial_state,

@@ -484,7 +484,7 @@ class Correcting(AbstractSampledLaw[tuple[()], Held]):
 
 def correcting() -> "eqx.Module":
     scenario = range_tracking.in_plane()
-    law = scenario.guidance
+    law = scenario.law
     believed = OnboardModel(law.model.planet, law.model.vehicle)
     law = Correcting(believed, law.aim.origin, law.aim.downrange)
     return dataclasses.replace(scenario, guidance=law)

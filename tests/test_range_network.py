@@ -59,7 +59,7 @@ def summed(constant=0.0, ranges=ALL, **weights):
 def linear(constant=0.0, ranges=ALL, across=None, **weights):
     """In three dimensions with a network of what leads to the side."""
     network = summed(constant, ranges, **weights)
-    return RangeNetwork(network, of(in_plane().guidance), across)
+    return RangeNetwork(network, of(in_plane().law), across)
 
 
 def of(law):
@@ -79,7 +79,7 @@ def in_space():
 
 def underway(velocity=3000.0, altitude=30e3, law=None):
     """What is measured by the nominal vehicle some way down."""
-    law = in_plane().guidance if law is None else law
+    law = in_plane().law if law is None else law
     model = law.model
     state = jentry.EntryState(altitude, 0.1, 0.0, velocity, -0.1, jnp.pi / 2)
     state = jax.tree.map(jnp.asarray, state)
@@ -89,7 +89,7 @@ def underway(velocity=3000.0, altitude=30e3, law=None):
 
 
 def asked(network, number=0.5, velocity=3000.0, factors=Factors()):
-    law, seen = in_plane().guidance, underway(velocity)
+    law, seen = in_plane().law, underway(velocity)
     factors = jax.tree.map(jnp.asarray, factors)
     given = law.model, seen.state, seen.angle_of_attack, factors, jnp.asarray(number)
     return network(*given, law.end.first())
@@ -99,12 +99,12 @@ def test_range_is_that_of_the_mean_deceleration():
     """Of 10 m/s2 from 3000 m/s down to 503: x = (v^2 - v_f^2) / (2 a)."""
     answer = asked(linear(np.log(10.0)))
     assert bool(answer.knows)
-    end = float(in_plane().guidance.end.velocity)
+    end = float(in_plane().law.end.velocity)
     assert float(answer.range) == pytest.approx((3000.0**2 - end**2) / 20.0, rel=1e-12)
 
 
 def test_inputs_are_what_their_names_say():
-    law, seen = in_plane().guidance, underway()
+    law, seen = in_plane().law, underway()
     factors = Factors(jnp.asarray(1.2), jnp.asarray(0.8))
     read = features(
         law.model, seen.state, seen.angle_of_attack, factors, jnp.asarray(0.3)
@@ -170,7 +170,7 @@ def test_another_network_is_refused():
     ],
 )
 def test_of_another_model_or_end_it_knows_nothing(address):
-    law, seen = in_plane().guidance, underway()
+    law, seen = in_plane().law, underway()
     other = replace_leaves(law, {address: 1.0001 * leaves_by_address(law)[address]})
     for asked_about, knows in ((law, True), (other, False)):
         answer = linear(2.0)(
@@ -197,7 +197,7 @@ def leading_aside(ranges=ALL):
 def test_to_the_side_it_is_that_of_a_turn(number):
     """y / x = L/D / 2 sin(bank) ln(v / v_f), with a cosine of the bank of 2 number - 1."""
     answer = asked(leading_aside(), number)
-    end = float(in_plane().guidance.end.velocity)
+    end = float(in_plane().law.end.velocity)
     turn = np.sin(np.arccos(2.0 * number - 1.0)) * np.log(3000.0 / end)
     expected = HALF_LIFT_TO_DRAG * turn * float(answer.range)
     assert bool(answer.knows)
@@ -208,7 +208,7 @@ def test_to_the_side_it_is_that_of_a_turn(number):
 def aside(seen, number, sign):
     """Downrange and crossrange of the end, by vectors: from the place along the heading by
     the range, then at right angles by what leads to the side."""
-    law = in_space().guidance
+    law = in_space().law
     radius, end = float(law.model.planet.radius), float(law.end.velocity)
     longitude, latitude = float(seen.state.longitude), float(seen.state.latitude)
     heading, velocity = float(seen.state.heading), float(seen.state.velocity)
@@ -241,13 +241,13 @@ def aimed(crossrange=0.0, network=None, **changes):
         seen.state, latitude=jnp.asarray(0.01), heading=jnp.asarray(np.radians(82.0))
     )
     law = dataclasses.replace(
-        in_space().guidance,
+        in_space().law,
         network=leading_aside() if network is None else network,
-        crossrange=crossrange,
+        aim=dataclasses.replace(in_space().law.aim, crossrange=crossrange),
         corrections=8,
         **changes,
     )
-    origin = law.origin
+    origin = law.aim.origin
     assert (float(origin.longitude), float(origin.latitude)) == (0.0, 0.0)
     assert float(origin.heading) == pytest.approx(np.pi / 2)
     return law, dataclasses.replace(seen, state=state)
@@ -267,7 +267,7 @@ def test_a_decision_in_three_dimensions_is_that_of_the_network(nearer):
     number = float(decided(law, seen)[1].numbers[0])
     assert 0.05 < number < 0.95
     passed = [aside(seen, number, sign) for sign in (1.0, -1.0)]
-    assert passed[0][0] == pytest.approx(float(law.downrange), abs=1e-3)
+    assert passed[0][0] == pytest.approx(float(law.aim.downrange), abs=1e-3)
     right, left = (crossrange for _, crossrange in passed)
     assert right < left - 10e3
     law, _ = aimed(right + 100.0 if nearer == "to the right" else left + 100.0)
@@ -315,7 +315,7 @@ def test_what_one_of_two_networks_does_not_know_is_not_known(which):
     slow = [*ALL[:1], (0.5, 2.0), *ALL[2:]]
     ahead = summed(2.9, slow if which == "ahead" else ALL, number=-1.0)
     across = summed(np.log(0.1), slow if which == "across" else ALL)
-    network = RangeNetwork(ahead, of(in_plane().guidance), across)
+    network = RangeNetwork(ahead, of(in_plane().law), across)
     law, seen = aimed(100e3, network)
     before, after = decided(law, seen)
     assert float(after.numbers[0]) == float(before.numbers[0])
@@ -382,7 +382,7 @@ def test_a_network_in_three_dimensions_is_refused_where_it_is_wrong(change, said
 
 
 def with_network(network, **changes):
-    return dataclasses.replace(in_plane().guidance, network=network, **changes)
+    return dataclasses.replace(in_plane().law, network=network, **changes)
 
 
 def test_a_decision_is_where_the_network_says_that_the_target_is():
@@ -422,7 +422,7 @@ def test_where_the_network_knows_nothing_the_number_stays_and_it_is_said():
 
 
 def test_a_network_of_another_prediction_is_refused():
-    law = in_plane().guidance
+    law = in_plane().law
     for changes in (
         {"in_space": True},
         {"damping": GlideDamping()},
@@ -446,7 +446,7 @@ def test_shipped_network_says_how_it_was_trained():
     assert card["command"].startswith("jentry train mars-range-tracking --seed 0 ")
     low, high = card["inputs"]["number of the bank"]
     assert (low, high) == (0.0, 1.0)  # where a number saturates it is known
-    np.testing.assert_allclose(network.of, of(in_plane().guidance), rtol=1e-9)
+    np.testing.assert_allclose(network.of, of(in_plane().law), rtol=1e-9)
 
 
 def test_a_file_that_does_not_say_what_it_is_of_is_refused(tmp_path):
@@ -465,7 +465,7 @@ def test_shipped_networks_in_three_dimensions_say_how_they_were_trained():
         _, of_the_plane = load_network(mars.FOLDER / "range.npz")
         assert card["command"] == of_the_plane["command"]
         assert card["inputs"]["number of the bank"] == [0.0, 1.0]
-    np.testing.assert_allclose(network.of, of(in_space().guidance), rtol=1e-9)
+    np.testing.assert_allclose(network.of, of(in_space().law), rtol=1e-9)
 
 
 def test_networks_that_do_not_belong_together_are_refused(tmp_path):
@@ -495,7 +495,7 @@ def samples():
 
 @pytest.mark.slow
 def test_samples_are_predictions(samples):
-    law = in_plane().guidance
+    law = in_plane().law
     predict = eqx.filter_jit(law.predicted)
     for index in range(0, len(samples), len(samples) // 20):
         one = jax.tree.map(jnp.asarray, samples.of(np.array([index])))
@@ -515,7 +515,7 @@ def test_samples_are_predictions(samples):
 
 def errors(network, samples):
     """Magnitudes, m; NaN where the network knows nothing."""
-    law = in_plane().guidance
+    law = in_plane().law
     angle, end = law.model.vehicle.trim_angle_of_attack, law.end.first()
 
     @eqx.filter_jit
@@ -583,7 +583,7 @@ def samples_in_space():
 @pytest.mark.slow
 def test_samples_in_three_dimensions_are_predictions_to_either_side(samples_in_space):
     """From another place, with another heading and to the other side, seen from there."""
-    law, samples = in_space().guidance, samples_in_space
+    law, samples = in_space().law, samples_in_space
     planet, angle = law.model.planet, law.model.vehicle.trim_angle_of_attack
     predict = eqx.filter_jit(law.predicted)
     for index in range(0, len(samples), len(samples) // 10):
@@ -609,7 +609,7 @@ def test_shipped_networks_in_three_dimensions_are_as_good_as_their_cards_say(
     samples_in_space,
 ):
     samples = samples_in_space
-    law, network = in_space().guidance, mars.range_network_in_space()
+    law, network = in_space().law, mars.range_network_in_space()
     angle, end = law.model.vehicle.trim_angle_of_attack, law.end.first()
 
     @eqx.filter_jit
@@ -661,7 +661,7 @@ def test_only_predictions_of_a_constant_bank_can_be_learnt():
         shape = ConstantBankShape(lowest=-0.5)
         learnt(dataclasses.replace(in_space().guidance, shape=shape))
     for change in (turning, windy):
-        for law in (in_space().guidance, in_plane().guidance):
+        for law in (in_space().law, in_plane().law):
             with pytest.raises(
                 ValueError, match="learnt that are alike in every direction"
             ):

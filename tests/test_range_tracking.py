@@ -124,7 +124,7 @@ def scale_by_search(law, now, range_to_go, drag_factor):
 def test_scale_is_that_of_the_profile_that_ends_at_the_target(
     drag_factor, second, range_share
 ):
-    law = mars_range_tracking.in_plane().guidance
+    law = mars_range_tracking.in_plane().law
     state = state_at(nominal(), second)
     downrange, _ = ground_track(law.model.planet, law.aim.origin, state)
     range_to_go = range_share * (law.aim.downrange - downrange)
@@ -141,7 +141,7 @@ def test_scale_is_that_of_the_profile_that_ends_at_the_target(
 @pytest.mark.slow
 @pytest.mark.parametrize("second", [45, 60, 100, 150, 190])
 def test_nominal_flight_keeps_the_reference_as_it_is(second):
-    law = mars_range_tracking.in_plane().guidance
+    law = mars_range_tracking.in_plane().law
     measurement = sensed(mars_range_tracking.in_plane(), state_at(nominal(), second))
     memory, held = law.init(measurement)
     _, decided = law.update(jnp.asarray(0.0), measurement, memory, held)
@@ -163,7 +163,7 @@ def test_nominal_flight_ends_at_the_target():
 
 
 def test_observer_sees_no_step_when_the_scale_jumps():
-    law = scenario().guidance
+    law = scenario().law
     thick = with_leaf(scenario(), lambda s: s.planet.density_scale, 1.2)
     measurement = sensed(thick, state_at(nominal(), 80))
     memory, held = law.init(measurement)
@@ -194,7 +194,7 @@ def test_observer_sees_no_step_when_the_scale_jumps():
     ("second", "held_on"), [(10, True), (60, False), (200, False), (222, True)]
 )
 def test_scale_is_held_before_the_gate_and_close_to_the_end(second, held_on):
-    law = scenario().guidance
+    law = scenario().law
     measurement = sensed(scenario(), state_at(nominal(), second))
     memory, held = law.init(measurement)
     held = with_leaf(held, lambda h: h.scale, 1.3)
@@ -206,7 +206,7 @@ def test_scale_is_held_before_the_gate_and_close_to_the_end(second, held_on):
     ("share", "limit"), [(4.0, "lower"), (0.6, "upper")], ids=["far", "near"]
 )
 def test_scale_stays_within_its_limits(share, limit):
-    law = scenario().guidance
+    law = scenario().law
     state = state_at(nominal(), 100)
     downrange, _ = ground_track(law.model.planet, law.aim.origin, state)
     aim = downrange + share * (law.aim.downrange - downrange)
@@ -220,7 +220,7 @@ def test_scale_stays_within_its_limits(share, limit):
 
 
 def test_lift_to_drag_ratio_is_sensed():
-    law = scenario().guidance
+    law = scenario().law
     weak = with_leaf(scenario(), lambda s: s.vehicle.lift_scale, 0.8)
     measurement = sensed(weak, state_at(nominal(), 70))
     memory, held = law.init(measurement)
@@ -241,7 +241,7 @@ def decided_from(law, second, lift=1.0, drag=1.0, held=None):
 
 def test_ratio_and_density_are_those_that_are_sensed():
     """Whatever makes them so: the law has its own model, and its sensors."""
-    law = scenario().guidance
+    law = scenario().law
     measurement, (_, decided) = decided_from(law, 70, lift=0.7, drag=1.2)
     np.testing.assert_allclose(decided.lift_factor, 0.7 / 1.2, rtol=1e-12)
     downrange, _ = ground_track(law.model.planet, law.aim.origin, measurement.state)
@@ -254,7 +254,7 @@ def test_ratio_and_density_are_those_that_are_sensed():
 
 @pytest.mark.parametrize(("second", "held_on"), [(10, True), (60, False), (222, False)])
 def test_ratio_is_held_before_the_gate_only(second, held_on):
-    law = scenario().guidance
+    law = scenario().law
     held = lambda h: with_leaf(h, lambda h: h.lift_factor, 1.3)
     _, (_, decided) = decided_from(law, second, lift=0.9, held=held)
     np.testing.assert_allclose(decided.lift_factor, 1.3 if held_on else 0.9, rtol=1e-12)
@@ -262,7 +262,7 @@ def test_ratio_is_held_before_the_gate_only(second, held_on):
 
 def test_bank_is_computed_with_the_sensed_ratio():
     """As by the law in the plane whose model has that ratio, which knows no factor."""
-    law = scenario().guidance
+    law = scenario().law
     measurement, _ = decided_from(law, 70)
     time = jnp.asarray(70.0)
     memory, held = law.init(measurement)
@@ -296,7 +296,7 @@ def test_bank_is_reversed_where_the_flight_would_pass_the_aim(
 ):
     """A metre beyond the corridor about the aim, and a metre within it; to the left of
     the aim it turns to the right, which is positive."""
-    law = scenario().guidance
+    law = scenario().law
     state = state_at(nominal(), 100)
     velocity = float(state.velocity)
     downrange, _ = ground_track(law.model.planet, law.aim.origin, state)
@@ -315,7 +315,7 @@ def test_bank_is_reversed_where_the_flight_would_pass_the_aim(
 
 
 def test_the_first_bank_is_to_the_chosen_side():
-    law = scenario().guidance
+    law = scenario().law
     for side in (1.0, -1.0):
         chosen = with_leaf(law, lambda law: law.lateral.first_sign, side)
         measurement = sensed(scenario(), state_at(nominal(), 60))
@@ -327,7 +327,7 @@ def test_the_first_bank_is_to_the_chosen_side():
 
 
 def test_range_flown_is_that_of_the_reference_from_its_gate_on():
-    law = scenario().guidance
+    law = scenario().law
     start = law.reference.drag.start
     # The first of samples 0.1 s apart, between which the drag grows by a few per cent.
     assert 1.0 < law.reference.drag(start) < 1.05
@@ -342,7 +342,7 @@ def test_range_flown_is_that_of_the_reference_from_its_gate_on():
 
 @pytest.mark.slow
 def test_scale_has_the_derivatives_of_differences():
-    law = scenario().guidance
+    law = scenario().law
     state = state_at(nominal(), 100)
     downrange, _ = ground_track(law.model.planet, law.aim.origin, state)
     to_go = law.aim.downrange - downrange
@@ -388,8 +388,7 @@ def test_mirrored_scenario_flies_the_mirrored_flight():
             lambda s: (
                 s.initial_state.heading,
                 s.target.crossrange,
-                s.guidance.aim.crossrange,
-                s.guidance.aim.origin.heading,
+                s.target.origin.heading,
                 s.guidance.lateral.first_sign,
             ),
             dispersed(),
@@ -423,7 +422,7 @@ def test_mirrored_scenario_flies_the_mirrored_flight():
 
 
 def test_a_scale_that_is_not_finite_leaves_the_one_before():
-    law = scenario().guidance
+    law = scenario().law
     state = state_at(nominal(), 100)
     measurement = sensed(scenario(), state)
     memory, held = law.init(measurement)
@@ -440,7 +439,7 @@ def test_a_scale_that_is_not_finite_leaves_the_one_before():
 
 
 def test_period_and_index_are_checked():
-    law = scenario().guidance
+    law = scenario().law
     fields = {field.name: getattr(law, field.name) for field in dataclasses.fields(law)}
     with pytest.raises(ValueError, match="period is 0.0 s"):
         RangeTracking(**{**fields, "cycle": FixedCycle(0.0)})
@@ -455,7 +454,7 @@ LEAVES = {
     "epsilon0": (lambda s: s.guidance.gains.epsilon0, 3e-2),
     "a": (lambda s: s.guidance.gains.a, 1e-2),
     "b": (lambda s: s.guidance.gains.b, 1e-2),
-    "aim": (lambda s: s.guidance.aim.downrange, 100.0),
+    "aim": (lambda s: s.target.downrange, 100.0),
 }
 """Leaf, and half the width of a central difference"""
 
@@ -485,7 +484,7 @@ def end_of(values, scenario):
         lambda s: [w(s) for w in wheres], scenario, [values[name] for name in LEAVES]
     )
     state = fly(varied, FixedStep(0.05)).state
-    return ground_track(varied.planet, varied.guidance.aim.origin, state)[0] / km
+    return ground_track(varied.planet, varied.target.origin, state)[0] / km
 
 
 @pytest.mark.optimized

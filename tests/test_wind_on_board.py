@@ -17,7 +17,7 @@ from helpers import fly_compiled, mars_planet, mars_vehicle
 from readme import assert_prints, rows
 
 from jentry.campaign import monte_carlo
-from jentry.guidance import AbstractSampledLaw, BankProfile
+from jentry.guidance import AbstractSampledLaw, Aim, BankProfile
 from jentry.missions import find_mission
 from jentry.motion import EntryState
 from jentry.onboard import (
@@ -116,8 +116,7 @@ def in_space(blows=None, wind=None):
     # A target that it reaches within its bounds: half of what its bank can do.
     return dataclasses.replace(
         law,
-        origin=STATE,
-        downrange=10.6 * km,
+        aim=Aim(STATE, 10.6 * km, 0.0, 10 * km, 503.0),
         wind=wind,
         in_space=True,
         corrections=1,

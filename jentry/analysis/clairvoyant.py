@@ -82,8 +82,8 @@ def _search(shared, inputs):
 
     def flown(c):
         given = eqx.tree_at(lambda s: s.guidance.cos_bank.coefficients, scenario, c)
-        flight, aimed = fly_run(given, inputs, solver)
-        return outputs(aimed, flight)
+        flight, dispersed = fly_run(given, inputs, solver)
+        return outputs(dispersed, flight)
 
     def residuals(c, _):
         alone = jax.tree.map(lambda x: jnp.asarray(x)[None], flown(c))

@@ -68,9 +68,9 @@ def fly_draws(scenario, pairs: Pairs, draws: Draws, outputs, solver):
 def _fly_draw(shared, draws):
     scenario, pairs, outputs, solver = shared
     inputs = disperse(scenario, dict(pairs), draws)
-    flight, aimed = fly_run(scenario, inputs, solver)
+    flight, dispersed = fly_run(scenario, inputs, solver)
     finite = has_end(flight.outcome)
-    return outputs(aimed, flight), flight.time, flight.ended_by, finite
+    return outputs(dispersed, flight), flight.time, flight.ended_by, finite
 
 
 def columns_of(values: Any) -> dict[str, np.ndarray]:
@@ -172,9 +172,9 @@ def _linearize(scenario, pairs: Pairs, outputs, solver):
     def at(standard):
         draws = {n: mean + standard[n] * std for n, (mean, std) in moments.items()}
         inputs = disperse(scenario, dict(pairs), draws)
-        flight, aimed = fly_run(scenario, inputs, solver)
+        flight, dispersed = fly_run(scenario, inputs, solver)
         looked_at = jax.tree.map(
-            lambda x: jnp.asarray(x, float), outputs(aimed, flight)
+            lambda x: jnp.asarray(x, float), outputs(dispersed, flight)
         )
         values = flight.time, looked_at
         return values, (values, flight.outcome, flight.ended_by)

@@ -53,8 +53,8 @@ def sensitivity(
     an output, as with the altitude and the path angle that `cav-h` arrives with, it is that
     of one tooth, and no guide to a change across several. At a corner, as of two
     end conditions that are met at once, it is that of one side, `ended_by`. How an output
-    changes in the mean tells `linear_covariance(..., mode="difference")`. The entry point
-    moves with the vehicle and not with the target, as in a campaign.
+    changes in the mean tells `linear_covariance(..., mode="difference")`. A target
+    that is a place stays where it is when the start moves; one that is a range moves along.
 
     **Arguments:**
 
@@ -137,8 +137,10 @@ def _jacobian(
     forward: bool,
 ):
     def of_leaves(leaves):
-        flight, aimed = fly_run(scenario, leaves, solver, history)
-        values = jax.tree.map(lambda x: jnp.asarray(x, float), outputs(aimed, flight))
+        flight, dispersed = fly_run(scenario, leaves, solver, history)
+        values = jax.tree.map(
+            lambda x: jnp.asarray(x, float), outputs(dispersed, flight)
+        )
         return values, (values, flight.outcome, flight.ended_by)
 
     derivative = jax.jacfwd if forward else jax.jacrev

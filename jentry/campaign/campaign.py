@@ -345,8 +345,8 @@ def _fly_one(
     shared: tuple[Scenario, AbstractSolver, float | None], inputs: dict[str, Array]
 ) -> tuple[Flight, Misses]:
     scenario, solver, history = shared
-    flight, aimed = fly_run(scenario, inputs, solver, history)
-    return flight, misses(aimed, flight)
+    flight, dispersed = fly_run(scenario, inputs, solver, history)
+    return flight, misses(dispersed, flight)
 
 
 def fly_run(

@@ -6,7 +6,15 @@ from pathlib import Path
 from .._files import write_whole
 from .description import first_difference
 from .errors import CampaignError
-from .parts import claim, digest_of, not_as_written, parts_of, read_manifest
+from .parts import (
+    claim,
+    digest_of,
+    not_as_written,
+    note_slices,
+    parts_of,
+    read_manifest,
+    read_slices,
+)
 from .store import alone_in
 
 
@@ -15,7 +23,8 @@ def merge_campaigns(out: Path | str, folders: Sequence[Path | str]) -> tuple[int
 
     What is copied is verified to the last bit before and after, and stays where it is.
     Called again it copies what is missing. Gives the number of runs that are there, and
-    of those between the first and the last that are not.
+    how many are not: of all slices where the folders say of how many runs they are a part,
+    and up to the last run that is there where they do not.
 
     **Arguments:**
 
@@ -49,7 +58,35 @@ def merge_campaigns(out: Path | str, folders: Sequence[Path | str]) -> tuple[int
                     raise not_as_written([part.path])
                 if not (out / part.path.name).exists():
                     write_whole(out / part.path.name, contents)
-    runs: set[int] = set()
+        # The largest whole: a campaign may have been flown on with more runs.
+        noted = [read_slices(folder, campaign) for folder in (out, *sources)]
+        known = [slices for slices in noted if slices is not None]
+        if known:
+            note_slices(out, max(known, key=lambda slices: slices.runs))
+    runs = _runs_in(out)
+    total = max([max(runs, default=-1) + 1, *(slices.runs for slices in known)])
+    return len(runs), total - len(runs)
+
+
+def slices_lacking(out: Path | str) -> list[str]:
+    """Slices of a merged campaign with runs that are not there, as `--slice` takes them.
+
+    Empty where none lacks, and where no folder said of how many runs it is a part.
+    """
+    out = Path(out)
+    slices = read_slices(out, digest_of(read_manifest(out)))
+    if slices is None:
+        return []
+    runs = _runs_in(out)
+    return [
+        f"{place}/{slices.count}"
+        for place in range(1, slices.count + 1)
+        if not runs.issuperset(slices.runs_of(place))
+    ]
+
+
+def _runs_in(out: Path) -> set[int]:
+    found: set[int] = set()
     for part in parts_of(out):
-        runs.update(range(part.first, part.last + 1))
-    return len(runs), max(runs, default=-1) + 1 - len(runs)
+        found.update(range(part.first, part.last + 1))
+    return found

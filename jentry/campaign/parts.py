@@ -12,7 +12,7 @@ import json
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from .._files import write_whole
 from .description import first_difference
@@ -126,6 +126,51 @@ def claim(
 
 def _manifest_of(description: Mapping[str, Any]) -> bytes:
     return json.dumps({**description, _DIGEST: digest_of(description)}).encode()
+
+
+SLICES = "slices.json"
+"""File beside the manifest of a part: the whole of which it is one"""
+
+
+class Slices(NamedTuple):
+    """Into how many slices the runs of a campaign are divided."""
+
+    campaign: str
+    """Digest of the campaign"""
+    runs: int
+    """Of all slices together"""
+    count: int
+
+    def runs_of(self, place: int) -> range:
+        """Runs of the slice at a place, which is 1 for the first."""
+        first, last = (i * self.runs // self.count for i in (place - 1, place))
+        return range(first, last)
+
+
+def note_slices(out: Path, slices: Slices) -> None:
+    """Write down of which whole the runs in a folder are a part."""
+    write_whole(out / SLICES, (json.dumps(slices._asdict()) + "\n").encode())
+
+
+def read_slices(out: Path, campaign: str) -> Slices | None:
+    """Of which whole the runs in a folder are a part; None where that is not written.
+
+    Raises `CampaignError` for a file that is damaged, or of another campaign.
+    """
+    path = out / SLICES
+    if not path.exists():
+        return None
+    try:
+        found = Slices(**json.loads(path.read_bytes()))
+        sound = found.campaign == campaign and 0 < found.count <= found.runs
+    except (ValueError, TypeError):
+        sound = False
+    if not sound:
+        raise CampaignError(
+            f"{path} is damaged or of another campaign: delete it, and fly the slice "
+            "again, which writes it"
+        )
+    return found
 
 
 def read_manifest(out: Path) -> dict[str, Any]:

@@ -29,10 +29,12 @@ from .parts import (
     AGAIN,
     MANIFEST,
     Part,
+    Slices,
     claim,
     digest_of,
     name_of_part,
     not_as_written,
+    note_slices,
     parts_of,
     read_manifest,
 )
@@ -112,6 +114,8 @@ def run_campaign(
         for pattern in (MANIFEST, "runs-*"):
             remove_unfinished(out, pattern)
         campaign = digest_of(description)
+        if part is not None:
+            note_slices(out, Slices(campaign, int(runs), part[1]))
         stored = _stored(parts, runs)[mine]
         done = int(np.sum(stored))
         report(done)
@@ -136,7 +140,7 @@ def runs_of_part(runs: int, part: tuple[int, int] | None) -> np.ndarray:
         )
     if count > runs:
         raise ValueError(f"{runs} runs have no {count} parts: give fewer")
-    return np.arange((place - 1) * runs // count, place * runs // count)
+    return np.asarray(Slices("", int(runs), count).runs_of(place))
 
 
 def write_flight(

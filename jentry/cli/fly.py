@@ -13,6 +13,7 @@ from .options import (
     Variant,
     app,
     chosen_scenario,
+    note_step,
     set_up,
 )
 
@@ -60,6 +61,7 @@ def command(
         history = 1.0
     chosen, scenario, _ = chosen_scenario(mission, variant, config, set_)
     solver = FixedStep(step)
+    note_step(scenario, solver, history)
     flight = kept(fly)(without_zero_departures(scenario), solver, history)
     print_flight(chosen, scenario, flight)
     if out is not None:

@@ -62,7 +62,9 @@ def command(
     from .optimization_report import print_footprint, write_footprint
     from .progress import reported
 
-    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    chosen, scenario, overrides = chosen_scenario(
+        mission, variant, config, set_, law_flies=False
+    )
     name = first_given(variant, overrides.variant, *chosen.variants)
     if problem is None and "footprint" in chosen.problems:
         problem = "footprint"

@@ -17,7 +17,7 @@ def command(
 ) -> None:
     """Put the parts of a campaign together; `jentry report` says what they say."""
     set_up(workers=1)
-    from ..campaign.merging import merge_campaigns
+    from ..campaign.merging import merge_campaigns, slices_lacking
     from ..campaign.parts import digest_of, read_manifest
     from .campaign_files import decided_by, note_until_decided
 
@@ -28,6 +28,10 @@ def command(
     if any(each is not None for each in decided):
         every = dict.fromkeys(r for each in decided for r in each or ())
         note_until_decided(out, list(every), digest)
-    typer.echo(f"stored: {out}, {runs} runs, the last of them {runs + lacking - 1}")
+    typer.echo(f"stored: {out}, {runs} of {runs + lacking} runs")
     if lacking:
-        typer.echo(f"{lacking} runs between them are not there yet: merge their parts")
+        slices = slices_lacking(out)
+        which = f", of slices {', '.join(slices)}" if slices else ""
+        typer.echo(
+            f"{lacking} runs are not there yet{which}: merge the folders that have them"
+        )

@@ -1,5 +1,6 @@
 """`jentry monte-carlo`: a campaign of dispersed runs, stored, printed and drawn."""
 
+import itertools
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +31,7 @@ from .options import (
     first_given,
     flying_at,
     import_meanwhile,
+    note_step,
     refuse_set_in_vain,
     set_up,
 )
@@ -112,10 +114,12 @@ def command(
     import_meanwhile(
         "xarray", "h5netcdf", "rich.table", "rich.progress", "scipy.special", *drawing
     )
+    from ..campaign.dispersions import addresses_of_dispersion
     from ..campaign.parts import digest_of, read_manifest
     from ..campaign.store import open_campaign, run_campaign, runs_of_part
     from ..flight.solver import FixedStep
     from ..missions.stored import is_as_published
+    from ..statistics.acceptance import require_outputs
     from ..statistics.summary import summarize
     from .campaign_files import (
         decided_by,
@@ -176,6 +180,8 @@ def command(
             raise ValueError(f"--runs is {runs}, and {inputs} has {rows}: give no more")
     elif runs is None:
         runs = 1000
+    dispersed = (addresses_of_dispersion(scenario, *item) for item in table.items())
+    require_outputs(asked, scenario, given or itertools.chain.from_iterable(dispersed))
     most = 100_000 if most_runs is None else most_runs
     if until_decided and most < runs:
         raise ValueError(
@@ -187,6 +193,8 @@ def command(
         named += f"-{part[0]}-of-{part[1]}"
     folder = Path("results") / named if out is None else out
     solver = FixedStep(step)
+    if not quiet and not json:
+        note_step(scenario, solver, history)
     spread = sampler.of(runs)
     histories = histories_of(
         scenario, table, seed, given, runs, history, solver, spread

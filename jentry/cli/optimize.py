@@ -109,7 +109,9 @@ def command(
     from .optimization_options import problem_asked
     from .optimization_report import print_optimized, write_optimized
 
-    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    chosen, scenario, overrides = chosen_scenario(
+        mission, variant, config, set_, law_flies=False
+    )
     name = first_given(variant, overrides.variant, *chosen.variants)
     origin = scenario.target.origin or scenario.initial_state
     asked = problem_asked(

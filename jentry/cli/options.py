@@ -196,8 +196,12 @@ def import_meanwhile(*modules: str) -> None:
     threading.Thread(target=import_all, daemon=True).start()
 
 
-def chosen_scenario(name, variant, config, assignments):
-    """Mission, its scenario with all overrides, and these."""
+def chosen_scenario(name, variant, config, assignments, *, law_flies=True):
+    """Mission, its scenario with all overrides, and these.
+
+    A target that is set must be one that the law reads, where the law flies.
+    """
+    from ..flight.effect import require_felt
     from ..flight.scenario import check
     from ..missions import find_mission
     from .free_controls_table import with_free_controls
@@ -212,7 +216,23 @@ def chosen_scenario(name, variant, config, assignments):
     overrides = in_si(overrides, scenario)
     scenario = apply_values(scenario, overrides.values)
     check(scenario)
+    targets = [a for a in overrides.values if a.startswith("target.")]
+    if targets and law_flies and overrides.free_controls is None:
+        require_felt(scenario, targets)
     return chosen, scenario, overrides
+
+
+def note_step(scenario, solver, history):
+    """Say which step is flown, where it is not the one that was asked for."""
+    from ..flight.cycle import Plan
+
+    asked = solver.step
+    flown = Plan.of(scenario, solver, history).step
+    if asked is not None and abs(flown - asked) > 1e-9 * asked:
+        typer.echo(
+            f"step: {flown:.6g} s is flown in place of {asked:.6g} s, so that whole steps "
+            "fill each guidance cycle and each interval of the history"
+        )
 
 
 def dispersion_table(mission, overrides, reading):

@@ -272,6 +272,13 @@ def caveats(scenario: Scenario, held: Any) -> dict[str, Scalar]:
     return law.caveats(held) if isinstance(law, AbstractSampledLaw) else {}
 
 
+def caveat_names(scenario: Scenario) -> list[str]:
+    """Names of what the law may say of how it decided, none being flown."""
+    return list(
+        eqx.filter_eval_shape(lambda s: caveats(s, start(s, 1.0).held), scenario)
+    )
+
+
 def vector_field(scenario: Scenario, held: Any):
     """Time derivative of what is integrated within a cycle, `field(flown, moving)`."""
     dynamics, attitude = scenario.dynamics, scenario.attitude

@@ -32,15 +32,29 @@ def require_felt(scenario: Scenario, addresses: Iterable[str]) -> None:
     What the law computes is looked at only for what motion and sensors do not use, since
     that takes much longer.
     """
-    # Targets count in the misses.
-    wanted = {a for a in addresses if not a.startswith("target.")}
+    # The others of the target count in the misses.
+    wanted = {a for a in addresses if not a.startswith("target.") or _is_place(a)}
     for equations in (_motion_and_sensors, _guidance):
         if wanted:
             wanted -= _used(equations, scenario)
     for address in sorted(wanted):
+        if _is_place(address):
+            raise ValueError(
+                f"{address} would move the target and not the flight: "
+                f"{type(scenario.guidance).__name__} does not read where the target is. "
+                "Plan its reference for another target, or fly a law that reads it, such "
+                "as PredictorCorrector"
+            )
         raise ValueError(
             f"{address} has no effect in this scenario: no equation of its flight uses it"
         )
+
+
+def _is_place(address: str) -> bool:
+    """Whether a number says where the target is."""
+    return address in ("target.downrange", "target.crossrange") or address.startswith(
+        "target.origin."
+    )
 
 
 def unfelt(scenario: Scenario) -> tuple[str, ...]:

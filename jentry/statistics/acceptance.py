@@ -20,6 +20,9 @@ import numpy as np
 from .._printed import in_words
 from ..addresses import nearest
 from ..campaign.outputs import is_error
+from ..campaign.results import output_names
+from ..flight.closed_loop import caveat_names
+from ..flight.scenario import Scenario
 from ..flight.termination import Outcome, has_end
 from ..units import Quantity, quantity
 
@@ -96,6 +99,11 @@ class Requirement:
         limit = quantity(found["limit"]) if found["limit"] else quantity(0.0)
         if not math.isfinite(limit.number):
             raise ValueError(f"requirement {text!r}: the limit must be a finite number")
+        if magnitude and limit.number < 0.0:
+            raise ValueError(
+                f"requirement {text!r}: a magnitude is never below zero; write a limit "
+                f"that is not negative, or {name} without the bars for its sign"
+            )
         return cls(
             quantity=name,
             magnitude=magnitude,
@@ -175,6 +183,29 @@ class Verdict:
             "more_runs_at_this_rate": self.more_runs_at_this_rate,
             "sequential": self.sequential,
         }
+
+
+def require_outputs(
+    requirements: Iterable[Requirement], scenario: Scenario, inputs: Iterable[str]
+) -> None:
+    """Refuse requirements on what results of a scenario will not have, before any flight.
+
+    **Arguments:**
+
+    - `inputs`: addresses of what is dispersed.
+
+    **Raises:** `ValueError` with the nearest names.
+    """
+    known, inputs = [*output_names(scenario), REACHED], set(inputs)
+    asked = [r for r in requirements if r.quantity not in {*known, *inputs}]
+    if asked:
+        known += caveat_names(scenario)
+    for each in asked:
+        if each.quantity not in known:
+            raise ValueError(
+                f"requirement {each.text!r}: the results will have no {each.quantity}; "
+                f"{nearest(each.quantity, known)}"
+            )
 
 
 def judged(

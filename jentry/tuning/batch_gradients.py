@@ -57,8 +57,8 @@ class Simulation(eqx.Module):
         self, scenario: Scenario, inputs: dict[str, Array]
     ) -> tuple[Any, Bool[Array, ""]]:
         """Outputs of one run, and whether it has an end and all of them are finite."""
-        flight, aimed = fly_run(scenario, inputs, self.solver, self.history)
-        outputs = jax.tree.map(jnp.asarray, self.outputs(aimed, flight))
+        flight, dispersed = fly_run(scenario, inputs, self.solver, self.history)
+        outputs = jax.tree.map(jnp.asarray, self.outputs(dispersed, flight))
         finite = all_finite(outputs) & has_end(flight.outcome)
         return outputs, finite
 
