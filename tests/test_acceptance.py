@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import xarray
+from helpers import mars_scenario, predictor_corrector
 from readme import assert_says
 from scipy import stats
 
@@ -16,6 +17,7 @@ from jentry.statistics.acceptance import (
     Requirement,
     judged,
     overall,
+    require_outputs,
     runs_needed,
 )
 
@@ -174,6 +176,8 @@ def test_a_sign_that_may_surprise_is_told():
         ("x < 1 km, 99 % at 0 %", "confidence is 0 %"),
         ("x < 1 km, much % at 9 %", "share of the flights is much %"),
         ("x < nan, 99 % at 90 %", "must be a finite number"),
+        ("|x| < -10 km, 99 % at 90 %", "a magnitude is never below zero"),
+        ("|x| > -1, 99 % at 90 %", "x without the bars"),
         ("x < ten km, 99 % at 90 %", "is not a number"),
         ("", "is not understood"),
     ],
@@ -194,6 +198,23 @@ def test_what_is_no_requirement_is_refused(text, message):
 def test_what_cannot_be_judged_is_refused(text, message):
     with pytest.raises(ValueError, match=message):
         judged(Requirement.of(text), failing(0, 3))
+
+
+def test_a_requirement_without_an_output_is_refused_before_the_first_flight():
+    """Outputs, what is dispersed and what a law says of its decisions are known then."""
+    scenario = mars_scenario(predictor_corrector())
+
+    def known(quantity):
+        asked = [require(f"{quantity} < 1, 99 % at 90 %")]
+        require_outputs(asked, scenario, ["planet.density_scale"])
+
+    for quantity in ("|downrange_error|", "peak_drag", "planet.density_scale"):
+        known(quantity)
+    known("decisions_without_prediction")
+    require_outputs([require("reached, 99 % at 90 %")], scenario, [])
+    for quantity in ("downrnge_error", "vehicle.mass", "heading_error"):
+        with pytest.raises(ValueError, match=f"will have no {quantity}; nearest"):
+            known(quantity)
 
 
 def test_no_runs_cannot_be_judged():

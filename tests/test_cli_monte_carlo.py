@@ -20,6 +20,8 @@ from helpers import free_scenario
 import jentry.plots
 from jentry.addresses import replace_leaves
 from jentry.campaign import open_campaign, run_campaign
+from jentry.cli.options import note_step
+from jentry.flight import FixedStep
 from jentry.units import degree
 
 
@@ -101,6 +103,25 @@ lower = -10
 upper = -5
 apply = "add"
 """
+
+
+def test_a_requirement_without_an_output_is_refused_before_anything_is_stored(
+    command, tmp_path
+):
+    words = ("--out", tmp_path / "out", "--require", "peak_hat < 1, 99 % at 90 %")
+    answer = monte_carlo(command, "--runs", 2, *words)
+    assert_refused(answer, "will have no peak_hat; nearest")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_step_that_is_flown_is_told(capsys):
+    """Steps fill the intervals of the history: 0.2 s do not fill 0.3."""
+    scenario = cheap.scenario()
+    note_step(scenario, FixedStep(0.2), 0.3)
+    assert "step: 0.15 s is flown in place of 0.2 s" in capsys.readouterr().out
+    for step, history in ((0.2, None), (0.2, 0.4), (None, 0.3)):
+        note_step(scenario, FixedStep(step), history)
+        assert capsys.readouterr().out == ""
 
 
 @pytest.mark.slow
