@@ -397,7 +397,6 @@ def test_mirrored_scenario_flies_the_mirrored_flight():
                 for x in (
                     0.5 * jnp.pi + side * 0.3,
                     side * 2 * km,
-                    side * 2 * km,
                     0.5 * jnp.pi + side * 0.3,
                     side * 1.0,
                 )
