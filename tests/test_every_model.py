@@ -141,7 +141,7 @@ def measured(law, state, drag=1.002, lift=0.97):
 @pytest.mark.parametrize("name", helpers.all_laws)
 def test_what_a_law_says_has_the_derivatives_of_differences(name, planned):
     _, flight, references = planned
-    law = helpers.all_laws[name](references["energy"])
+    law = helpers.mars_scenario(helpers.all_laws[name](references["energy"])).law
     if isinstance(law, BezierGuidance):
         # Its drag has a corner at 10 degrees, which is where it is trimmed.
         trim = lambda law: law.model.vehicle.trim_angle_of_attack
