@@ -257,7 +257,7 @@ def test_a_flight_has_its_derivatives_where_reversals_are_foreseen():
     reach = Response(1.0, 1.0, 10.0 * degree, 5.0 * degree, -math.pi, math.pi)
     attitude = SecondOrderAttitude(dataclasses.replace(reach, frequency=2.0), reach)
     law = dataclasses.replace(
-        in_space().law,
+        in_space().guidance,
         corrections=1,
         turning=BankTurning(10.0 * degree, 5.0 * degree),
         lateral=PredictedCrossrange(factor=3.0, foresees=True),

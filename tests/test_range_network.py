@@ -661,7 +661,7 @@ def test_only_predictions_of_a_constant_bank_can_be_learnt():
         shape = ConstantBankShape(lowest=-0.5)
         learnt(dataclasses.replace(in_space().guidance, shape=shape))
     for change in (turning, windy):
-        for law in (in_space().law, in_plane().law):
+        for law in (in_space().guidance, in_plane().guidance):
             with pytest.raises(
                 ValueError, match="learnt that are alike in every direction"
             ):

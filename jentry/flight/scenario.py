@@ -55,7 +55,8 @@ class Target(eqx.Module):
     Downrange and crossrange are arcs on the surface, see `ground_track`. With an origin
     they are a place, which stays where it is when the start of a flight moves. Without one
     they are the range that each flight is to fly from its own start, wherever that is: it
-    is for laws that know no place, such as `DragTracking`.
+    is for laws that know no place, such as
+    `ObserverDragTracking`.
 
     A law that flies to a place (`RangeTracking`, `PredictorCorrector`) reads it here. What
     a reference was planned for, and the track of a Bézier curve, do not move with it:
