@@ -403,7 +403,12 @@ CHANGED = {
     "start": lambda contents: contents[:100],
     "most": lambda contents: contents[:-200],
     "longer": lambda contents: contents + b"\0",
-    "a hole": lambda contents: contents[:20000] + bytes(512) + contents[20512:],
+    # Turned round, since there may be nothing but zeros: where depends on what is stored.
+    "another stretch": lambda contents: (
+        contents[:20000]
+        + bytes(255 - byte for byte in contents[20000:20512])
+        + contents[20512:]
+    ),
 }
 
 
