@@ -199,7 +199,7 @@ def predicted(law, seen, factors):
 @pytest.mark.slow
 def test_factors_are_those_of_the_prediction():
     scenario = guided()
-    law, seen = scenario.guidance, start_of(scenario)
+    law, seen = scenario.law, start_of(scenario)
     by_factor = predicted(law, seen, Factors(1.1, 1.1))
     denser = with_leaf(law, lambda law: law.model.planet.density_scale, 1.1)
     by_density = predicted(denser, seen, Factors())
@@ -211,7 +211,7 @@ def test_factors_are_those_of_the_prediction():
 
 @pytest.mark.slow
 def test_what_is_commanded_is_damped_by_the_sensed_factors():
-    law = dataclasses.replace(guided().guidance, lateral=FixedSide(), corrections=1)
+    law = dataclasses.replace(guided().law, lateral=FixedSide(), corrections=1)
     believed = start_of(guided(), at(35 * km, 5000.0))
     seen = dataclasses.replace(
         believed, lift=1.1 * believed.lift, drag=0.9 * believed.drag
@@ -264,7 +264,7 @@ def test_what_is_predicted_with_a_damping_is_flown():
 @pytest.mark.slow
 def test_derivative_of_a_prediction_is_that_of_differences():
     scenario = guided()
-    law, seen = scenario.guidance, start_of(scenario)
+    law, seen = scenario.law, start_of(scenario)
 
     def altitude(mass):
         of = with_leaf(law, lambda law: law.model.vehicle.mass, mass)
@@ -287,7 +287,7 @@ def test_derivative_of_a_prediction_is_that_of_differences():
 def effects(damped):
     """How range and altitude at the end, km, go with the numbers, of an angle of 85 deg."""
     scenario = guided()
-    law = scenario.guidance
+    law = scenario.law
     if not damped:
         law = dataclasses.replace(law, damping=None)
     seen = start_of(scenario)
