@@ -252,3 +252,21 @@ def test_a_target_that_no_law_reads_is_not_dispersed():
     with pytest.raises(ValueError, match="would move the target and not the flight"):
         require_felt(mars_scenario(), ["target.crossrange"])
     require_felt(mars_scenario(predictor_corrector()), ["target.downrange"])
+
+
+def test_tracks_are_looked_at_within_a_program_too():
+    """By gradients within `jit`, where what is not traced is known all the same."""
+    scenario = find_mission("cav-h").scenario()
+
+    def looked_at(density, of):
+        check(eqx.tree_at(lambda s: s.planet.density_scale, of, density))
+        return density
+
+    def slope(of):
+        second = jax.grad(jax.jit(lambda density: looked_at(density, of)))
+        return jax.jit(lambda density: jax.jvp(second, (density,), (density,)))(1.0)
+
+    assert float(slope(scenario)[0]) == 1.0
+    further = scenario.target.downrange + 2 * km
+    with pytest.raises(ValueError, match="2 km from there: a scenario has one target"):
+        slope(with_leaf(scenario, lambda s: s.target.downrange, further))

@@ -208,16 +208,21 @@ def _check_one_target(scenario: Scenario) -> None:
         there = dataclasses.replace(
             origin, longitude=track.target_longitude, latitude=track.target_latitude
         )
-        downrange, crossrange = ground_track(planet, origin, there)
-        off = np.hypot(downrange - target.downrange, crossrange - target.crossrange)
-        if off > _APART:
-            longitude, latitude = from_ground_track(
+        # At once also within a program that is being traced.
+        with jax.ensure_compile_time_eval():
+            ends = ground_track(planet, origin, there)
+            place = from_ground_track(
                 planet, origin, target.downrange, target.crossrange
             )
+        off = math.hypot(
+            float(ends[0]) - float(target.downrange),
+            float(ends[1]) - float(target.crossrange),
+        )
+        if off > _APART:
             raise ValueError(
                 f"{address} ends at {_place(track.target_longitude, track.target_latitude)}"
-                f", and the target lies at {_place(longitude, latitude)}, "
-                f"{float(off) / km:.6g} km from there: a scenario has one target, so set "
+                f", and the target lies at {_place(*place)}, "
+                f"{off / km:.6g} km from there: a scenario has one target, so set "
                 f"all of {address}.target_longitude, {address}.target_latitude, "
                 "target.downrange and target.crossrange to one place"
             )
