@@ -15,7 +15,7 @@ from jentry.cli.html_page import page_of
 from jentry.flight import Outcome
 from jentry.statistics.acceptance import Requirement
 from jentry.statistics.miss_ellipse import ellipse_of
-from jentry.statistics.summary import RADII, Summary, summarize
+from jentry.statistics.summary import RADII, Caveat, Summary, summarize
 from jentry.units import degree
 
 
@@ -109,7 +109,7 @@ def test_limits_and_caveats(results, summary):
         np.sum(load > 2.5),
     )
     shares = results["low_cycles"].values
-    assert summary.caveats == {"low_cycles": (RUNS, shares.max())}
+    assert summary.caveats == {"low_cycles": Caveat(RUNS, shares.max())}
 
 
 def test_json_has_all_of_it_to_the_last_digit(results, summary):

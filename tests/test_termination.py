@@ -250,10 +250,11 @@ def test_which_flights_have_an_end():
         Outcome.BEGAN_BEYOND_END: False,
         Outcome.SINGULAR: False,
         Outcome.NOT_A_BANK: False,
+        Outcome.BEYOND_TABLE: False,
     }
     assert set(ends) == set(Outcome)
     # Codes are stored in files: they never change.
-    assert [int(outcome) for outcome in ends] == list(range(8))
+    assert [int(outcome) for outcome in ends] == list(range(9))
     for outcome, whether in ends.items():
         assert bool(has_end(int(outcome))) == whether
     assert np.array_equal(has_end(np.array(list(ends))), list(ends.values()))

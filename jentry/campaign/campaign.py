@@ -155,7 +155,7 @@ def monte_carlo(
     )
     ordered = [block for _, block in sorted(blocks, key=lambda block: block[0])]
     campaign = jax.tree.map(lambda *parts: np.concatenate(parts), *ordered)
-    warn_of(campaign.flights.caveats)
+    warn_of(campaign.flights.caveats, campaign.flights.beyond_tables)
     return campaign
 
 

@@ -16,6 +16,7 @@ from ..flight.scenario import Scenario
 from ..flight.termination import Outcome
 from ..motion.constraints import AbstractPathConstraint
 from ..motion.state import Controls, EntryState
+from ..world.tabulated import distance_of, unit_of_caveat
 from .campaign import Campaign
 from .outputs import at_end, error_of, is_error, peak_of
 
@@ -83,8 +84,8 @@ def dataset(
     """The results of a campaign as a dataset, with units.
 
     It has the inputs by address, outcome, final state, misses, peaks and, if kept,
-    histories; and the caveats of the law: a variable with the attribute `caveat` is a
-    share, and where it is not zero the run did not go as the law is meant to.
+    histories; and the caveats: a variable with the attribute `caveat` is a share, and where
+    it is not zero the run did not go as the law is meant to, or left a table.
 
     Dimensions: run, and time for histories, whose interval is `history` (s). Errors are
     actual minus desired. Names and units are those of the fields of the flight.
@@ -145,6 +146,10 @@ def dataset(
                 put(peak_of(f"{name}_{component}"), value, unit, long_name)
     for name, shares in flights.caveats.items():
         put(name, shares, "1", f"{in_words(name)}, share", caveat=1)
+    for name, distances in flights.beyond_tables.items():
+        # The share of the time is the caveat; this is how far.
+        far, unit = distance_of(name), unit_of_caveat(name)
+        put(far, distances, unit, f"largest {in_words(far)}", distance_of=name)
 
     coordinates: dict[str, Any] = {"run": campaign.runs}
     kept = flights.history

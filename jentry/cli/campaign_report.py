@@ -7,6 +7,7 @@ from rich.console import Console
 
 from .._printed import in_words
 from ..campaign.populations import population, sets_of
+from ..flight.flight import caveat_words
 from ..flight.solver import FixedStep
 from ..missions.mission import Mission
 from ..statistics.acceptance import Decision, Verdict
@@ -86,11 +87,10 @@ def told_first(summary: Summary) -> Iterator[str]:
         number, unit = at_edge(limit.limit, limit.unit, limit.shown_unit)
         words = f"the limit of the {in_words(limit.name)}, {float(number):g} {unit}"
         yield f"{limit.beyond} of {summary.finite} flights exceed {words}"
-    for caveat, (flights, share) in summary.caveats.items():
-        yield (
-            f"caveat: {flights} of {summary.runs} flights have {in_words(caveat)}, up to "
-            f"{share:.0%} in one flight"
-        )
+    for name, caveat in summary.caveats.items():
+        told = caveat.flights, summary.runs, caveat.largest_share
+        far = caveat.largest_distance, caveat.unit
+        yield f"caveat: {caveat_words(name, *told, *far)}"
 
 
 def _print_statistics(

@@ -84,7 +84,9 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     console.print(f"downrange and crossrange: {scenario.target.counted_from}")
     for name, share in flight.caveats.items():
         if share > 0.0:
-            console.print(f"caveat: {caveat_sentence(name, share)}")
+            console.print(
+                f"caveat: {caveat_sentence(name, share, flight.beyond_tables.get(name))}"
+            )
 
 
 def _add_number(table: Table, words: str, value, unit: str) -> None:

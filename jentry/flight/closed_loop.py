@@ -21,7 +21,9 @@ from ..motion.constraints import (
 )
 from ..motion.state import Controls, EntryState
 from ..onboard.navigation import Measurement, measure
+from ..world.tabulated import Excursion, beyond_edges, tables_in
 from .scenario import Scenario
+from .termination import Outcome
 
 
 class Bracket(eqx.Module):
@@ -62,6 +64,16 @@ class Instant(eqx.Module):
     state: EntryState
 
 
+class Noted(eqx.Module):
+    """What is noted of a flight up to a step."""
+
+    peaks: ConstraintValues
+    at_peaks: dict[str, Instant]
+    """When and where the located peaks were, by name"""
+    beyond: dict[str, Excursion]
+    """Beyond the edges of tables, by the name of the caveat"""
+
+
 class Lane(eqx.Module):
     """A flight on its way: all that the loop carries."""
 
@@ -69,9 +81,7 @@ class Lane(eqx.Module):
     """Time since the start, s"""
     moving: Moving
     held: Any
-    peaks: ConstraintValues
-    at_peaks: dict[str, Instant]
-    """When and where the located peaks were, by name"""
+    noted: "Noted"
     bracket: Bracket
     running: Flag
     stopped: Count
@@ -222,19 +232,23 @@ def start(scenario: Scenario, step: float) -> Lane:
     integrals = {n: jnp.zeros_like(flown) for n in integrals_of(scenario.constraints)}
     attitude = scenario.attitude.init(first)
     moving = Moving(state, attitude, memory, integrals)
-    peaks = path_constraints(scenario, flown, moving, held)
+    point = path_point(scenario, flown, moving, held)
+    peaks = constraint_values(scenario.constraints, point, integrals)
+    beyond, refused = beyond_tables(scenario, point)
     first_instant = lax.stop_gradient(Instant(flown, state))
     at_peaks = {name: first_instant for name in scenario.located_peaks}
-    running = (margin > 0.0) & is_finite((moving, peaks))
+    at_edges = {n: Excursion(jnp.zeros_like(flown), x) for n, x in beyond.items()}
+    running = (margin > 0.0) & is_finite((moving, peaks)) & ~refused
     return Lane(
         flown=flown,
         moving=moving,
         held=held,
-        peaks=peaks,
-        at_peaks=at_peaks,
+        noted=Noted(peaks, at_peaks, at_edges),
         bracket=Bracket(flown + step, margin, flown + jnp.inf, flown, flown + jnp.inf),
         running=running,
-        stopped=jnp.full_like(running, -1, int),
+        stopped=jnp.where(
+            refused, Outcome.BEYOND_TABLE, jnp.full_like(running, -1, int)
+        ),
     )
 
 
@@ -266,17 +280,24 @@ def command(
     return acting(measurement.lift, measurement.drag, measurement.angle_of_attack)
 
 
-def caveats(scenario: Scenario, held: Any) -> dict[str, Scalar]:
-    """What a sampled law says of how it decided."""
+def caveats(scenario: Scenario, lane: Lane) -> dict[str, Scalar]:
+    """What a sampled law says of how it decided, and shares of time beyond tables."""
     law = scenario.law
-    return law.caveats(held) if isinstance(law, AbstractSampledLaw) else {}
+    said = law.caveats(lane.held) if isinstance(law, AbstractSampledLaw) else {}
+    # Of steps that are counted whole: no function of the end that has a derivative.
+    flown = lax.stop_gradient(lane.flown)
+    flies = flown > 0.0
+    seconds = jnp.where(flies, flown, 1.0)
+    # A flight that has no time yet is where it begins.
+    return said | {
+        name: jnp.where(flies, beyond.time / seconds, 1.0 * (beyond.distance > 0.0))
+        for name, beyond in lane.noted.beyond.items()
+    }
 
 
 def caveat_names(scenario: Scenario) -> list[str]:
-    """Names of what the law may say of how it decided, none being flown."""
-    return list(
-        eqx.filter_eval_shape(lambda s: caveats(s, start(s, 1.0).held), scenario)
-    )
+    """Names of the caveats that flights of a scenario may have, none being flown."""
+    return list(eqx.filter_eval_shape(lambda s: caveats(s, start(s, 1.0)), scenario))
 
 
 def vector_field(scenario: Scenario, held: Any):
@@ -316,25 +337,60 @@ def _point(scenario: Scenario, moving: Moving, controls: Controls) -> PathPoint:
     return PathPoint.of(planet, vehicle, moving.state, controls, scenario.dynamics)
 
 
+def path_point(
+    scenario: Scenario, flown: Scalar, moving: Moving, held: Any
+) -> PathPoint:
+    """An instant of a flight, with the controls that are flown there."""
+    wish, _ = command(scenario, flown, moving, held)
+    controls = scenario.attitude.flown(moving.attitude, wish)
+    return _point(scenario, moving, controls)
+
+
 def path_constraints(
     scenario: Scenario, flown: Scalar, moving: Moving, held: Any
 ) -> ConstraintValues:
     """The constrained quantities at an instant of a flight."""
-    wish, _ = command(scenario, flown, moving, held)
-    controls = scenario.attitude.flown(moving.attitude, wish)
-    return constrained(scenario, moving, controls)
+    point = path_point(scenario, flown, moving, held)
+    return constraint_values(scenario.constraints, point, moving.integrals)
 
 
-def raised(
-    lane: Lane, flown: Scalar, moving: Moving, now: ConstraintValues
-) -> tuple[ConstraintValues, dict[str, Instant]]:
-    """The peaks of a flight that goes on to a state, and where those located are."""
+def beyond_tables(
+    scenario: Scenario, point: PathPoint
+) -> tuple[dict[str, Scalar], Flag]:
+    """How far a point is beyond the edges of the tables of planet and vehicle, by the name
+    of the caveat, and whether one of them refuses it. Nothing where nothing is tabulated.
+    """
+    found, refused = beyond_edges(
+        tables_in(planet=scenario.planet, vehicle=scenario.vehicle),
+        altitudes=point.state.altitude,
+        mach_numbers=point.air.mach,
+        angles_of_attack=point.controls.angle_of_attack,
+    )
+    return lax.stop_gradient((found, refused))
+
+
+def noted(
+    scenario: Scenario, lane: Lane, flown: Scalar, moving: Moving
+) -> tuple[Noted, Flag]:
+    """What is noted of a flight that goes on to a state; and whether a table refuses it."""
+    point = path_point(scenario, flown, moving, lane.held)
+    now = constraint_values(scenario.constraints, point, moving.integrals)
     here = lax.stop_gradient(Instant(flown, moving.state))
     at_peaks = {
-        name: select(now[name] > lane.peaks[name], here, there)
-        for name, there in lane.at_peaks.items()
+        name: select(now[name] > lane.noted.peaks[name], here, there)
+        for name, there in lane.noted.at_peaks.items()
     }
-    return jax.tree.map(jnp.maximum, lane.peaks, now), at_peaks
+    peaks = jax.tree.map(jnp.maximum, lane.noted.peaks, now)
+    distances, refused = beyond_tables(scenario, point)
+    seconds = lax.stop_gradient(flown - lane.flown)
+    beyond = {
+        name: Excursion(
+            before.time + jnp.where(distances[name] > 0.0, seconds, 0.0),
+            jnp.maximum(before.distance, distances[name]),
+        )
+        for name, before in lane.noted.beyond.items()
+    }
+    return Noted(peaks, at_peaks, beyond), refused
 
 
 def constrained(

@@ -19,8 +19,7 @@ from .closed_loop import (
     decide,
     guidance_period,
     is_finite,
-    path_constraints,
-    raised,
+    noted,
     select,
     vector_field,
 )
@@ -206,8 +205,7 @@ def _fixed_cycle(
         bracket = lane.bracket
         moving = solver.advance(field, lane.flown, bracket.trial, lane.moving)
         flown = lane.flown + bracket.trial
-        now = path_constraints(scenario, flown, moving, lane.held)
-        peaks, at_peaks = raised(lane, flown, moving, now)
+        seen, refused = noted(scenario, lane, flown, moving)
 
         counting = conditions.counting(lane.flown, lane.state)
         margin = conditions.smallest_margin(flown, moving.state, counting)
@@ -215,18 +213,17 @@ def _fixed_cycle(
         taken = lane.running & finite & (margin > 0.0)
         singular = dynamics.is_singular(lane.state, moving.state)
         stopped = jnp.where(taken & singular, Outcome.SINGULAR, lane.stopped)
+        stopped = jnp.where(taken & refused, Outcome.BEYOND_TABLE, stopped)
         taken = taken & (stopped < 0)
-        flown, moving, peaks, at_peaks = select(
-            taken,
-            (flown, moving, peaks, at_peaks),
-            (lane.flown, lane.moving, lane.peaks, lane.at_peaks),
+        flown, moving, seen = select(
+            taken, (flown, moving, seen), (lane.flown, lane.moving, lane.noted)
         )
         running = lane.running & finite & (stopped < 0)
         after = _next_trial(bracket, margin, taken, full_step)
         bracket = select(running, after, bracket)
         running = running & (bracket.trial > 0.0)
         held = lane.held
-        after = flown, moving, held, peaks, at_peaks, bracket, running, stopped
+        after = flown, moving, held, seen, bracket, running, stopped
         return Lane(*after), None
 
     return lax.scan(step, lane, None, length=steps)[0]
@@ -308,16 +305,14 @@ def _adaptive_cycle(
         solution.result == diffrax.RESULTS.event_occurred
     )
     going = lane.running & good & is_finite(moving)
-    now = path_constraints(scenario, after, moving, lane.held)
+    seen, refused = noted(scenario, lane, after, moving)
     singular = scenario.dynamics.is_beyond(moving.state)
     stopped = jnp.where(going & singular, Outcome.SINGULAR, lane.stopped)
+    stopped = jnp.where(going & refused, Outcome.BEYOND_TABLE, stopped)
     going = going & (stopped < 0)
-    peaks, at_peaks = raised(lane, after, moving, now)
-    flown, moving, peaks, at_peaks = select(
-        going,
-        (after, moving, peaks, at_peaks),
-        (lane.flown, lane.moving, lane.peaks, lane.at_peaks),
+    flown, moving, seen = select(
+        going, (after, moving, seen), (lane.flown, lane.moving, lane.noted)
     )
     running = going & ~done
     held, bracket = lane.held, lane.bracket
-    return Lane(flown, moving, held, peaks, at_peaks, bracket, running, stopped)
+    return Lane(flown, moving, held, seen, bracket, running, stopped)

@@ -13,8 +13,7 @@ from ..fields import Count
 from .closed_loop import (
     Lane,
     is_finite,
-    path_constraints,
-    raised,
+    noted,
     select,
     vector_field,
 )
@@ -112,14 +111,12 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     off_a_bank = ~met & (moving.off_a_bank > 0.0)
     moving = dataclasses.replace(moving, off_a_bank=None)
     flown, moving = select(met, (flown, moving), (lane.flown, lane.moving))
-    now = path_constraints(scenario, flown, moving, lane.held)
-    peaks, at_peaks = raised(lane, flown, moving, now)
+    seen, _ = noted(scenario, lane, flown, moving)
     ended = Lane(
         flown,
         moving,
         lane.held,
-        peaks,
-        at_peaks,
+        seen,
         lane.bracket,
         jnp.zeros_like(lane.running),
         lane.stopped,
@@ -131,6 +128,6 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     lost = jnp.where(off_a_bank, Outcome.NOT_A_BANK, Outcome.NOT_FINITE)
     outcome = jnp.where(met, outcome, lost)
     outcome = jnp.where(lane.stopped < 0, outcome, lane.stopped)
-    finite = is_finite((flown, moving, peaks))
+    finite = is_finite((flown, moving, seen.peaks))
     outcome = jnp.where(finite, outcome, Outcome.NOT_FINITE)
     return End(ended, outcome, ended_by)

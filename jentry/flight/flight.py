@@ -13,13 +13,16 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._batching import any_lane
+from .._printed import in_words
 from .._setup import needs_float64
 from .._warnings import ResultWarning
 from ..fields import Count, Flag, Scalar
 from ..motion.constraints import ConstraintValues
 from ..motion.state import Controls, EntryState
+from ..units import at_edge
 from ..world.perturbed_atmosphere import without_zero_departures
 from ..world.random_profile import settled
+from ..world.tabulated import unit_of_caveat
 from .closed_loop import Instant, Lane, caveats, command, constrained, start
 from .cycle import Plan
 from .end import end_of_flight
@@ -62,9 +65,13 @@ class Flight(eqx.Module):
     """When and where the peaks of `scenario.located_peaks` were, by name: to within a
     step, and without a derivative"""
     caveats: dict[str, Scalar]
-    """What a reader of the results must know of how the law decided, by name: shares from
-    0 to 1 (see `AbstractSampledLaw.caveats`)"""
+    """What a reader of the results must know, by name, shares from 0 to 1: of how the law
+    decided (see `AbstractSampledLaw.caveats`), and of the time beyond each table of the
+    planet and the vehicle (see `AbstractTabulated`)"""
     history: History | None
+    beyond_tables: dict[str, Scalar] = eqx.field(default_factory=dict)
+    """Largest distances beyond the edges of these tables, by the name of the caveat: m,
+    rad, or Mach numbers. Over all steps, as the peaks are; without a derivative"""
 
 
 @needs_float64
@@ -121,38 +128,64 @@ def fly(
         lanes = plan.kept(scenario, lanes)
         kept = lax.map(lambda lane: _observe(scenario, lane), lanes)
     end = end_of_flight(scenario, lane)
-    told = caveats(scenario, end.lane.held)
-    warn_of(told)
+    told = caveats(scenario, end.lane)
+    distances = {n: beyond.distance for n, beyond in end.lane.noted.beyond.items()}
+    warn_of(told, distances)
     return Flight(
         time=end.lane.flown,
         state=end.lane.state,
         outcome=end.outcome,
         ended_by=end.ended_by,
-        peaks=end.lane.peaks,
-        at_peaks=end.lane.at_peaks,
+        peaks=end.lane.noted.peaks,
+        at_peaks=end.lane.noted.at_peaks,
         caveats=told,
         history=kept,
+        beyond_tables=distances,
     )
 
 
-def warn_of(caveats: Mapping[str, Any], stacklevel: int = 4) -> None:
+def warn_of(
+    caveats: Mapping[str, Any], distances: Mapping[str, Any], stacklevel: int = 4
+) -> None:
     """Warn of caveats that are not zero, of one flight or of many.
+
+    `distances` are those beyond tables, for the caveats that have one.
 
     Says nothing of numbers that are not known yet, as under `jit`.
     """
     for name, shares in caveats.items():
         if not isinstance(shares, Tracer) and np.any(np.asarray(shares) > 0.0):
-            sentence = caveat_sentence(name, shares)
+            sentence = caveat_sentence(name, shares, distances.get(name))
             warnings.warn(sentence, ResultWarning, stacklevel=stacklevel)
 
 
-def caveat_sentence(name: str, shares: Any) -> str:
-    """How many of the flights have a caveat, and the largest share."""
+def caveat_sentence(name: str, shares: Any, distances: Any = None) -> str:
+    """How many flights have a caveat, and how much of it one of them has."""
     shares = np.atleast_1d(np.asarray(shares))
-    return (
-        f"{np.sum(shares > 0.0)} of {shares.size} flights have {name.replace('_', ' ')}, "
-        f"up to {np.max(shares):.0%} in one flight"
+    told = int(np.sum(shares > 0.0)), shares.size, float(np.max(shares))
+    if distances is None:
+        return caveat_words(name, *told)
+    return caveat_words(name, *told, float(np.max(distances)), unit_of_caveat(name))
+
+
+def caveat_words(
+    name: str,
+    flights: int,
+    runs: int,
+    share: float,
+    distance: float | None = None,
+    unit: str | None = None,
+) -> str:
+    """How many of the runs have a caveat, the largest share, and the largest distance."""
+    words = (
+        f"{flights} of {runs} flights have {in_words(name)}, up to {share:.0%} in one "
+        "flight"
     )
+    if distance is None or unit is None:
+        return words
+    number, shown = at_edge(distance, unit)
+    shown = "" if shown == "1" else f" {shown}"
+    return f"{words}, and by up to {float(number):.3g}{shown}"
 
 
 def _running(lane: Lane) -> Flag:

@@ -25,6 +25,7 @@ class Outcome(enum.IntEnum):
     BEGAN_BEYOND_END = 5
     SINGULAR = 6
     NOT_A_BANK = 7
+    BEYOND_TABLE = 8
 
     @property
     def message(self) -> str:
@@ -46,6 +47,10 @@ _MESSAGES = {
         "stopped where its law commanded a cosine and a sine of the bank whose squares do "
         "not add up to one; Controls.from_bank takes an angle"
     ),
+    Outcome.BEYOND_TABLE: (
+        "stopped at the edge of a table of the planet or the vehicle that refuses to go on "
+        "(refuse_beyond=True)"
+    ),
 }
 
 _WITHOUT_END = (
@@ -53,6 +58,7 @@ _WITHOUT_END = (
     Outcome.BEGAN_BEYOND_END,
     Outcome.SINGULAR,
     Outcome.NOT_A_BANK,
+    Outcome.BEYOND_TABLE,
 )
 
 

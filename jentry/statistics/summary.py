@@ -80,6 +80,20 @@ class Statistics:
 
 
 @dataclasses.dataclass(frozen=True)
+class Caveat:
+    """What a reader must know of some of the runs: see `Flight.caveats`."""
+
+    flights: int
+    """How many of the runs have it"""
+    largest_share: float
+    """In one of them"""
+    largest_distance: float | None = None
+    """Beyond a table, in one of them, where it is of a table"""
+    unit: str | None = None
+    """Of the distance"""
+
+
+@dataclasses.dataclass(frozen=True)
 class Limit:
     """How many flights exceed the limit of a path constraint."""
 
@@ -103,8 +117,8 @@ class Summary:
     outcomes: dict[Outcome, tuple[int, int]]
     """How many ended so, and how many of these are left out of the statistics"""
     limits: list[Limit]
-    caveats: dict[str, tuple[int, float]]
-    """Of the law: in how many of the runs, and the largest share in one"""
+    caveats: dict[str, Caveat]
+    """Of how the law decided, and of time beyond tables"""
     statistics: list[Statistics]
     ellipse: MissEllipse | None
     verdicts: list[Verdict]
@@ -138,8 +152,8 @@ class Summary:
             },
             "limits": [dataclasses.asdict(limit) for limit in self.limits],
             "caveats": {
-                name: {"flights": flights, "largest_share": share}
-                for name, (flights, share) in self.caveats.items()
+                name: dataclasses.asdict(caveat)
+                for name, caveat in self.caveats.items()
             },
             "intervals": {
                 "confidence": CONFIDENCE,
@@ -211,7 +225,7 @@ def summarize(
         outcomes=counts,
         limits=_limits(flown),
         caveats={
-            str(name): (int(np.sum(shares > 0.0)), float(np.nanmax(shares)))
+            str(name): _caveat(str(name), results)
             for name, shares in results.data_vars.items()
             if shares.attrs.get("caveat") and np.any(shares > 0.0)
         },
@@ -234,6 +248,16 @@ def _described(results: "xarray.Dataset") -> dict[str, Any]:
         "dispersions",
     )
     return {name: described[name] for name in (*told, "versions") if name in described}
+
+
+def _caveat(name: str, results: "xarray.Dataset") -> Caveat:
+    shares = results[name]
+    told = int(np.sum(shares > 0.0)), float(np.nanmax(shares))
+    for distances in results.data_vars.values():
+        if distances.attrs.get("distance_of") == name:
+            unit = distances.attrs["units"]
+            return Caveat(*told, float(np.nanmax(distances)), unit)
+    return Caveat(*told)
 
 
 def _limits(flown: "xarray.Dataset") -> list[Limit]:

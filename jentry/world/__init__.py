@@ -39,6 +39,7 @@ from .smoothed_atmosphere import (
     SmoothedAtmosphere as SmoothedAtmosphere,
     smoothed as smoothed,
 )
+from .tabulated import AbstractTabulated as AbstractTabulated
 from .tabulated_atmosphere import TabulatedAtmosphere as TabulatedAtmosphere
 from .us_standard_atmosphere import USStandardAtmosphere1976 as USStandardAtmosphere1976
 from .vehicle import Vehicle as Vehicle

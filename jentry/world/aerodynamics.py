@@ -14,6 +14,7 @@ from .._tables import read_columns
 from ..fields import NOT_NEGATIVE, Scalar, scalar, table
 from ..units import degree
 from .random_profile import RandomMachProfile
+from .tabulated import AbstractTabulated, Edges
 
 
 class AbstractAerodynamics(eqx.Module):
@@ -121,12 +122,12 @@ class ExponentialAerodynamics(AbstractInvertibleAerodynamics):
         return (lift - self.lift_at_zero(airspeed)) / self.lift_slope
 
 
-class TabulatedAerodynamics(AbstractAerodynamics):
+class TabulatedAerodynamics(AbstractAerodynamics, AbstractTabulated):
     """Tables over angle of attack and Mach number, joined by a bicubic surface.
 
     The surface is once differentiable and monotone along the lines of the table, so
     that it does not overshoot where drag rises at the speed of sound. Beyond the edges
-    the coefficients keep their value at the edge.
+    the coefficients keep their value at the edge: see `AbstractTabulated`.
     """
 
     angles_of_attack: Float[Array, "..."] = table(unit="rad", increasing=True)
@@ -151,8 +152,17 @@ class TabulatedAerodynamics(AbstractAerodynamics):
                     f"{expected[1]} Mach numbers"
                 )
 
+    def edges(self) -> Edges:
+        machs, angles = self.mach_numbers, self.angles_of_attack
+        return {
+            "mach_numbers": (machs[0], machs[-1]),
+            "angles_of_attack": (angles[0], angles[-1]),
+        }
+
     @classmethod
-    def from_csv(cls, path: str | os.PathLike) -> "TabulatedAerodynamics":
+    def from_csv(
+        cls, path: str | os.PathLike, refuse_beyond: bool = False
+    ) -> "TabulatedAerodynamics":
         """Read a table with one row for each pair of angle of attack and Mach number.
 
         Its columns are `angle_of_attack_deg,mach,lift_coefficient,drag_coefficient`;
@@ -186,7 +196,8 @@ class TabulatedAerodynamics(AbstractAerodynamics):
         lift[row, column] = columns["lift_coefficient"]
         drag[row, column] = columns["drag_coefficient"]
         tables = angles * degree, machs, lift, drag
-        return cls(*(jnp.asarray(numbers) for numbers in tables))
+        numbers = (jnp.asarray(each) for each in tables)
+        return cls(*numbers, refuse_beyond=refuse_beyond)
 
     def coefficients(
         self, angle_of_attack: Scalar, mach: Scalar, airspeed: Scalar

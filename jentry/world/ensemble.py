@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from .._interpolation import check_grid, clamp, interpolate, interval
 from ..fields import Scalar, as_float_array, scalar, table
 from .atmosphere import AbstractAtmosphere
+from .tabulated import AbstractTabulated, Edges
 from .wind import AbstractWind
 
 
@@ -28,7 +29,7 @@ def _optional_table(unit: str, positive: bool) -> Any:
     )
 
 
-class EnsembleAtmosphere(AbstractAtmosphere):
+class EnsembleAtmosphere(AbstractAtmosphere, AbstractTabulated):
     """Many profiles of density over the same altitudes, of which `profile` chooses one.
 
     Each is joined as `TabulatedAtmosphere` joins its table. Disperse
@@ -60,6 +61,9 @@ class EnsembleAtmosphere(AbstractAtmosphere):
                 if known and not np.all(np.asarray(values) > 0.0):
                     raise ValueError(f"{name} must be positive, and one is not")
 
+    def edges(self) -> Edges:
+        return {"altitudes": (self.altitudes[0], self.altitudes[-1])}
+
     def density(self, altitude: Scalar) -> Scalar:
         return self._exponential(self.densities, altitude)
 
@@ -84,7 +88,7 @@ class EnsembleAtmosphere(AbstractAtmosphere):
         return jnp.exp(_of_profile(self, values, altitude, jnp.log))
 
 
-class EnsembleWind(AbstractWind):
+class EnsembleWind(AbstractWind, AbstractTabulated):
     """Many profiles of the horizontal wind over the same altitudes, of which one blows.
 
     Each is joined as `TabulatedWind` joins its table. Where the air is of an ensemble too,
@@ -109,6 +113,9 @@ class EnsembleWind(AbstractWind):
                 f"east has shape {self.east.shape} and north {self.north.shape}: expected "
                 "the same"
             )
+
+    def edges(self) -> Edges:
+        return {"altitudes": (self.altitudes[0], self.altitudes[-1])}
 
     def velocity(self, altitude: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         inside = clamp(altitude, self.altitudes[0], self.altitudes[-1])

@@ -9,6 +9,7 @@ from .._interpolation import clamp
 from ..fields import Scalar, Vector, scalar, table
 from ..units import km
 from .atmosphere import AbstractAtmosphere
+from .tabulated import AbstractTabulated, Edges
 
 
 _REACH = 5.0
@@ -19,13 +20,13 @@ _SAME_GAS = 1e-3
 """Share by which the numbers of a gas may differ that is the same"""
 
 
-class SmoothedAtmosphere(AbstractAtmosphere):
+class SmoothedAtmosphere(AbstractAtmosphere, AbstractTabulated):
     """Means over altitude of another atmosphere; twice continuously differentiable.
 
     Models by layers have corners where the lapse rate jumps. A plan that differentiates
     the density twice, such as one that inverts the dynamics for the bank, has jumps there.
     Made by `smoothed`. Beyond the table the density goes on as an exponential, and the
-    temperature keeps its value.
+    temperature keeps its value: see `AbstractTabulated`.
     """
 
     log_density: Vector = table()
@@ -37,6 +38,11 @@ class SmoothedAtmosphere(AbstractAtmosphere):
     spacing: Scalar = scalar(unit="m", positive=True)
     gas_constant: Scalar = scalar(287.05287, unit="J/(kg K)", positive=True)
     heat_capacity_ratio: Scalar = scalar(1.4, positive=True)
+
+    def edges(self) -> Edges:
+        last = self.log_density.shape[0] - 2.0
+        first = self.lowest + self.spacing
+        return {"altitudes": (first, self.lowest + last * self.spacing)}
 
     def density(self, altitude: Scalar) -> Scalar:
         return jnp.exp(self._read(self.log_density, altitude, goes_on=True))

@@ -13,18 +13,20 @@ from .._interpolation import check_grid, clamp, interpolate
 from .._tables import read_columns
 from ..fields import Scalar, as_float_array, scalar, table
 from .atmosphere import AbstractAtmosphere
+from .tabulated import AbstractTabulated, Edges
 
 
 def _as_float_array_or_none(value: Any) -> Array | None:
     return None if value is None else as_float_array(value)
 
 
-class TabulatedAtmosphere(AbstractAtmosphere):
+class TabulatedAtmosphere(AbstractAtmosphere, AbstractTabulated):
     """Density, and where it is known temperature, at increasing altitudes.
 
     Between the altitudes the logarithm of density is a monotone cubic; beyond both ends
     it goes on as a straight line, an exponential with the scale height of the end.
-    Temperature is a monotone cubic too, and keeps the value of the end beyond it.
+    Temperature is a monotone cubic too, and keeps the value of the end beyond it: see
+    `AbstractTabulated`.
     Density is once differentiable in altitude everywhere, and all of it is in the
     numbers of the table.
 
@@ -62,6 +64,9 @@ class TabulatedAtmosphere(AbstractAtmosphere):
             known = not isinstance(values, Tracer)
             if known and not np.all(np.asarray(values) > 0.0):
                 raise ValueError(f"{name} must be positive, and one is not: {values}")
+
+    def edges(self) -> Edges:
+        return {"altitudes": (self.altitudes[0], self.altitudes[-1])}
 
     @classmethod
     def from_csv(cls, path: str | os.PathLike, **numbers: Any) -> "TabulatedAtmosphere":

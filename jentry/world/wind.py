@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from .._interpolation import check_grid, clamp, interpolate
 from .._tables import read_columns
 from ..fields import Scalar, scalar, table
+from .tabulated import AbstractTabulated, Edges
 
 
 class AbstractWind(eqx.Module):
@@ -39,10 +40,11 @@ class ConstantWind(AbstractWind):
         return self.east, self.north, self.up
 
 
-class TabulatedWind(AbstractWind):
+class TabulatedWind(AbstractWind, AbstractTabulated):
     """Horizontal wind at increasing altitudes, joined by monotone cubics.
 
-    Below the first and above the last altitude the wind keeps its value there.
+    Below the first and above the last altitude the wind keeps its value there: see
+    `AbstractTabulated`.
     """
 
     altitudes: Float[Array, "..."] = table(unit="m", increasing=True)
@@ -62,8 +64,13 @@ class TabulatedWind(AbstractWind):
                     f"{self.altitudes.shape}"
                 )
 
+    def edges(self) -> Edges:
+        return {"altitudes": (self.altitudes[0], self.altitudes[-1])}
+
     @classmethod
-    def from_csv(cls, path: str | os.PathLike) -> "TabulatedWind":
+    def from_csv(
+        cls, path: str | os.PathLike, refuse_beyond: bool = False
+    ) -> "TabulatedWind":
         """Read a file with the columns `altitude_m,east_m_s,north_m_s`.
 
         Raises `ValueError` that names the file, the line and what was expected there.
@@ -75,6 +82,7 @@ class TabulatedWind(AbstractWind):
             altitudes=jnp.asarray(columns["altitude_m"]),
             east=jnp.asarray(columns["east_m_s"]),
             north=jnp.asarray(columns["north_m_s"]),
+            refuse_beyond=refuse_beyond,
         )
 
     def velocity(self, altitude: Scalar) -> tuple[Scalar, Scalar, Scalar]:
