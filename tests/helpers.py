@@ -65,6 +65,7 @@ from jentry.guidance import (
     compose,
     plan_gains,
 )
+from jentry.guidance.aim import TargetOfScenario
 from jentry.missions.cav_h.scenario import stored
 from jentry.motion import Controls, EntryDynamics, EntryState, EquatorialDynamics
 from jentry.motion.index import EnergyIndex, VelocityIndex
@@ -403,7 +404,9 @@ def regulator() -> Regulator:
         OnboardModel(mars_planet(), mars_vehicle()), PolynomialProfile([-0.2, 1e-6])
     )
     weights = DeviationWeights(0.1, 0.02, 0.03, 0.001)
-    return Regulator(model, reference, weights, weights, 2.0, mars_entry(), degree=4)
+    return Regulator(
+        model, reference, weights, weights, 2.0, TargetOfScenario(), degree=4
+    )
 
 
 def pseudospectral_law(reference) -> PseudospectralTracking:

@@ -164,7 +164,7 @@ class PastPeakDrag(AbstractEndCondition):
     vehicle: Vehicle
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
-    def margin(self, state):
+    def margin(self, state, planet):
         planet = self.planet
         drag = air_data(
             planet, self.vehicle, state, jnp.zeros_like(state.altitude)

@@ -112,7 +112,9 @@ def assert_ends(flight, scenario, outcome, name):
     assert flight.outcome == outcome
     if name is not None:
         assert scenario.termination.names[int(flight.ended_by)] == name
-        margins = scenario.termination.margins(flight.time, flight.state)
+        margins = scenario.termination.margins(
+            flight.time, flight.state, scenario.planet
+        )
         if outcome == Outcome.BEGAN_BEYOND_END:
             assert margins[flight.ended_by] <= 0.0
             assert flight.time == 0.0

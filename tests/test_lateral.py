@@ -369,7 +369,7 @@ def test_heading_corridor_brings_the_flight_towards_its_target():
     ends = []
     for sign in (1.0, -1.0):
         corridor = HeadingCorridor(
-            12.0 * degree, 0.0, 3397 * km, [500.0, 7e3], [1 * degree, 3 * degree], sign
+            723.32 / 3397, 0.0, 3397 * km, [500.0, 7e3], [1 * degree, 3 * degree], sign
         )
         flight = fly_compiled(sampled(steady(corridor)), FixedStep(0.5))
         ends.append(float(flight.state.latitude))

@@ -230,11 +230,11 @@ def test_a_law_outside_of_a_scenario_says_that_it_has_no_target():
 @pytest.mark.parametrize(
     ("mission", "assignment", "message"),
     [
-        ("cav-h", "target.downrange=1000km", "ends at longitude 0 deg.*one target"),
+        ("cav-h", "target.downrange=1000km", "say longitude 0 deg.*one target"),
         (
             "cav-h",
             "termination.conditions.target.track.target_longitude=1deg",
-            "termination.conditions.target.track ends at longitude 1 deg",
+            "track.target_latitude say longitude 1 deg",
         ),
         ("mars-drag-tracking", "target.downrange=730km", "move the target and not the"),
         ("rlv", "target.crossrange=10km", "does not read where the target is"),

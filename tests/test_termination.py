@@ -200,17 +200,18 @@ def test_a_condition_counts_from_its_near_side():
         return EntryState(altitude, 0.0, 0.0, 3000.0, 0.0, 0.0)
 
     above, on, below = (state(x * km) for x in (125, 120, 115))
+    planet = mars_planet()
     assert plain.always is None
-    assert plain.counting(zero, above) is None
-    assert plain.smallest_margin(zero, above, plain.always) == -5 * km
-    assert armed.smallest_margin(zero, above, armed.always) == 10.0
+    assert plain.counting(zero, above, planet) is None
+    assert plain.smallest_margin(zero, above, planet, plain.always) == -5 * km
+    assert armed.smallest_margin(zero, above, planet, armed.always) == 10.0
     for where, counts in ((above, False), (on, False), (below, True)):
-        counting = armed.counting(zero, where)
+        counting = armed.counting(zero, where, planet)
         assert np.array_equal(counting, [counts, True])
     # A step from below to above meets it; one from above to below comes near.
-    up = armed.smallest_margin(zero, above, armed.counting(zero, below))
+    up = armed.smallest_margin(zero, above, planet, armed.counting(zero, below, planet))
     down = armed.smallest_margin(
-        zero, state(120 * km - 3.0), armed.counting(zero, above)
+        zero, state(120 * km - 3.0), planet, armed.counting(zero, above, planet)
     )
     assert up == -5 * km
     np.testing.assert_allclose(down, 3.0)
@@ -228,7 +229,8 @@ def test_directions_of_the_conditions():
         (Periapsis(), low, high),
         (Crossing(VelocityAbove(1500.0)), low, high),
     ):
-        assert condition.margin(before) > 0.0 > condition.margin(behind)
+        assert condition.margin(before, mars_planet()) > 0.0
+        assert condition.margin(behind, mars_planet()) < 0.0
 
 
 def test_the_wrapper_keeps_the_outcome():

@@ -254,7 +254,7 @@ def test_dispersed_flights():
                 "underway": DeviationWeights(downrange=1.0),
                 "at_end": DeviationWeights(downrange=1.0),
             },
-            "origin is None",
+            "aim=TargetOfScenario",
         ),
         ({"degree": 0}, "degree is 0"),
     ],

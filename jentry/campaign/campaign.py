@@ -21,6 +21,7 @@ from ..addresses import (
     require_address,
 )
 from ..flight.cycle import Plan
+from ..flight.duplicate_numbers import require_both
 from ..flight.flight import Flight, fly, warn_of
 from ..flight.miss import Misses, misses
 from ..flight.scenario import Scenario, check_values, checked, require_effect
@@ -231,6 +232,7 @@ def _check_inputs(
         runs = np.arange(len(given[address]))
         leaf = known[address]
         _check_runs(scenario, address, leaf, given[address], runs, "the inputs")
+    require_both(scenario, given)
     lengths = {address: len(values) for address, values in given.items()}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"inputs of unequal length: {lengths}")

@@ -21,6 +21,7 @@ from ..addresses import (
     with_leaves,
 )
 from ..fields import Scalar
+from ..flight.duplicate_numbers import require_both
 from ..flight.effect import require_felt
 from ..flight.scenario import Scenario, check_values, require_effect
 from .distributions import AbstractDistribution, TruncatedNormal
@@ -270,6 +271,7 @@ def check_dispersions(
         if isinstance(distribution, TruncatedNormal):
             _refuse_empty_interval(name, distribution)
     require_felt(scenario, moved)
+    require_both(scenario, moved)
     for sensors, unit in (("accelerometers", " m/s2"), ("flow_sensors", "")):
         noise = leaves.get(f"{sensors}.noise", 0.0)
         size = f"{float(noise):g}{unit}"

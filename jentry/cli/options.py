@@ -201,6 +201,7 @@ def chosen_scenario(name, variant, config, assignments, *, law_flies=True):
 
     A target that is set must be one that the law reads, where the law flies.
     """
+    from ..flight.duplicate_numbers import require_both
     from ..flight.effect import require_felt
     from ..flight.scenario import check
     from ..missions import find_mission
@@ -214,8 +215,9 @@ def chosen_scenario(name, variant, config, assignments, *, law_flies=True):
     if overrides.free_controls is not None:
         scenario = with_free_controls(scenario, overrides)
     overrides = in_si(overrides, scenario)
-    scenario = apply_values(scenario, overrides.values)
+    before, scenario = scenario, apply_values(scenario, overrides.values)
     check(scenario)
+    require_both(before, overrides.values)
     targets = [a for a in overrides.values if a.startswith("target.")]
     if targets and law_flies and overrides.free_controls is None:
         require_felt(scenario, targets)

@@ -227,7 +227,9 @@ def start(scenario: Scenario, step: float) -> Lane:
     memory, held = begun(scenario.law, measurement)
     flown = 0.0 * state.altitude
     conditions = scenario.termination
-    margin = conditions.smallest_margin(flown, state, conditions.always)
+    margin = conditions.smallest_margin(
+        flown, state, scenario.planet, conditions.always
+    )
     first, _ = commanded(scenario.law, flown, measurement, memory, held)
     integrals = {n: jnp.zeros_like(flown) for n in integrals_of(scenario.constraints)}
     attitude = scenario.attitude.init(first)
@@ -238,7 +240,7 @@ def start(scenario: Scenario, step: float) -> Lane:
     first_instant = lax.stop_gradient(Instant(flown, state))
     at_peaks = {name: first_instant for name in scenario.located_peaks}
     at_edges = {n: Excursion(jnp.zeros_like(flown), x) for n, x in beyond.items()}
-    running = (margin > 0.0) & is_finite((moving, peaks)) & ~refused
+    running = jnp.asarray(margin > 0.0) & is_finite((moving, peaks)) & ~refused
     return Lane(
         flown=flown,
         moving=moving,
@@ -246,9 +248,7 @@ def start(scenario: Scenario, step: float) -> Lane:
         noted=Noted(peaks, at_peaks, at_edges),
         bracket=Bracket(flown + step, margin, flown + jnp.inf, flown, flown + jnp.inf),
         running=running,
-        stopped=jnp.where(
-            refused, Outcome.BEYOND_TABLE, jnp.full_like(running, -1, int)
-        ),
+        stopped=jnp.where(refused, int(Outcome.BEYOND_TABLE), -1),
     )
 
 

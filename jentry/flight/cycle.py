@@ -207,8 +207,10 @@ def _fixed_cycle(
         flown = lane.flown + bracket.trial
         seen, refused = noted(scenario, lane, flown, moving)
 
-        counting = conditions.counting(lane.flown, lane.state)
-        margin = conditions.smallest_margin(flown, moving.state, counting)
+        counting = conditions.counting(lane.flown, lane.state, scenario.planet)
+        margin = conditions.smallest_margin(
+            flown, moving.state, scenario.planet, counting
+        )
         finite = is_finite(moving)
         taken = lane.running & finite & (margin > 0.0)
         singular = dynamics.is_singular(lane.state, moving.state)
@@ -272,10 +274,10 @@ def _adaptive_cycle(
     field = vector_field(scenario, lane.held)
     conditions = scenario.termination
     flown = jnp.minimum(lane.flown + duration, conditions.time_limit)
-    counting = conditions.counting(lane.flown, lane.state)
+    counting = conditions.counting(lane.flown, lane.state, scenario.planet)
 
     def smallest_margin(t, y, args, **kwargs):
-        margins = conditions.margins(t, y.state)
+        margins = conditions.margins(t, y.state, scenario.planet)
         if counting is not None:
             margins = jnp.where(counting, margins, jnp.inf)
         return jnp.min(margins[:-1], initial=jnp.inf)

@@ -125,7 +125,7 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
         state,
         scenario.dynamics.rates(planet, vehicle, state, controls),
         constrained(scenario, moving, controls),
-        scenario.termination.margins(time, state),
+        scenario.termination.margins(time, state, planet),
         sensed.lift,
         sensed.drag,
         sensed.air_velocity,

@@ -56,7 +56,7 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     conditions = scenario.termination
     field = vector_field(scenario, lane.held)
     asking = dataclasses.replace(lane.moving, off_a_bank=jnp.zeros_like(lane.flown))
-    counting = conditions.counting(lane.flown, lane.state)
+    counting = conditions.counting(lane.flown, lane.state, scenario.planet)
 
     def land(landing, _):
         """One step, whose length is known after its first stage."""
@@ -71,7 +71,7 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
             slope = field(flown + length, y)
 
             margins, closing = jax.jvp(
-                conditions.margins,
+                lambda t, state: conditions.margins(t, state, scenario.planet),
                 (flown, start.state),
                 (jnp.ones_like(flown), slope.state),
             )
@@ -122,7 +122,7 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
         lane.stopped,
     )
     outcome = jnp.array(conditions.outcomes)[ended_by]
-    at_stop = conditions.margins(lane.flown, lane.state)
+    at_stop = conditions.margins(lane.flown, lane.state, scenario.planet)
     beyond = (lane.flown == 0.0) & (at_stop[ended_by] <= 0.0)
     outcome = jnp.where(beyond, Outcome.BEGAN_BEYOND_END, outcome)
     lost = jnp.where(off_a_bank, Outcome.NOT_A_BANK, Outcome.NOT_FINITE)

@@ -3,8 +3,7 @@
 import dataclasses
 import math
 import warnings
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Iterator, Mapping
 
 import equinox as eqx
 import jax
@@ -13,7 +12,6 @@ from jax.core import Tracer
 
 from .._printed import as_text
 from ..addresses import (
-    address_of,
     field_metadata,
     leaves_by_address,
     unit_of,
@@ -21,6 +19,7 @@ from ..addresses import (
 )
 from ..fields import QUARTER, Scalar, optional_scalar, scalar
 from ..guidance.aim import Aim, TargetOfScenario, is_aim, told
+from ..guidance.lateral import HeadingCorridor
 from ..guidance.law import (
     AbstractLaw,
     kept_constraints,
@@ -46,6 +45,7 @@ from ..onboard.track import Track
 from ..units import degree, km
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
+from .duplicate_numbers import check_stated_twice, nodes
 from .termination import Termination
 
 
@@ -151,6 +151,7 @@ def check(scenario: Scenario) -> None:
     with_leaves(scenario)
     _check_kept(scenario.dynamics, scenario.initial_state)
     _check_one_target(scenario)
+    check_stated_twice(scenario)
     _check_noise(scenario)
     _check_constraints(scenario)
     _warn_without_limits(scenario)
@@ -187,12 +188,12 @@ def _check_kept(dynamics: AbstractDynamics, start: EntryState) -> None:
 
 
 _APART = 1.0
-"""m; a track ends at the target where they are nearer to each other than this"""
+"""m; a law or an end condition flies to the target if it is nearer to it than this"""
 
 
 def _check_one_target(scenario: Scenario) -> None:
     """Refuse a scenario that says in two places where to go, and differently."""
-    for part, address in _parts(scenario.guidance, is_aim, "guidance"):
+    for part, address in nodes(scenario.guidance, is_aim, "guidance"):
         if isinstance(part, Aim):
             raise ValueError(
                 f"{address} is an Aim, and the scenario has a target: leave it out, "
@@ -201,13 +202,11 @@ def _check_one_target(scenario: Scenario) -> None:
     _ = scenario.law  # refuses a target that is no place where the law flies to one
     target, planet = scenario.target, scenario.planet
     origin = scenario.initial_state if target.origin is None else target.origin
-    for track, address in tracks_of(scenario):
-        numbers = jax.tree.leaves((target, origin, planet.radius, track))
+    for longitude, latitude, addresses in _places_to_go(scenario):
+        numbers = jax.tree.leaves((target, origin, planet.radius, longitude, latitude))
         if any(isinstance(x, Tracer) for x in numbers):
             continue
-        there = dataclasses.replace(
-            origin, longitude=track.target_longitude, latitude=track.target_latitude
-        )
+        there = dataclasses.replace(origin, longitude=longitude, latitude=latitude)
         # At once also within a program that is being traced.
         with jax.ensure_compile_time_eval():
             ends = ground_track(planet, origin, there)
@@ -220,11 +219,10 @@ def _check_one_target(scenario: Scenario) -> None:
         )
         if off > _APART:
             raise ValueError(
-                f"{address} ends at {_place(track.target_longitude, track.target_latitude)}"
-                f", and the target lies at {_place(*place)}, "
-                f"{off / km:.6g} km from there: a scenario has one target, so set "
-                f"all of {address}.target_longitude, {address}.target_latitude, "
-                "target.downrange and target.crossrange to one place"
+                f"{' and '.join(addresses)} say {_place(longitude, latitude)}, and the "
+                f"target lies at {_place(*place)}, {off / km:.6g} km from there: a "
+                "scenario has one target, so set them, target.downrange and "
+                "target.crossrange to one place"
             )
 
 
@@ -233,21 +231,18 @@ def _place(longitude: Scalar, latitude: Scalar) -> str:
     return f"longitude {east:.7g} deg and latitude {north:.7g} deg"
 
 
-def tracks_of(scenario: Scenario) -> list[tuple[Track, str]]:
-    """Tracks along which the scenario flies, and on which it ends, with addresses."""
-    is_track = lambda node: isinstance(node, Track)
-    return [
-        *_parts(scenario.guidance, is_track, "guidance"),
-        *_parts(scenario.termination, is_track, "termination"),
-    ]
-
-
-def _parts(tree: Any, is_one: Callable[[Any], bool], place: str) -> list:
-    """Nodes of a kind, with their addresses."""
-    found, _ = jax.tree_util.tree_flatten_with_path(tree, is_leaf=is_one)
-    return [
-        (node, f"{place}.{address_of(path)}") for path, node in found if is_one(node)
-    ]
+def _places_to_go(scenario: Scenario) -> Iterator[tuple[Scalar, Scalar, list[str]]]:
+    """Longitudes and latitudes that the scenario flies to, with their addresses."""
+    for tree, name in (
+        (scenario.guidance, "guidance"),
+        (scenario.termination, "termination"),
+    ):
+        for track, address in nodes(tree, Track, name):
+            ends = [f"{address}.target_{x}" for x in ("longitude", "latitude")]
+            yield track.target_longitude, track.target_latitude, ends
+    for corridor, address in nodes(scenario.guidance, HeadingCorridor, "guidance"):
+        ends = [f"{address}.{x}" for x in ("longitude", "latitude")]
+        yield corridor.longitude, corridor.latitude, ends
 
 
 def _check_constraints(scenario: Scenario) -> None:

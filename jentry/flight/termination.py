@@ -9,9 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..fields import Scalar, scalar
+from ..motion.quantities import energy
 from ..motion.state import EntryState
 from ..onboard.track import Track
-from ..world.gravity import AbstractGravity
+from ..world.planet import Planet
 
 
 class Outcome(enum.IntEnum):
@@ -88,8 +89,11 @@ class AbstractEndCondition(eqx.Module):
     outcome: eqx.AbstractVar[Outcome]
 
     @abstractmethod
-    def margin(self, state: EntryState) -> Scalar:
-        """Smooth function of the state, positive until the condition is met."""
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
+        """Smooth function of the state, positive until the condition is met.
+
+        `planet` is that of the scenario.
+        """
 
 
 class VelocityBelow(AbstractEndCondition):
@@ -98,7 +102,7 @@ class VelocityBelow(AbstractEndCondition):
     velocity: Scalar = scalar(unit="m/s", positive=True)
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
-    def margin(self, state: EntryState) -> Scalar:
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
         return state.velocity - self.velocity
 
 
@@ -108,7 +112,7 @@ class AltitudeBelow(AbstractEndCondition):
     altitude: Scalar = scalar(unit="m")
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
-    def margin(self, state: EntryState) -> Scalar:
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
         return state.altitude - self.altitude
 
 
@@ -118,7 +122,7 @@ class AltitudeAbove(AbstractEndCondition):
     altitude: Scalar = scalar(unit="m")
     outcome: Outcome = eqx.field(default=Outcome.SKIPPED_OUT, static=True)
 
-    def margin(self, state: EntryState) -> Scalar:
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
         return self.altitude - state.altitude
 
 
@@ -128,23 +132,18 @@ class VelocityAbove(AbstractEndCondition):
     velocity: Scalar = scalar(unit="m/s", positive=True)
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
-    def margin(self, state: EntryState) -> Scalar:
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
         return self.velocity - state.velocity
 
 
 class EnergyBelow(AbstractEndCondition):
-    """Ends when the energy has fallen to a value: V^2/2 and the potential of a planet."""
+    """Ends when the energy has fallen to a value: V^2/2 and the potential of the planet."""
 
     energy: Scalar = scalar(unit="J/kg")
-    radius: Scalar = scalar(unit="m", positive=True)
-    """Radius of the planet"""
-    gravity: AbstractGravity = eqx.field(kw_only=True)
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
-    def margin(self, state: EntryState) -> Scalar:
-        kinetic = 0.5 * state.velocity * state.velocity
-        potential = self.gravity.potential(self.radius + state.altitude)
-        return kinetic + potential - self.energy
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
+        return energy(planet, state) - self.energy
 
 
 class Apoapsis(AbstractEndCondition):
@@ -157,7 +156,7 @@ class Apoapsis(AbstractEndCondition):
 
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
-    def margin(self, state: EntryState) -> Scalar:
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
         return state.flight_path_angle
 
 
@@ -172,7 +171,7 @@ class Periapsis(AbstractEndCondition):
 
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
-    def margin(self, state: EntryState) -> Scalar:
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
         return -state.flight_path_angle
 
 
@@ -195,20 +194,18 @@ class Crossing(AbstractEndCondition):
     def outcome(self) -> Outcome:
         return self.condition.outcome
 
-    def margin(self, state: EntryState) -> Scalar:
-        return self.condition.margin(state)
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
+        return self.condition.margin(state, planet)
 
 
 class TargetPassed(AbstractEndCondition):
     """Ends in the plane across a track through its target."""
 
     track: Track
-    radius: Scalar = scalar(unit="m", positive=True)
-    """Radius of the sphere on which the way to go is measured"""
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
-    def margin(self, state: EntryState) -> Scalar:
-        return self.radius * self.track.to_go(state)
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
+        return planet.radius * self.track.to_go(state)
 
 
 Counting = Bool[Array, " conditions"] | None
@@ -237,9 +234,11 @@ class Termination(eqx.Module):
                 f"time_limit is {self.time_limit} s: it must be positive and finite"
             )
 
-    def margins(self, flown: Scalar, state: EntryState) -> Float[Array, " conditions"]:
+    def margins(
+        self, flown: Scalar, state: EntryState, planet: Planet
+    ) -> Float[Array, " conditions"]:
         """Margins of all conditions, and last of the time limit; `flown` is in s."""
-        values = [c.margin(state) for c in self.conditions.values()]
+        values = [c.margin(state, planet) for c in self.conditions.values()]
         return jnp.stack([*values, self.time_limit - flown])
 
     @property
@@ -248,21 +247,21 @@ class Termination(eqx.Module):
         counts = [c.counts_from_start for c in self.conditions.values()]
         return None if all(counts) else jnp.array([*counts, True])
 
-    def counting(self, flown: Scalar, state: EntryState) -> Counting:
+    def counting(self, flown: Scalar, state: EntryState, planet: Planet) -> Counting:
         """Which conditions count in a step from a state; none if all of them do."""
         if self.always is None:
             return None
-        return self.always | (self.margins(flown, state) > 0.0)
+        return self.always | (self.margins(flown, state, planet) > 0.0)
 
     def smallest_margin(
-        self, flown: Scalar, state: EntryState, counting: Counting
+        self, flown: Scalar, state: EntryState, planet: Planet, counting: Counting
     ) -> Scalar:
         """Smallest of the margins: positive in flight, and zero where the flight ends.
 
         `counting` is of the state before the step; a condition that has come to its near
         side in it is looked at as well.
         """
-        margins = self.margins(flown, state)
+        margins = self.margins(flown, state, planet)
         if counting is not None:
             margins = jnp.where(counting | (margins > 0.0), margins, jnp.inf)
         return jnp.min(margins)

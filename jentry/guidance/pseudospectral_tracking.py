@@ -29,6 +29,7 @@ from ..onboard.longitudinal import (
     on_nodes,
 )
 from ..onboard.navigation import Measurement
+from .aim import Aim, TargetOfScenario, known
 from .cycle import FixedCycle
 from .lateral import AbstractLateralLogic, FixedSide, turned
 from .law import AbstractBankLaw, AbstractSampledLaw
@@ -74,8 +75,9 @@ class Regulator(eqx.Module):
     """P_f"""
     control: Scalar = scalar(1.0, positive=True)
     """R: of lift over drag"""
-    origin: EntryState | None = None
-    """From which the downrange is counted; needed where it has weights"""
+    aim: Aim | TargetOfScenario | None = None
+    """Whose origin the downrange is counted from: `TargetOfScenario()` where the downrange
+    has weights, and None where it has none"""
     degree: int = eqx.field(default=10, static=True)
     """Of the polynomials in each part of the reference"""
 
@@ -86,10 +88,10 @@ class Regulator(eqx.Module):
                 "downrange has a weight in one of underway and at_end, and None in the "
                 "other: give both, or neither"
             )
-        if weighed and self.origin is None:
+        if weighed != (self.aim is not None):
             raise ValueError(
-                "downrange has weights, and origin is None: give the state from which it "
-                "is counted"
+                "aim=TargetOfScenario() says from where the downrange is counted: give it "
+                "where downrange has weights, and only there"
             )
         if self.degree < 1:
             raise ValueError(f"degree is {self.degree}: it must be 1 or more")
@@ -126,7 +128,7 @@ class Regulator(eqx.Module):
     def deviation(self, time: Scalar, state: EntryState) -> Vector:
         """From the reference of the time (s), without dimensions."""
         n = self.underway.diagonal.shape[0]
-        origin = self.origin if n > 3 else None
+        origin = None if self.aim is None else known(self.aim).origin
         here = LongitudinalState.of(self.model.onboard.planet, state, origin)
         units, there = self.units, self.reference.at(time).state
         return (units.vector(here) - units.vector(there))[:n]

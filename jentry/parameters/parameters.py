@@ -19,6 +19,7 @@ from ..addresses import (
     replace_leaves,
     with_leaves,
 )
+from ..flight.duplicate_numbers import require_both
 from ..flight.scenario import Scenario, check_values, require_effect
 from .maps import AbstractMap, Between, Ranges, map_of
 
@@ -87,6 +88,8 @@ class Parameters(eqx.Module):
                 )
             check_values(address, np.asarray(leaf), metadata)
             maps[address] = as_map(address, leaf, metadata, ranges.pop(address, None))
+        if isinstance(start, Scenario) and where is not None and build is itself:
+            require_both(start, addresses)
         for address, given in ranges.items():
             raise ValueError(
                 f"{address} has a {type(given).__name__} and is not tuned; "

@@ -170,7 +170,7 @@ def glide(
         guidance=law,
         termination=Termination(
             {
-                "target": TargetPassed(track=track, radius=planet.radius),
+                "target": TargetPassed(track=track),
                 "ground": AltitudeBelow(altitude=0.0, outcome=Outcome.CRASHED),
             },
             time_limit=2000.0,

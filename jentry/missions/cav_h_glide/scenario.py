@@ -144,9 +144,7 @@ def guided() -> Scenario:
         guidance=law,
         termination=Termination(
             {
-                "energy": EnergyBelow(
-                    energy=last, radius=planet.radius, gravity=planet.gravity
-                ),
+                "energy": EnergyBelow(energy=last),
                 "skip_out": AltitudeAbove(altitude=toolbox.CEILING),
                 "ground": AltitudeBelow(altitude=0.0, outcome=Outcome.CRASHED),
             },

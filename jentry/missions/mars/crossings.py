@@ -13,6 +13,7 @@ from ..._computed_once import computed_once
 from ..._programs import kept
 from ...flight.scenario import Scenario
 from ...flight.termination import Termination, VelocityBelow
+from ...guidance.aim import TargetOfScenario
 from ...guidance.open_loop import BankProfile
 from ...guidance.pseudospectral_tracking import (
     DeviationWeights,
@@ -25,7 +26,7 @@ from ...onboard.model import OnboardModel
 from ...onboard.profiles import PolynomialProfile
 from ...planning.longitudinal_flight import as_longitudinal
 from ...planning.reference_flight import ReferenceFlight
-from .drag_tracking import END_VELOCITY, entry, lander, mars, reference
+from .drag_tracking import END_VELOCITY, entry, lander, mars, reference, to_the_place
 
 
 def _flown(scenario: Scenario) -> LongitudinalReference:
@@ -61,8 +62,9 @@ def pseudospectral() -> Scenario:
 
 def pseudospectral_with_range() -> Scenario:
     """The same with the downrange as a fourth state, with those of its `with-range`."""
-    return _regulated(
+    regulated = _regulated(
         underway=DeviationWeights(downrange=1.0),
         at_end=DeviationWeights(*4 * [3e4]),
-        origin=entry().initial_state,
+        aim=TargetOfScenario(),
     )
+    return to_the_place(regulated)

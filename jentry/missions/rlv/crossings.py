@@ -18,6 +18,7 @@ from ...fields import Scalar
 from ...flight.flight import fly
 from ...flight.scenario import Scenario
 from ...flight.termination import Termination, VelocityBelow
+from ...guidance.aim import TargetOfScenario
 from ...guidance.angle_of_attack import AngleOfAttackProfile
 from ...guidance.composition import compose
 from ...guidance.drag_tracking import (
@@ -215,15 +216,17 @@ def pseudospectral() -> Scenario:
 def pseudospectral_with_range() -> Scenario:
     """The same with the downrange as a fourth state, with those of its `with-range`."""
     underway, at_end = DeviationWeights(downrange=1.0), DeviationWeights(*4 * [3e4])
-    return _regulated(
+    regulated = _regulated(
         Regulator(
             longitudinal_model(),
             longitudinal_reference(),
             underway,
             at_end,
-            origin=start(),
+            aim=TargetOfScenario(),
         )
     )
+    target = dataclasses.replace(regulated.target, origin=start())
+    return dataclasses.replace(regulated, target=target)
 
 
 # Feedback linearization.

@@ -109,11 +109,7 @@ def glide() -> Scenario:
         ),
         termination=Termination(
             {
-                "energy": EnergyBelow(
-                    energy=energy(planet, end),
-                    radius=planet.radius,
-                    gravity=planet.gravity,
-                ),
+                "energy": EnergyBelow(energy=energy(planet, end)),
                 "ground": AltitudeBelow(altitude=0.0, outcome=Outcome.CRASHED),
             },
             time_limit=4000.0,

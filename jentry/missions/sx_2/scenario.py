@@ -229,9 +229,7 @@ def entry() -> Scenario:
         guidance=controls,
         termination=Termination(
             {
-                "energy": EnergyBelow(
-                    energy=last, radius=planet.radius, gravity=planet.gravity
-                ),
+                "energy": EnergyBelow(energy=last),
                 "ground": AltitudeBelow(altitude=0.0),
                 "skip_out": AltitudeAbove(altitude=400_000 * foot),
             },

@@ -18,6 +18,7 @@ from ...flight.termination import (
     Termination,
     VelocityBelow,
 )
+from ...guidance.aim import TargetOfScenario
 from ...guidance.angle_of_attack import AngleOfAttackProfile
 from ...guidance.composition import compose
 from ...guidance.law import AbstractLaw
@@ -162,7 +163,7 @@ def regulator(of: LongitudinalReference, with_range: bool = False) -> Regulator:
     if not with_range:
         return Regulator(model(), of)
     underway, at_end = DeviationWeights(downrange=1.0), DeviationWeights(*4 * [3e4])
-    return Regulator(model(), of, underway, at_end, origin=start(of))
+    return Regulator(model(), of, underway, at_end, aim=TargetOfScenario())
 
 
 def start(of: LongitudinalReference) -> EntryState:

@@ -1,0 +1,278 @@
+"""What a scenario states in two places cannot come apart without a word."""
+
+import dataclasses
+import itertools
+import re
+
+import cheap
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from commands import assert_refused
+from helpers import ConstantBank, mars_entry, mars_planet, mars_scenario, regulator
+
+from jentry import find_mission
+from jentry.addresses import leaves_by_address, replace_leaves, unit_of
+from jentry.campaign import Dispersion, Uniform, monte_carlo, multiply
+from jentry.campaign.dispersions import check_dispersions
+from jentry.flight import EnergyBelow, TargetPassed
+from jentry.flight.duplicate_numbers import require_both, stated_twice
+from jentry.flight.scenario import check
+from jentry.guidance import (
+    DeviationWeights,
+    HeadingCorridor,
+    Sampled,
+    StoredGainTracking,
+)
+from jentry.guidance.aim import TargetOfScenario
+from jentry.guidance.pseudospectral_tracking import plan_gains
+from jentry.missions import ALL
+from jentry.onboard.track import Track
+from jentry.parameters.parameters import Parameters
+from jentry.units import km
+from jentry.world import GroundWave, PerturbedAtmosphere
+
+
+MODEL = r"guidance\.(.*\.)?(model|onboard|domain|planet)\."
+PLACE = r"(initial_state|target\.origin)\."
+TABLE = r"guidance\.(.*\.)?(start|spacing)$"
+JUDGED = r"constraints\.\w+_deviation\.reference\."
+
+MEANT = [
+    # Two addresses, and why they may be moved apart.
+    (MODEL, "", "what a law believes of planet and vehicle, and the truth"),
+    (PLACE, PLACE, "a target is a place: it stays where it is when the start moves"),
+    (JUDGED, JUDGED, "two deviations, each from the plan that it is judged by"),
+    (JUDGED, r"guidance\.", "a deviation is judged by the plan, whatever a law tracks"),
+    (TABLE, TABLE, "the grids of two tables, each of which is one with its numbers"),
+    (r"guidance\.", r"attitude\.", "what a law believes of the attitude, or commands"),
+    (r"guidance\..*gate\.", r"guidance\..*gate\.", "two laws, each with a gate"),
+    (r"guidance\..*gate\.velocity", r".*deviation\.below", "where an error is judged"),
+    (r"guidance\..*largest", r"guidance\..*(largest|increment)", "limits in a row"),
+    (r"guidance\..*band\.", r"guidance\..*band\.", "two sides of a band"),
+    (r"vehicle\.trim", r"(attitude|guidance)\.", "trim, and an angle that is flown"),
+    (r"vehicle\.trim", r"vehicle\.aerodynamics", "trim, and an edge of the model"),
+    (r"attitude\.", r"attitude\.", "two channels of an attitude"),
+    (
+        r"guidance\..*\.last$",
+        r"(guidance|termination)\..*velocity$",
+        "where a schedule ends, and where the flight does",
+    ),
+]
+
+CHANCE = {
+    # Equal numbers that say different things.
+    ("guidance.limits.last_range", "termination.conditions.altitude.altitude"),
+    ("guidance.limits.last_range", "target.altitude"),
+    ("planet.atmosphere.waves.0.wavelength", "guidance.arrival.altitude"),
+    ("planet.atmosphere.waves.0.wavelength", "target.altitude"),
+}
+
+
+def reasons_for(one, other):
+    """Why two addresses may be moved apart."""
+    for a, b, reason in MEANT:
+        for first, second in ((one, other), (other, one)):
+            if re.match(a, first) and re.match(b, second):
+                yield reason
+
+
+def equal_leaves(scenario):
+    """Pairs of addresses of numbers with a unit that are equal and not zero.
+
+    Numbers without a unit are equal by chance: factors, gains, weights.
+    """
+    groups = {}
+    for address, leaf in leaves_by_address(scenario).items():
+        unit = unit_of(scenario, address)
+        if np.ndim(leaf) == 0 and unit != "1" and float(leaf) != 0.0:
+            groups.setdefault((float(leaf), unit), []).append(address)
+    for addresses in groups.values():
+        yield from itertools.combinations(addresses, 2)
+
+
+def moved_alone(scenario, address):
+    """The scenario with one number changed by a thousandth."""
+    number = leaves_by_address(scenario)[address]
+    return replace_leaves(scenario, {address: number * 1.001})
+
+
+def is_refused(scenario, address):
+    """Whether one that is moved alone is refused, with its name and another one's."""
+    try:
+        require_both(scenario, [address])
+        check(moved_alone(scenario, address))
+    except ValueError as error:
+        others = set(re.findall(r"\w+(?:\.\w+)+", str(error)))
+        return address in others and len(others) > 1
+    return False
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ALL)
+def test_each_number_of_a_mission_stands_once_or_is_guarded(name):
+    """Each leaf of each variant is moved alone: where another has the same value, that is
+    refused with both names, or the pair is explained above."""
+    mission = find_mission(name)
+    for variant in mission.variants:
+        scenario = mission.scenario(variant)
+        check(scenario)
+        leaves = set(leaves_by_address(scenario))
+        for pair in stated_twice(scenario):
+            assert {pair.first, pair.second} <= leaves
+        for one, other in equal_leaves(scenario):
+            if (one, other) not in CHANCE and not any(reasons_for(one, other)):
+                assert is_refused(scenario, one), f"{variant}: {one}, {other}"
+                assert is_refused(scenario, other), f"{variant}: {other}, {one}"
+
+
+@pytest.fixture(scope="module")
+def lander():
+    return find_mission("mars-range-tracking").scenario("predictor-corrector")
+
+
+def multiplied(*addresses):
+    """A dispersion that moves numbers by one factor."""
+
+    def where(scenario):
+        found = []
+        for address in addresses:
+            node = scenario
+            for step in address.split("."):
+                node = node[step] if isinstance(node, dict) else getattr(node, step)
+            found.append(node)
+        return tuple(found)
+
+    return Dispersion(where, Uniform(0.99, 1.01), apply=multiply)
+
+
+@pytest.mark.parametrize("name", ["velocity", "altitude"])
+def test_where_a_law_believes_the_end_and_where_the_flight_ends(lander, name):
+    address, believed = f"termination.conditions.{name}.{name}", f"guidance.end.{name}"
+    with pytest.raises(ValueError, match=rf"{believed} is .* and {address} is"):
+        check(moved_alone(lander, address))
+    with pytest.raises(ValueError, match=f"{address} is moved"):
+        check_dispersions(lander, {"end": multiplied(address)})
+
+
+def test_a_ceiling_is_that_of_the_flight(lander):
+    ceiling = "termination.conditions.skip_out.altitude"
+    with pytest.raises(
+        ValueError, match=r"end\.ceiling is 135 km and .* is 135\.135 km"
+    ):
+        check(moved_alone(lander, ceiling))
+
+
+def test_both_together_are_moved(lander):
+    three = (
+        "termination.conditions.velocity.velocity",
+        "guidance.end.velocity",
+        "target.velocity",
+    )
+    check_dispersions(lander, {"end": multiplied(*three)})
+    leaves = leaves_by_address(lander)
+    check(replace_leaves(lander, {a: leaves[a] * 1.1 for a in three}))
+    with pytest.raises(ValueError, match=r"target\.velocity, which says the same"):
+        check_dispersions(lander, {"end": multiplied(*three[:2])})
+
+
+def test_a_number_that_differs_already_may_be_moved():
+    """An end condition as a bound of the flight, and a target elsewhere."""
+    given = mars_scenario()
+    pairs = [pair for pair in stated_twice(given) if pair.second == "target.velocity"]
+    assert pairs and all(pair.may_differ for pair in pairs)
+    apart = replace_leaves(given, {"target.velocity": 450.0})
+    check(apart)
+    require_both(apart, ["target.velocity"])
+    with pytest.raises(ValueError, match="move both"):
+        require_both(given, ["target.velocity"])
+
+
+@pytest.mark.parametrize(
+    "setting, other",
+    [
+        ("target.velocity=600m/s", "termination.conditions.velocity.velocity"),
+        ("termination.conditions.altitude.altitude=9km", "target.altitude"),
+    ],
+)
+def test_commands_refuse_one_of_two(command, setting, other):
+    result = command("fly", "mars-drag-tracking", "--set", setting)
+    assert_refused(result, f"{other}, which says the same")
+
+
+def test_inputs_and_tuned_numbers_are_refused_too(lander):
+    address = "guidance.end.velocity"
+    with pytest.raises(ValueError, match=f"{address} is moved"):
+        monte_carlo(lander, inputs={address: [503.0, 504.0]})
+    with pytest.raises(ValueError, match=f"{address} is moved"):
+        Parameters.of(lander, lambda s: s.guidance.end.velocity)
+    all_of_them = lambda s: (
+        s.guidance.end.velocity,
+        s.target.velocity,
+        s.termination.conditions["velocity"].velocity,
+    )
+    assert len(Parameters.of(lander, all_of_them).addresses) == 3
+
+
+def test_a_corridor_about_the_bearing_of_another_place_is_refused():
+    corridor = HeadingCorridor(0.1, 0.0, 3397 * km, [500.0], [0.1])
+    given = mars_scenario(Sampled(ConstantBank(0.5, corridor), 1.0))
+    with pytest.raises(ValueError, match=r"lateral\.longitude.*5\.729578 deg.*km from"):
+        check(given)
+    there = replace_leaves(given, {"guidance.law.lateral.longitude": 723.32 / 3397})
+    check(there)
+    wrong = replace_leaves(there, {"guidance.law.lateral.radius": 3400 * km})
+    with pytest.raises(
+        ValueError, match=r"radius is 3400 km and planet\.radius is 3397"
+    ):
+        check(wrong)
+
+
+def test_a_wave_over_the_ground_has_the_radius_of_the_planet():
+    given = cheap.scenario()
+    air = PerturbedAtmosphere(
+        given.planet.atmosphere, ground_waves=(GroundWave(0.1, 800 * km, 6371 * km),)
+    )
+    planet = dataclasses.replace(given.planet, atmosphere=air)
+    with pytest.raises(ValueError, match=r"ground_waves\.0\.radius is 6371 km"):
+        check(dataclasses.replace(given, planet=planet))
+
+
+@pytest.mark.parametrize("radius", [3397 * km, 3500 * km])
+def test_end_conditions_are_of_the_planet_that_is_flown_over(radius):
+    """The energy with its radius and gravity, the way along a track on its radius."""
+    state = mars_entry()
+    planet = dataclasses.replace(mars_planet(), radius=jnp.array(radius))
+    state = dataclasses.replace(state, longitude=jnp.array(0.01))
+    parameter = float(planet.gravity.gravitational_parameter)
+    by_hand = 0.5 * 6750.0**2 - parameter / (radius + 126.1 * km)
+    found = EnergyBelow(1e6).margin(state, planet)
+    assert float(found) == pytest.approx(by_hand - 1e6, rel=1e-12)
+    passed = TargetPassed(Track(0.0, 0.0, 0.2, 0.0))
+    way = radius * np.sin(0.2 - 0.01)  # along the track, up to its plane
+    assert float(passed.margin(state, planet)) == pytest.approx(way, rel=1e-9)
+
+
+@pytest.mark.parametrize("away", [0.0, 0.02])
+def test_a_regulator_counts_its_range_from_the_origin_of_the_target(away):
+    """Where the start is moved, and where the target is."""
+    start = dataclasses.replace(mars_entry(), longitude=jnp.array(away))
+    law = StoredGainTracking(regulator(), plan_gains(regulator()))
+    given = dataclasses.replace(mars_scenario(law), initial_state=start)
+    reads = given.law.regulator
+    first = reads.reference.at(jnp.array(0.0)).state
+    by_hand = away - float(first.downrange) / (3397 * km)
+    found = reads.deviation(jnp.array(0.0), start)[3]
+    assert float(found) == pytest.approx(by_hand, abs=1e-9)
+    moved = replace_leaves(given, {"target.origin.longitude": 0.01}).law.regulator
+    found = moved.deviation(jnp.array(0.0), start)[3]
+    assert float(found) == pytest.approx(by_hand - 0.01, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "weights, aim",
+    [(DeviationWeights(downrange=1.0), None), (DeviationWeights(), TargetOfScenario())],
+)
+def test_a_regulator_says_where_its_range_is_counted_from(weights, aim):
+    with pytest.raises(ValueError, match=r"aim=TargetOfScenario\(\) says from where"):
+        dataclasses.replace(regulator(), underway=weights, at_end=weights, aim=aim)
