@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import assert_refused
-from helpers import ConstantBank, mars_entry, mars_planet, mars_scenario, regulator
+from helpers import mars_entry, mars_planet, mars_scenario, regulator
 
 from jentry import find_mission
 from jentry.addresses import leaves_by_address, replace_leaves, unit_of
@@ -19,6 +19,7 @@ from jentry.flight import EnergyBelow, TargetPassed
 from jentry.flight.duplicate_numbers import require_both, stated_twice
 from jentry.flight.scenario import check
 from jentry.guidance import (
+    BankProfile,
     DeviationWeights,
     HeadingCorridor,
     Sampled,
@@ -27,6 +28,7 @@ from jentry.guidance import (
 from jentry.guidance.aim import TargetOfScenario
 from jentry.guidance.pseudospectral_tracking import plan_gains
 from jentry.missions import ALL
+from jentry.onboard.profiles import PolynomialProfile
 from jentry.onboard.track import Track
 from jentry.parameters.parameters import Parameters
 from jentry.units import km
@@ -216,7 +218,8 @@ def test_inputs_and_tuned_numbers_are_refused_too(lander):
 
 def test_a_corridor_about_the_bearing_of_another_place_is_refused():
     corridor = HeadingCorridor(0.1, 0.0, 3397 * km, [500.0], [0.1])
-    given = mars_scenario(Sampled(ConstantBank(0.5, corridor), 1.0))
+    cosine = PolynomialProfile(jnp.array([0.5]))
+    given = mars_scenario(Sampled(BankProfile(cosine, lateral=corridor), 1.0))
     with pytest.raises(ValueError, match=r"lateral\.longitude.*5\.729578 deg.*km from"):
         check(given)
     there = replace_leaves(given, {"guidance.law.lateral.longitude": 723.32 / 3397})

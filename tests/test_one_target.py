@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import cheap
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -19,6 +20,8 @@ from helpers import (
 from jentry.campaign import Dispersion, monte_carlo
 from jentry.campaign.dispersions import add
 from jentry.campaign.distributions import Uniform
+from jentry.campaign.results import dataset
+from jentry.cli.campaign_report import print_campaign
 from jentry.cli.options import chosen_scenario
 from jentry.flight import FixedStep, check, misses
 from jentry.flight.effect import require_felt
@@ -270,3 +273,21 @@ def test_tracks_are_looked_at_within_a_program_too():
     further = scenario.target.downrange + 2 * km
     with pytest.raises(ValueError, match="2 km from there: a scenario has one target"):
         slope(with_leaf(scenario, lambda s: s.target.downrange, further))
+
+
+@pytest.mark.parametrize(
+    "origin, words",
+    [(None, "range flown from the start of each flight"), ("start", "place of the")],
+)
+def test_the_table_of_a_campaign_says_what_errors_are_counted_from(
+    capsys, origin, words
+):
+    given = cheap.scenario()
+    origin = given.initial_state if origin else None
+    target = dataclasses.replace(given.target, origin=origin)
+    given = dataclasses.replace(given, target=target)
+    campaign = monte_carlo(
+        given, cheap.dispersions(), jax.random.key(0), 8, solver=cheap.SOLVER
+    )
+    print_campaign(cheap.MISSION, dataset(given, campaign), as_published=False)
+    assert f"downrange and crossrange: {words}" in capsys.readouterr().out

@@ -61,6 +61,8 @@ def print_summary(name: str, summary: Summary) -> None:
         title = f"{name}: {count} finite flights, errors are actual minus desired"
         _print_statistics(console, title, summary.statistics)
         _print_intervals(console, summary.statistics)
+        if summary.counted_from:
+            console.print(f"downrange and crossrange: {summary.counted_from}")
         if summary.caution:
             console.print(summary.caution)
     if summary.ellipse is not None:

@@ -122,6 +122,8 @@ class Summary:
     statistics: list[Statistics]
     ellipse: MissEllipse | None
     verdicts: list[Verdict]
+    counted_from: str | None = None
+    """What errors of downrange and crossrange are counted from, in words"""
 
     @property
     def caution(self) -> str | None:
@@ -232,6 +234,7 @@ def summarize(
         statistics=_statistics(flown, percentiles),
         ellipse=ellipse_of(flown, RADII),
         verdicts=[judged(r, results, sequential=sequential) for r in requirements],
+        counted_from=_counted_from(results),
     )
 
 
@@ -248,6 +251,13 @@ def _described(results: "xarray.Dataset") -> dict[str, Any]:
         "dispersions",
     )
     return {name: described[name] for name in (*told, "versions") if name in described}
+
+
+def _counted_from(results: "xarray.Dataset") -> str | None:
+    for name in ("downrange_error", "crossrange_error"):
+        if name in results:
+            return results[name].attrs.get("counted_from")
+    return None
 
 
 def _caveat(name: str, results: "xarray.Dataset") -> Caveat:
