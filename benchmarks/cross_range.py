@@ -4,7 +4,7 @@ Prints the latitude at the end by `jentry.optimize`, from several cold starts, a
 CMA-ES and Nelder-Mead with ten times the seconds, on the same 80 unknowns, with what the
 end is off added to the objective. Search flies batches, compiled, from the first start.
 
-    python benchmarks/cross_range.py --variant limited-heating
+    python benchmarks/cross_range.py --case limited-heating
 """
 
 import argparse
@@ -133,14 +133,14 @@ def by_nelder_mead(search: Search, seconds: float) -> np.ndarray:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--variant", default="glide")
+    parser.add_argument("--case", choices=["limited-heating"])
     parser.add_argument("--times", type=float, default=10.0)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first-step", type=float, default=0.02)
     options = parser.parse_args()
     jentry.setup(workers=1)
     warnings.simplefilter("ignore", jentry.ResultWarning)
-    scenario = jentry.find_mission("shuttle").scenario(options.variant)
+    scenario = jentry.find_mission("shuttle").scenario(case=options.case)
     taken = []
     for angle, bank in STARTS:
         begin = time.perf_counter()

@@ -2,7 +2,8 @@
 
     python benchmarks/drag_noise.py --sets 3
 
-Of `quick-noise`, in its guidance cycles of 0.05 s and in longer ones. The drag a flight
+Of `lag-inverted-fast` with an attitude of 3 rad/s and noise, in its guidance cycles of
+0.05 s and in longer ones. The drag a flight
 would have with its angle of attack on the reference, less that of the reference, is what a
 law has to take off: the disturbance w. A linear law adds to it its own answer g to all
 samples so far, of disturbance and noise: at sample k the drag error is
@@ -14,7 +15,7 @@ of the angle of attack that is known exactly (its standard deviation is that of 
 covariance); and the best g that L-BFGS finds, of whatever order: with the fewest samples of
 noisy flights that leave 0.7e-3 g, of all that follow a disturbance of constant rate and
 remember 12 s. All else that limits a law is left out, such as the limits of the attitude,
-an effect that is not known, and the damping. Below, how many flights of two variants are
+an effect that is not known, and the damping. Below, how many flights of two laws are
 lost, also with wider dispersions.
 """
 
@@ -55,8 +56,10 @@ LONGEST = 12.0
 
 
 def in_cycles(period: float) -> jentry.Scenario:
-    """`quick-noise` in cycles of a period (s)."""
-    scenario = jentry.find_mission("rlv").scenario("quick-noise")
+    """`lag-inverted-fast` in cycles of a period (s)."""
+    scenario = jentry.find_mission("rlv").scenario_of(
+        "lag-inverted-fast world attitude-3 world noise"
+    )
     law = scenario.guidance
     sampled = compose(
         dataclasses.replace(law.angle_of_attack, cycle=FixedCycle(period)),
@@ -207,7 +210,9 @@ def lost(variant: str, seed: int, wider: float) -> int:
     normal = {n: d for n, d in table.items() if isinstance(d.distribution, Normal)}
     table = {**table, **scaled_dispersions(normal, wider)}
     key = jax.random.key(seed)
-    flown = jentry.monte_carlo(mission.scenario(variant), table, key, FLIGHTS).flights
+    flown = jentry.monte_carlo(
+        mission.scenario_of(variant), table, key, FLIGHTS
+    ).flights
     far = np.asarray(flown.peaks["drag_deviation"]) > 1.0
     return int(np.sum(far | ~np.asarray(has_end(flown.outcome))))
 
@@ -243,7 +248,10 @@ def main() -> None:
             row(f"    {name}", deviation, [model.peaks(g, seed) for seed in seeds])
     print(f"flights lost, of {options.sets} sets of {FLIGHTS}")
     for wider in (1.0, 1.4):
-        for variant in ("hard-noise", "quick-noise"):
+        for variant in (
+            "lag-inverted world attitude-3 world noise",
+            "lag-inverted-fast world attitude-3 world noise",
+        ):
             counts = [lost(variant, seed, wider) for seed in seeds]
             name = f"{variant}, dispersions {wider} times as wide"
             print(f"{name:50}{', '.join(map(str, counts))}", flush=True)

@@ -26,7 +26,8 @@ import jentry
 from jentry.campaign.dispersions import Dispersion, multiply
 from jentry.campaign.distributions import Constant, Normal, Uniform
 from jentry.missions.mars.drag_tracking import entry, independent, lift_to_drag_held
-from jentry.missions.mars.predictor_corrector import in_plane, three_dimensional
+from jentry.missions.mars.predictor_corrector import guided
+from jentry.missions.mars.range_tracking import in_plane
 from jentry.onboard import Accelerometers
 from jentry.tuning import (
     AutomaticDifferentiation,
@@ -45,7 +46,7 @@ WAVES = (25.0 * km, 0.05), (8.0 * km, 0.02)
 
 def harder():
     """The scenario with waves and accelerometers, and what of them is dispersed."""
-    scenario = dataclasses.replace(three_dimensional(), accelerometers=Accelerometers())
+    scenario = dataclasses.replace(guided(), accelerometers=Accelerometers())
     waves = tuple(DensityWave(0.0, wavelength) for wavelength, _ in WAVES)
     air = PerturbedAtmosphere(scenario.planet.atmosphere, waves)
     scenario = eqx.tree_at(lambda s: s.planet.atmosphere, scenario, air)
@@ -78,7 +79,7 @@ MEMORY = "guidance.estimator.time_constant"
 def tuned(runs: int = 256, held_out: int = 1000, steps: int = 12):
     """The memory of the factors (s) in harder air, tuned from 20 s on."""
     scenario, table = harder()
-    plane = in_plane()
+    plane = in_plane(guided())
     memory = lambda s: s.guidance.estimator.time_constant
     law = eqx.tree_at(memory, plane, jnp.asarray(20.0)).guidance
     scenario = eqx.tree_at(lambda s: s.guidance, scenario, law)
@@ -119,17 +120,15 @@ def main() -> None:
         )
         return
     key, runs = jax.random.key(0), options.runs
-    reached, guided = (
+    reached, ended = (
         np.asarray(jentry.monte_carlo(s, independent(), key, runs).misses.downrange)
-        for s in (entry(), three_dimensional())
+        for s in (entry(), guided())
     )
     short = reached < 0.0
     sets = [np.mean(one) for one in np.array_split(short, max(1, runs // 1000))]
     print(f"{np.mean(short):.2%} short, {min(sets):.2%} to {max(sets):.2%} of a set")
-    print(f"largest miss of the others: {np.max(np.abs(guided[~short])):.1f} m")
-    print(
-        f"full lift brings the short {np.max((reached - guided)[short]):.1f} m nearer"
-    )
+    print(f"largest miss of the others: {np.max(np.abs(ended[~short])):.1f} m")
+    print(f"full lift brings the short {np.max((reached - ended)[short]):.1f} m nearer")
     scenario, table = harder()
     for seed in range(2):
         flown = jentry.monte_carlo(scenario, table, jax.random.key(seed), runs // 16)

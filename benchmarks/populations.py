@@ -14,9 +14,10 @@ README. Campaigns are stored below --out, and are resumed or read again from the
     python benchmarks/populations.py cav-h-glide
 
 `populations.csv` beside this file has each statistic of each set: `--save` writes it anew.
-Its columns are mission, variant, dispersions, heading, the statistic of the first 8 runs of
-the first set, and that of each set. The tests compare the README with it, and what they fly
-with its first sets or, where more would take long, with the first runs of them.
+Its columns are mission, what is flown of it, dispersions, heading, the statistic of the
+first 8 runs of the first set, and that of each set. The tests compare the README with
+it, and what they fly with its first sets or, where more would take long, with the
+first runs of them.
 """
 
 import argparse
@@ -32,6 +33,7 @@ from jentry.campaign import open_campaign, run_campaign
 from jentry.campaign.populations import finite_flights, population, sets_of
 from jentry.flight import Outcome
 from jentry.missions import find_mission
+from jentry.missions.choice import Choice
 from jentry.missions.x_33.scenario import corridor
 from jentry.units import degree, km
 
@@ -200,9 +202,12 @@ MORE = {
         Column("load factor, maximum", "peak_load_factor", 1.0, np.max),
     ),
     **{("x-33", variant): (_LOST,) for variant in CROSSINGS["x-33"]},
-    **{("rlv", variant): (_LOST, *_DRAG) for variant in ("r5", *CROSSINGS["rlv"])},
+    **{
+        ("rlv", variant): (_LOST, *_DRAG)
+        for variant in ("modulation", *CROSSINGS["rlv"])
+    },
 }
-"""Columns of one variant beside those of its mission"""
+"""Columns of one flight of a mission beside those of its mission"""
 
 OTHERS = {
     "cav-h": {
@@ -253,19 +258,19 @@ ROWS = {
         ("learning-correlated", "waves-sensed"),
         ("learning", "normal-sensed"),
         ("learning-correlated", "normal-sensed"),
-        ("us-1976", "normal-sensed"),
+        ("newton world us-1976", "normal-sensed"),
         ("predictor-corrector", "normal-sensed"),
         ("predictor-corrector", "uniform-sensed"),
         ("predictor-corrector", "waves-sensed"),
     ),
     "mars-range-tracking": (
-        ("three-dimensional", "lift-to-drag-held"),
-        ("three-dimensional", "independent"),
+        ("range-tracking", "lift-to-drag-held"),
+        ("range-tracking", "independent"),
         ("predictor-corrector", "lift-to-drag-held"),
         ("predictor-corrector", "independent"),
-        ("predictor-corrector-in-plane", "independent"),
+        ("predictor-corrector world in-plane", "independent"),
+        ("predictor-corrector-network world in-plane", "independent"),
         ("predictor-corrector-network", "independent"),
-        ("predictor-corrector-network-3d", "independent"),
     ),
     "sx-2": tuple(
         (variant, reading)
@@ -279,21 +284,21 @@ ROWS = {
             "with-range",
             "predictor-corrector",
             "predictor-corrector-limited",
-            "predictor-corrector-3d",
+            "predictor-corrector world three-dimensional",
             *CROSSINGS["x-33"],
         )
     ),
     "rlv": tuple(
         (variant, "table-1")
-        for variant in ("r5", "predictor-corrector", *CROSSINGS["rlv"])
+        for variant in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
     ),
     "apollo-10": (
         ("predictor-corrector", "everything"),
         ("predictor-corrector", "entry-errors"),
         ("predictor-corrector", "air-and-vehicle"),
-        ("skip", "everything"),
+        ("predictor-corrector case skip", "everything"),
         ("unlimited", "everything"),
-        ("us-1976", "everything"),
+        ("predictor-corrector world us-1976", "everything"),
     ),
     "cav-h-glide": (
         ("predictor-corrector", "everything"),
@@ -302,8 +307,8 @@ ROWS = {
         ("two-ended", "everything"),
         ("undamped", "everything"),
         ("undamped-unlimited", "everything"),
-        ("at-rest", "everything"),
-        ("us-1976", "everything"),
+        ("predictor-corrector world at-rest", "everything"),
+        ("predictor-corrector world us-1976", "everything"),
     ),
     "mars-drag-tracking": tuple(
         (variant, "lift-to-drag-held")
@@ -331,7 +336,7 @@ RUNS = {
 """In a set"""
 
 FEWER = {("cav-h", "predictor-corrector"): 50}
-"""In a set of a variant that takes longer"""
+"""In a set that takes longer"""
 
 
 def runs_of(mission: str, variant: str) -> int:
@@ -373,7 +378,7 @@ def statistics_of(mission: str, variant: str) -> dict[str, Callable[..., float]]
 
 
 def statistics() -> dict[tuple[str, ...], Statistic]:
-    """All that was saved: by mission, variant, dispersions and heading."""
+    """All that was saved: by mission, what is flown of it, dispersions and heading."""
     with open(SAVED, newline="") as file:
         return {
             tuple(row[:4]): Statistic(float(row[4]), np.array(row[5:], float))
@@ -382,7 +387,7 @@ def statistics() -> dict[tuple[str, ...], Statistic]:
 
 
 def saved() -> dict[tuple[str, ...], np.ndarray]:
-    """Of each set: by mission, variant, dispersions and heading."""
+    """Of each set: by mission, what is flown of it, dispersions and heading."""
     return {row: found.sets for row, found in statistics().items()}
 
 
@@ -395,17 +400,21 @@ def first_runs_of(results):
 def flown(mission: str, variant: str, reading: str, runs: int, seed: int, out: Path):
     """The stored campaign, of which what is missing is flown."""
     chosen = find_mission(mission)
-    folder = out / f"{mission}-{variant}-{reading}-{seed}"
-    labels = {"mission": mission, "variant": variant}
+    folder = out / f"{mission}-{Choice.of(variant).folder}-{reading}-{seed}"
+    labels = {"mission": mission, **Choice.of(variant).labels}
     table = chosen.dispersion_table(reading)
-    run_campaign(folder, chosen.scenario(variant), table, seed, runs, **labels)
+    run_campaign(folder, chosen.scenario_of(variant), table, seed, runs, **labels)
     return open_campaign(folder, runs)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("mission", choices=ROWS)
-    parser.add_argument("--only", nargs="*", help="variants; all if not given")
+    parser.add_argument(
+        "--only",
+        nargs="*",
+        help="what is flown, such as `newton world us-1976`; all if not given",
+    )
     parser.add_argument("--sets", type=int, default=SETS)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("results/populations"))
@@ -436,7 +445,7 @@ def main() -> None:
                 cells[heading] += f"; {middle:.3g}, {largest:.3g}"
         cells["reached"] = str(np.sum(results["outcome"].values == Outcome.REACHED))
         cells["left out"] = str(runs - finite_flights(results).sizes["run"])
-        told = {"variant": variant, "dispersions": reading, "runs": str(size)} | cells
+        told = {"flown": variant, "dispersions": reading, "runs": str(size)} | cells
         if told.keys() != headings:
             headings = told.keys()
             print("| " + " | ".join(headings) + " |")

@@ -68,7 +68,7 @@ def main() -> None:
         record=Record(options.course, report=report),
     )
     if options.save:
-        tuned.save(options.save, variant="scheduled", dispersions="initial-errors")
+        tuned.save(options.save, law="scheduled", dispersions="initial-errors")
     # The key of the tuning is 0.
     for seed in range(1, options.seeds + 1):
         key = jax.random.key(seed)

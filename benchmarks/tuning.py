@@ -121,7 +121,7 @@ def main() -> None:
 
     tuning = PROBLEMS[options.problem]()
     mission = jentry.find_mission(tuning.mission)
-    scenario = mission.scenario(tuning.variant)
+    scenario = mission.scenario_of(tuning.variant)
     dispersions = mission.dispersion_table()
     where = tuning.where
     loss = OfDistance(tuning.statistic, tuning.lengths)

@@ -89,7 +89,10 @@ def main() -> None:
     mission = find_mission("cav-h")
     print(f"\n{'500 flights':36}{'seconds':>8}")
     for variant in ("stored", "newton-network", "newton"):
-        scenario, table = mission.scenario(variant), mission.dispersion_table("normal")
+        scenario, table = (
+            mission.scenario_of(variant),
+            mission.dispersion_table("normal"),
+        )
 
         def fly(scenario=scenario, table=table):
             return monte_carlo(scenario, table, jax.random.key(0), 500).flights.time

@@ -83,14 +83,14 @@ MISSION = Mission(
     name="cheap",
     title="Constant bank",
     source="none",
-    variants={"right": scenario, "steep": lambda: free_scenario(10 * degree)},
+    laws={"right": scenario, "steep": lambda: free_scenario(10 * degree)},
     dispersions={"all": dispersions, "mass-only": mass_only},
     figures=USUAL | {"ends": ends},
     published=(
         PublishedValue("mean time", 300.0, "s", lambda v: float(v["end_time"].mean())),
     ),
     published_note="A note",
-    published_variant="right",
+    published_law="right",
     published_dispersions="all",
     published_runs=3,
 )

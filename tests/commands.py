@@ -38,7 +38,7 @@ def intercepted(monkeypatch, module, name):
     return seen
 
 
-OVERRIDES = ("--variant", "steep", "--set", "vehicle.mass=900", "--step", 2)
+OVERRIDES = ("--law", "steep", "--set", "vehicle.mass=900", "--step", 2)
 OVERRIDES += ("--dispersions", "mass-only", "--seed", 11)
 
 

@@ -120,7 +120,7 @@ def command(monkeypatch, capsys, tmp_path):
 @pytest.fixture
 def density(tmp_path):
     config = tmp_path / "overrides.toml"
-    config.write_text('variant = "right"\n[set]\nplanet.density_scale = 1.25')
+    config.write_text('law = "right"\n[set]\nplanet.density_scale = 1.25')
     return "--config", config
 
 

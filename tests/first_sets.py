@@ -43,7 +43,7 @@ def small_batches():
 def fly_few(mission, variant, dispersions, seed=0):
     """A scenario, and the campaign of as many runs as the first ones that are saved."""
     chosen = find_mission(mission)
-    scenario, table = chosen.scenario(variant), chosen.dispersion_table(dispersions)
+    scenario, table = chosen.scenario_of(variant), chosen.dispersion_table(dispersions)
     runs = populations.FIRST_RUNS
     with small_batches():
         return scenario, monte_carlo(scenario, table, jax.random.key(seed), runs)

@@ -248,6 +248,11 @@ def free_scenario(bank_angle=50 * degree, time_limit=300.0) -> Scenario:
     return with_leaf(scenario, lambda s: s.termination, Termination(ends, time_limit))
 
 
+def choices(mission) -> list[str]:
+    """Every law of a mission, and what else its papers or its tests fly: as text."""
+    return [*dict.fromkeys((*mission.laws, *mission.former_variants.values()))]
+
+
 def with_leaf(tree, where, value):
     """The tree with another value in one place."""
     if eqx.is_array(where(tree)):

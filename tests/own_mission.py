@@ -86,7 +86,7 @@ def dispersions() -> dict[str, jentry.Dispersion]:
 MISSION = jentry.Mission(
     name="own",
     title="Glide and turn",
-    variants={"lagging": scenario},
+    laws={"lagging": scenario},
     dispersions={"all": dispersions},
     gains=("guidance.gain", "guidance.slope"),
 )

@@ -251,6 +251,9 @@ def test_what_is_said_of_apollo_10():
     high = TOOLBOX["target"]["altitude_m"] / km
     assert_says("a point 2340 km away and 5.7 km high", along, high)
     assert float(scenario().guidance.lateral.most) == 10.0
-    away = float(MISSION.scenario("skip").target.downrange) / km
+    away = (
+        float(MISSION.scenario_of("predictor-corrector case skip").target.downrange)
+        / km
+    )
     assert_says("to a point 5000 km away", away)
     assert_says("the ceiling of 125 km", float(scenario().guidance.end.ceiling) / km)

@@ -139,18 +139,18 @@ def normal(mean, width, **changes):
 
 
 CONFIG = {
-    "variant = ": "no valid TOML",
+    "law = ": "no valid TOML",
     "[set]\n[set]": "no valid TOML",
     "set = " + "[" * 5000: "nested too deep",
     "set." + ".".join("a" * 5000) + " = 1": "nested too deep",
     "set.a = " + "9" * 5000: "no valid TOML",
-    "varaint = 'a'": "nearest: variant",
+    "lwa = 'a'": "nearest: law",
     "[sets]": "unknown key 'sets'",
-    "variant = 3": "variant is 3: it must be a name",
-    "variant = ''": "no variant ''",
-    "variant = 'left'": "no variant 'left'",
-    "variant = ['right']": "it must be a name",
-    "[variant]\nname = 'right'": "it must be a name",
+    "law = 3": "law is 3: it must be a name",
+    "law = ''": "no law ''",
+    "law = 'left'": "no law 'left'",
+    "law = ['right']": "it must be a name",
+    "[law]\nname = 'right'": "it must be a name",
     "dispersions = 3": "dispersions is 3",
     "dispersions = []": "it must be a name",
     "[dispersions]": "[dispersions] is empty",
@@ -298,7 +298,7 @@ OTHERS = {
     "show": "Missing argument",
     "fly": "Missing argument",
     "show cheap mars": "mars",
-    "show cheap --variants right": "--variants",
+    "show cheap --laws right": "--laws",
     "show cheap --config nowhere.toml": "nowhere.toml",
     "show cheap --config .": "directory",
     "fly cheap --step one": "--step",
@@ -321,8 +321,8 @@ for _name in ("show", "fly", "monte-carlo", "tune", "train", "sensitivity"):
     OTHERS[f"{_name} chaep"] = "no mission 'chaep'; nearest"
     OTHERS[f"{_name} mars\n"] = "no mission"
 for _name in ("show", "fly", "monte-carlo", "tune", "sensitivity"):
-    OTHERS[f"{_name} cheap --variant left"] = "no variant 'left': choose from right"
-    OTHERS[f"{_name} cheap --variant="] = "no variant ''"
+    OTHERS[f"{_name} cheap --law left"] = "no law 'left': choose from right"
+    OTHERS[f"{_name} cheap --law="] = "no law ''"
 for _name in ("monte-carlo", "tune", "sensitivity"):
     OTHERS[f"{_name} cheap --dispersions="] = "no dispersions ''"
 
@@ -451,7 +451,7 @@ INCREASING = [0.0, 2.0, 1.0]
 
 CALLS = {
     "mission": (lambda: jentry.find_mission("mars"), "no mission 'mars'"),
-    "variant": (lambda: cheap.MISSION.scenario(""), "no variant ''"),
+    "law": (lambda: cheap.MISSION.scenario(""), "no law ''"),
     "reading": (lambda: cheap.MISSION.dispersion_table("x"), "no dispersions 'x'"),
     "workers": (lambda: jentry.setup(workers=0), "workers is 0"),
     "seed": (lambda: key_of(2**64), "the seed is 18446744073709551616"),
@@ -674,7 +674,7 @@ def taken_or_refused(act) -> None:
 @hypothesis.example(["vehicle.mass=1 \ud800"])
 def test_no_assignment_ends_in_a_traceback(mission, texts):
     def act():
-        _, scenario, _ = chosen_scenario(mission, None, None, texts)
+        _, scenario, _ = chosen_scenario(mission, (), None, texts)
         values = {a: np.asarray(x) for a, x in leaves_by_address(scenario).items()}
         assert all(np.all(np.isfinite(value)) for value in values.values())
         assert values["vehicle.mass"] > 0.0
@@ -689,7 +689,17 @@ some_value = st.recursive(
     max_leaves=6,
 )
 some_key = st.sampled_from(
-    ["variant", "set", "dispersions", "address", "distribution", "mean", "apply"]
+    [
+        "law",
+        "case",
+        "world",
+        "set",
+        "dispersions",
+        "address",
+        "distribution",
+        "mean",
+        "apply",
+    ]
     + ["standard_deviation", "lower", "upper", *ADDRESSES[:20]]
 ) | st.text(max_size=5)
 some_word = st.sampled_from(
@@ -716,7 +726,7 @@ some_line = (
     st.tuples(some_key, some_word | some_value).map(
         lambda pair: f"{toml(pair[0])} = {toml(pair[1])}"
     )
-    | st.sampled_from(["[set]", "[dispersions.x]", "[dispersions]", "[variant]"])
+    | st.sampled_from(["[set]", "[dispersions.x]", "[dispersions]", "[world]"])
     | st.just("[dispersions.y]\naddress = 'vehicle.mass'\ndistribution = 'normal'")
     | st.text(max_size=12)
 )
@@ -737,7 +747,7 @@ def test_no_file_ends_in_a_traceback(mission, tmp_path_factory, contents):
     path.write_bytes(contents)
 
     def act():
-        chosen, scenario, overrides = chosen_scenario(mission, None, path, None)
+        chosen, scenario, overrides = chosen_scenario(mission, (), path, None)
         _, table = dispersion_table(chosen, overrides, None)
         check_dispersions(scenario, table)
 

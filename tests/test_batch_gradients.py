@@ -50,7 +50,7 @@ class Case:
 
     def __init__(self, mission, variant):
         mission = find_mission(mission)
-        scenario = mission.scenario(variant)
+        scenario = mission.scenario_of(variant)
         self.parameters = Parameters.of(scenario, gains)
         self.problem = Problem(self.parameters, Simulation(misses, FixedStep()))
         # Of one type: with others a program is another.
@@ -91,7 +91,7 @@ def differences(problem, free, address, inputs, scale):
     [
         # Over the velocity, and over the energy.
         ("mars-drag-tracking", "table-3", 1e3, 1.0),
-        ("mars-range-tracking", "three-dimensional", 20.0, 1.4),
+        ("mars-range-tracking", "range-tracking", 20.0, 1.4),
     ],
 )
 def test_gradient_of_a_batch_matches_differences(mission, variant, scale, slower):

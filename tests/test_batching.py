@@ -11,7 +11,7 @@ from jax.test_util import check_grads
 from jentry import _integrate, _newton
 from jentry._batching import any_lane, side_by_side, where_due
 from jentry.flight import loop
-from jentry.missions.mars.predictor_corrector import in_plane
+from jentry.missions import find_mission
 from jentry.motion import Controls
 from jentry.onboard import OnboardModel, propagation
 
@@ -201,7 +201,9 @@ def test_of_a_flight(passes, monkeypatch):
 
 def test_of_a_prediction(passes, monkeypatch):
     marked, seen = passes
-    scenario = in_plane()
+    scenario = find_mission("mars-range-tracking").scenario(
+        "predictor-corrector", world="in-plane"
+    )
     model = OnboardModel(scenario.planet, scenario.vehicle)
 
     def end(scale):

@@ -157,14 +157,15 @@ def test_nothing_is_carried_where_nothing_is_tabulated():
         (0.1 + 0.2, 0.0),  # by rounding larger than the edge
         (-40 * degree, 40 * degree - 0.1),
         (0.31, 0.01),
-        (np.nan, np.nan),
     ],
 )
 def test_an_edge_belongs_to_the_table(angle, beyond):
     table = coefficients(angles=(-0.1, 0.3))
     values = {"mach_numbers": jnp.array(3.0), "angles_of_attack": jnp.array(angle)}
     found, refused = beyond_edges({"vehicle.aerodynamics": table}, **values)
-    if np.isfinite(beyond):
+    if beyond == 0.0:
+        assert float(found[ANGLE]) == 0.0
+    else:
         assert float(found[ANGLE]) == pytest.approx(beyond, abs=1e-12)
     assert float(found[MACH]) == 0.0 and not bool(refused)
 
@@ -196,6 +197,28 @@ def test_a_refusing_table_ends_the_flight_before_its_edge(flight):
     assert altitude == pytest.approx(float(on.history.states.altitude[place]), rel=1e-9)
     assert float(on.history.states.altitude[place + 1]) < LOW
     assert "refuse_beyond" in Outcome.BEYOND_TABLE.message
+
+
+def test_the_adaptive_solver_ends_before_an_edge():
+    within = coefficients(machs=(0.5, 60.0))
+    table = air(refuse=True, high=200 * km)
+    given = tabulated(air=table, aerodynamics=within)
+    ended = fly_compiled(given, Adaptive(1e-8), STEP)
+    assert Outcome(int(ended.outcome)) is Outcome.BEYOND_TABLE
+    assert LOW < float(ended.state.altitude) < LOW + 2.0 * km
+
+
+def test_angles_are_told_in_degrees(capsys):
+    wide = coefficients(machs=(0.5, 60.0), angles=(0.1, 0.3))
+    calm, thick = free_scenario().planet.wind, air(low=0.0, high=200 * km)
+    given = tabulated(air=thick, wind=calm, aerodynamics=wide)
+    with pytest.warns(UserWarning, match="time beyond angles of attack"):
+        flight = fly(given, cheap.SOLVER)
+    far = float(flight.beyond_tables[ANGLE])
+    assert far == pytest.approx(0.1)  # at an angle of attack of zero
+    print_flight(cheap.MISSION, given, flight)
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"100% in one flight, and by up to {far / degree:.3g} deg" in printed
 
 
 @pytest.mark.parametrize("solver", [cheap.SOLVER, Adaptive(1e-8)])
@@ -274,12 +297,16 @@ def test_csv_tables_can_refuse(tmp_path):
 def test_a_campaign_tells_how_many_how_long_and_how_far(capsys):
     """By a warning, in the results, the summary, and the lines of the command."""
     wide = coefficients(machs=(0.5, 60.0))
-    given = tabulated(wind=free_scenario().planet.wind, aerodynamics=wide)
+    high = air(low=55 * km, high=200 * km)
+    wind = free_scenario().planet.wind
+    given = tabulated(air=high, wind=wind, aerodynamics=wide)
     key = jax.random.key(0)
-    with pytest.warns(
-        UserWarning, match=r"20 of 20 flights have time beyond altitudes"
-    ):
+    words = r"20 of 20 flights have time beyond altitudes"
+    with pytest.warns(UserWarning, match=words) as warned:
         campaign = monte_carlo(given, cheap.dispersions(), key, 20, solver=cheap.SOLVER)
+    most = float(np.max(campaign.flights.beyond_tables[AIR])) / km
+    assert f"and by up to {most:.3g} km" in str(warned[0].message)
+    assert most > float(np.min(campaign.flights.beyond_tables[AIR])) / km + 0.01
     results = dataset(given, campaign)
     distance = results["distance_beyond_altitudes_of_planet_atmosphere"]
     assert distance.attrs["units"] == "m"

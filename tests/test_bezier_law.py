@@ -380,7 +380,7 @@ def test_output_of_a_network_is_the_logarithm_of_the_velocity_per_radian():
 
 
 def test_the_standard_atmosphere_flies_and_is_on_board():
-    scenario = find_mission("cav-h").scenario("us-1976")
+    scenario = find_mission("cav-h").scenario_of("newton world us-1976")
     flown = scenario.planet.atmosphere.undisturbed
     known = scenario.guidance.model.planet.atmosphere
     assert isinstance(flown, USStandardAtmosphere1976)

@@ -45,7 +45,7 @@ ALL = 16 * RUNS
 @functools.cache
 def flown(variant, reading="normal"):
     """500 dispersed runs and the nominal one, by the same compiled program."""
-    scenario = MISSION.scenario(variant)
+    scenario = MISSION.scenario_of(variant)
     table = MISSION.dispersion_table(reading)
     drawn = drawn_inputs(scenario, table, jax.random.key(0), np.arange(RUNS))
     nominal = leaves_by_address(scenario)

@@ -36,7 +36,7 @@ def errors(variant, reading, runs=RUNS):
     The errors of the accelerometers are inputs of all, zero where a reading has none, so
     that one program flies every reading.
     """
-    scenario = MISSION.scenario(variant)
+    scenario = MISSION.scenario_of(variant)
     key, indices = jax.random.key(0), np.arange(runs)
     drawn = drawn_inputs(scenario, MISSION.dispersion_table(reading), key, indices)
     sensed = drawn_inputs(
@@ -89,7 +89,7 @@ def test_with_the_network():
 
 @pytest.mark.slow
 def test_through_the_standard_atmosphere():
-    error, _ = errors("us-1976", "normal-sensed")
+    error, _ = errors("newton world us-1976", "normal-sensed")
     assert np.mean(error) < 5.01
     assert few(error > 19.8, 1)
 

@@ -39,9 +39,9 @@ def test_workers_and_fast_arrive(command, monkeypatch, name, words, expected):
 
 REFUSED = {
     "mission": (("fly", "chaep"), "no mission 'chaep'; nearest: cheap"),
-    "variant": (
-        ("fly", "cheap", "--variant", "left"),
-        "mission cheap has no variant 'left': choose from right, steep",
+    "law": (
+        ("fly", "cheap", "--law", "left"),
+        "mission cheap has no law 'left': choose from right, steep",
     ),
     "reading": (
         ("monte-carlo", "cheap", "--dispersions", "none"),
@@ -158,7 +158,7 @@ as_process(run)
     assert bool(run.stderr) == bool(said)
 
 
-RUN = {"variant", "set", "config", "step"}
+RUN = {"law", "case", "world", "set", "config", "step"}
 FREE = {"problem", "end", "limits", "no-limits", "bank", "angle-of-attack", "nodes"} | {
     "over",
     "every",
@@ -173,7 +173,7 @@ REPORT = {"percentiles", "require", "requirements", "format", "json", "quiet"}
 
 ARRIVE = {
     "list": set(),
-    "show": {"variant", "set", "config", "dispersions"},
+    "show": {"law", "case", "world", "set", "config", "dispersions"},
     "fly": RUN | {"history", "out", "figure"},
     "monte-carlo": RUN
     | {"runs", "seed", "out", "workers", "dispersions", "inputs", "history", "fast"}
@@ -192,7 +192,17 @@ ARRIVE = {
     "merge": set(),
     "inspect": {"by", "smallest", "worst", "run", "history", "mission", "workers"}
     | {"gradient", "no-gradient"},
-    "compare": {"variant", "config", "runs", "seed", "dispersions", "set", "step"}
+    "compare": {
+        "law",
+        "case",
+        "world",
+        "config",
+        "runs",
+        "seed",
+        "dispersions",
+        "set",
+        "step",
+    }
     | {"out", "quiet", "workers", "fast", "no-fast", "cluster"}
     | {"outputs", "percentiles", "all-pairs", "json"},
     "tune": RUN

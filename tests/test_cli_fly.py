@@ -24,8 +24,8 @@ def test_fly(command, tmp_path):
 def test_every_option_of_fly_arrives(command, tmp_path):
     """All at once, each other than where it is not given: the same flight by hand."""
     out, config = tmp_path / "flight.nc", tmp_path / "overrides.toml"
-    config.write_text('variant = "right"\n[set]\nplanet.density_scale = 1.25')
-    words = ("--variant", "steep", "--set", "vehicle.mass=900", "--config", config)
+    config.write_text('law = "right"\n[set]\nplanet.density_scale = 1.25')
+    words = ("--law", "steep", "--set", "vehicle.mass=900", "--config", config)
     how = ("--step", 1, "--history", 20, "--out", out)
     code, printed, _ = command("fly", "cheap", *words, *how)
     assert code == 0 and f"written: {out}" in printed

@@ -24,7 +24,7 @@ RUNS = 12
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("stored") / "campaign"
-    cheap.campaign(out, RUNS, mission="cheap", variant="right")
+    cheap.campaign(out, RUNS, mission="cheap", law="right")
     return out
 
 
@@ -103,7 +103,7 @@ def test_one_run_again(command, folder):
             np.testing.assert_array_equal(flown[name], values[7:8], str(name))
         described = json.loads(flown.attrs["campaign"])
         assert np.isfinite(altitude[0]) and described["mission"] == "cheap"
-        assert (described["seed"], described["variant"]) == (cheap.SEED, "right")
+        assert (described["seed"], described["law"]) == (cheap.SEED, "right")
         assert set(described["dispersions"]) == set(cheap.dispersions())
     # The derivatives by one standard deviation of the runs.
     inputs = {address: float(x[7]) for address, x in inputs_of(results).items()}

@@ -13,6 +13,7 @@ from jentry.analysis.frozen_loop import FrozenLoop
 from jentry.cli.linearization_report import print_loop, write_loop
 from jentry.flight import FixedStep
 from jentry.missions import find_mission
+from jentry.missions.choice import Choice
 from jentry.motion.index import AltitudeIndex, DownrangeIndex
 
 
@@ -45,7 +46,7 @@ def loop() -> FrozenLoop:
 
 def test_every_option_of_linearize_arrives(command, monkeypatch, tmp_path):
     seen = intercepted(monkeypatch, "jentry.analysis.frozen_loop", "linearize")
-    changed = ("--set", "vehicle.mass=900", "--variant", "steep", "--step", 2)
+    changed = ("--set", "vehicle.mass=900", "--law", "steep", "--step", 2)
     with pytest.raises(Arrived):
         command("linearize", "cheap", "--over", "altitude", "--points", 7, *changed)
     scenario, index, points = seen["given"]
@@ -107,11 +108,11 @@ def test_the_damping_is_of_the_modes_that_count(capsys):
 def test_the_figure_and_every_number_are_written(tmp_path):
     given = loop()
     figure, numbers = write_loop(
-        tmp_path / "loop.png", find_mission("sx-2"), "full", given
+        tmp_path / "loop.png", find_mission("sx-2"), Choice("full"), given
     )
     assert figure.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     told = json.loads(numbers.read_text())
-    assert told["mission"] == "sx-2" and told["variant"] == "full"
+    assert told["mission"] == "sx-2" and told["law"] == "full"
     assert np.array(told["matrices"]).tolist() == given.matrices.tolist()
     assert told["index"] == given.index.tolist() and told["span"] == given.span
     assert told["eigenvalues"][0] == [[-2e-4, 1e-4], [-2e-4, -1e-4], None]
@@ -154,7 +155,7 @@ def test_linearize_as_a_process(tmp_path):
         call = [sys.executable, "-m", "jentry", "linearize", *words]
         return subprocess.run(call, capture_output=True, text=True, cwd=tmp_path)
 
-    mission = ("mars-drag-tracking", "--variant", "state-feedback")
+    mission = ("mars-drag-tracking", "--law", "state-feedback")
     done = run(*mission, "--over", "energy", "--points", "3", "--out", "loop.png")
     assert (done.returncode, done.stderr) == (0, "")
     assert "closed loop at equal energy" in done.stdout

@@ -1,4 +1,4 @@
-"""`jentry list`: every mission with its variants and dispersions."""
+"""`jentry list`: every mission with its laws, cases, worlds and dispersions."""
 
 from jentry.missions import ALL
 
@@ -9,5 +9,11 @@ def test_list(command):
     for mission in ALL.values():
         assert mission.name in printed and mission.title in printed
         assert all(
-            name in printed for name in [*mission.variants, *mission.dispersions]
+            name in printed
+            for name in [
+                *mission.laws,
+                *mission.cases,
+                *mission.worlds,
+                *mission.dispersions,
+            ]
         )

@@ -56,8 +56,8 @@ def test_monte_carlo(command, tmp_path):
 def test_every_option_of_monte_carlo_arrives(command, tmp_path):
     """All at once, each other than where it is not given: the same campaign by hand."""
     out, config = tmp_path / "out", tmp_path / "overrides.toml"
-    config.write_text('variant = "right"\n[set]\nplanet.density_scale = 1.25')
-    words = ("--variant", "steep", "--set", "vehicle.mass=900", "--config", config)
+    config.write_text('law = "right"\n[set]\nplanet.density_scale = 1.25')
+    words = ("--law", "steep", "--set", "vehicle.mass=900", "--config", config)
     how = ("--step", 1, "--history", 20, "--dispersions", "mass-only")
     many = ("--runs", 3, "--seed", 11, "--out", out)
     code, printed, _ = command(
@@ -74,7 +74,7 @@ def test_every_option_of_monte_carlo_arrives(command, tmp_path):
         solver=cheap.SOLVER,
         history=20.0,
         mission="cheap",
-        variant="steep",
+        law="steep",
     )
     results, same = open_campaign(out), open_campaign(tmp_path / "same")
     xarray.testing.assert_identical(results, same)
@@ -332,7 +332,7 @@ def test_an_interruption(command, monkeypatch):
 @pytest.mark.slow
 def test_a_mission_with_a_guidance_cycle_that_varies(command, tmp_path):
     """Its campaign is stored, resumed and drawn like any other."""
-    words = ("monte-carlo", "cav-h", "--variant", "stored", "--runs", 3)
+    words = ("monte-carlo", "cav-h", "--law", "stored", "--runs", 3)
     words += ("--out", "glides", "--dispersions", "normal")
     code, printed, _ = command(*words, "--no-figures")
     assert code == 0

@@ -59,7 +59,7 @@ def test_every_option_of_optimize_arrives(command, monkeypatch, tmp_path):
     seen = intercepted(monkeypatch, "jentry.planning.flight_problem", "best_flight")
     config = tmp_path / "overrides.toml"
     config.write_text("[set]\nplanet.density_scale = 1.25")
-    words = ("--variant", "steep", "--set", "vehicle.mass=900", "--config", config)
+    words = ("--law", "steep", "--set", "vehicle.mass=900", "--config", config)
     words += ("--minimize", "drag", "--end", "time=200s", "--end", "heading=0deg")
     words += ("--no-limits", "--bank", "10deg:-20deg:30deg", "--over", "time")
     words += ("--angle-of-attack", "1deg:0deg:2deg", "--nodes", 7, "--every", 3.5)
@@ -83,7 +83,7 @@ def test_every_option_of_optimize_arrives(command, monkeypatch, tmp_path):
 
 def test_every_option_of_footprint_arrives(command, monkeypatch, tmp_path):
     seen = intercepted(monkeypatch, "jentry.planning.landing_footprint", "footprint")
-    words = ("--variant", "steep", "--set", "vehicle.mass=900", "--directions", 9)
+    words = ("--law", "steep", "--set", "vehicle.mass=900", "--directions", 9)
     words += ("--end", "time=200s", "--no-limits", "--bank", "10deg:-20deg:30deg")
     words += ("--over", "time", "--angle-of-attack", "1deg:0deg:2deg", "--nodes", 7)
     words += ("--every", 3.5, "--step", 2, "--out", tmp_path)

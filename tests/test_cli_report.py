@@ -35,7 +35,7 @@ LONG = "peak_drag > 0 m/s2, 99 % at 90 %"
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("stored") / "campaign"
-    cheap.campaign(out, 5, mission="cheap", variant="right")
+    cheap.campaign(out, 5, mission="cheap", law="right")
     return out
 
 
@@ -226,7 +226,7 @@ def test_what_was_flown_is_made_again(folder):
     assert stored_solver(description) == cheap.SOLVER
     assert is_as_published(description, mission)
     assert not is_as_published(description | {"sampler": "Sobol"}, mission)
-    assert not is_as_published(description | {"variant": "steep"}, mission)
+    assert not is_as_published(description | {"law": "steep"}, mission)
     assert not is_as_published(description | {"inputs": {"vehicle.mass": [1]}}, mission)
     changed = json.loads(json.dumps(description))
     changed["scenario"]["vehicle.mass"]["value"] *= 1 + 1e-15
@@ -236,7 +236,7 @@ def test_what_was_flown_is_made_again(folder):
         scenario.vehicle.mass
     )
     for broken, message in (
-        (description | {"variant": "left"}, "the variant left"),
+        (description | {"law": "left"}, "of left"),
         (description | {"structure": "another"}, "structure"),
         (
             description | {"scenario": {**changed["scenario"], "a.b": {"value": 1.0}}},
@@ -357,7 +357,7 @@ def test_a_number_that_is_set_and_drawn_is_refused(command, tmp_path):
     words = "--runs", 2, "--no-figures", "--set"
     result = monte_carlo(command, *words, "planet.density_scale=1.1", *out)
     assert_refused(result, "planet.density_scale is set, and every run draws it anew")
-    variants = "compare", "cheap", "--variant", "right", "--variant", "steep"
+    variants = "compare", "cheap", "--law", "right", "--law", "steep"
     result = command(*variants, "--set", "planet.density_scale=1.1", *out)
     assert_refused(result, "every run draws it anew by the dispersion 'density'")
     assert not (tmp_path / "out").exists()

@@ -15,10 +15,10 @@ def test_show(command):
 
 def test_show_a_variant_and_a_file(command, tmp_path):
     config = tmp_path / "overrides.toml"
-    config.write_text('variant = "steep"\n[set]\nvehicle.mass = 900')
+    config.write_text('law = "steep"\n[set]\nvehicle.mass = 900')
     _, printed, _ = command("show", "cheap", "--config", config)
     assert str(round(10 * degree, 10)) in printed and "900" in printed
-    _, printed, _ = command("show", "cheap", "--config", config, "--variant", "right")
+    _, printed, _ = command("show", "cheap", "--config", config, "--law", "right")
     assert str(round(50 * degree, 10)) in printed
 
 

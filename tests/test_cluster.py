@@ -185,7 +185,7 @@ def test_local_clusters_that_there_are_not(command, where):
     "words",
     [
         ("monte-carlo", "cheap", "--runs", 3),
-        ("compare", "cheap", "--variant", "right", "--variant", "steep"),
+        ("compare", "cheap", "--law", "right", "--law", "steep"),
         ("tune", "cheap", "--gains", "guidance.bank_angle"),
     ],
 )
@@ -200,7 +200,7 @@ def test_stored_campaigns_are_compared_without_a_cluster(command, tmp_path):
     for name in ("one", "other"):
         (tmp_path / name).mkdir()
     words = "one", "other", "--cluster", "local:1"
-    assert_refused(command("compare", *words), "leave out --variant")
+    assert_refused(command("compare", *words), "leave out --law")
 
 
 @pytest.mark.parametrize(
@@ -662,7 +662,7 @@ def test_the_command_tunes_there(lander, alike):
 
 @pytest.mark.slow
 def test_the_command_compares_there(lander, alike):
-    """Two variants of a mission of a file."""
+    """Two laws of a mission of a file."""
     file = lander / "my_lander.py"
     text = file.read_text().replace(
         "import its_law", "import equinox as eqx\nimport its_law"
@@ -671,7 +671,7 @@ def test_the_command_compares_there(lander, alike):
     one = '{"nominal": scenario'
     assert one in text
     file.write_text(text.replace(one, f'{one}, "lighter": {lighter}'))
-    words = "compare", file.name, "--variant", "nominal", "--variant", "lighter"
+    words = "compare", file.name, "--law", "nominal", "--law", "lighter"
     assert_says_the_same(alike, lander, *words, "--runs", 300, "--step", 1)
 
 

@@ -420,13 +420,13 @@ def test_alternatives_that_are_refused():
 
 def test_variants_on_the_same_draws(command, tmp_path):
     out = tmp_path / "out"
-    words = ("--variant", "right", "--variant", "steep", "--runs", 4, "--seed", 7)
+    words = ("--law", "right", "--law", "steep", "--runs", 4, "--seed", 7)
     code, printed, said = command("compare", "cheap", *words, "--step", 1, "--out", out)
     assert (code, said) == (0, "")
     cheap.campaign(tmp_path / "same", 4)
     right, steep = open_campaign(out / "right"), open_campaign(out / "steep")
     xarray.testing.assert_equal(right, open_campaign(tmp_path / "same"))
-    assert json.loads(steep.attrs["campaign"])["variant"] == "steep"
+    assert json.loads(steep.attrs["campaign"])["law"] == "steep"
     assert "steep less right: 4 pairs, since 5 inputs are the same" in printed
     row = rows(printed)["end time"]
     times = right["end_time"].values, steep["end_time"].values
@@ -450,7 +450,7 @@ def test_variants_on_the_same_draws(command, tmp_path):
 
 
 def test_what_no_flight_has_is_refused_before_any_is_flown(command, tmp_path):
-    words = ("--variant", "right", "--variant", "steep", "--out", tmp_path / "out")
+    words = ("--law", "right", "--law", "steep", "--out", tmp_path / "out")
     code, _, said = command("compare", "cheap", *words, "--outputs", "downrange_eror")
     assert code == 2
     assert "right has no output downrange_eror; nearest: downrange_error" in said
@@ -546,11 +546,11 @@ def test_a_configuration_beside_the_mission(command, tmp_path):
     "words, message",
     [
         (("cheap",), "takes two"),
-        (("cheap", "--variant", "right"), "takes two"),
-        (("cheap", "--variant", "right", "--variant", "left"), "left: mission cheap"),
+        (("cheap", "--law", "right"), "takes two"),
+        (("cheap", "--law", "right", "--law", "left"), "left: mission cheap"),
         (("cheap", "steep"), "holds no campaign"),
         (("a", "a"), "given twice"),
-        (("a", "b", "--variant", "right"), "compared as they are"),
+        (("a", "b", "--law", "right"), "compared as they are"),
         (("a", "b", "--seed", 3), "compared as they are"),
         (("a", "b", "--runs", 1), "takes 2 or more"),
         (("a", "b", "--json", "--quiet"), "give one of them"),
@@ -569,7 +569,7 @@ def test_what_does_not_fit_is_said(command, tmp_path):
         '[dispersions.bank]\naddress = "guidance.bank_angl"\n'
         'distribution = "uniform"\nlower = 0.1\nupper = 0.2\n'
     )
-    words = ("--variant", "right", "--config", config)
+    words = ("--law", "right", "--config", config)
     assert_refused(
         command("compare", "cheap", *words), "bank: dispersions.bank.address"
     )

@@ -70,7 +70,7 @@ def least_damping(gains, observer, bandwidth):
 
 def test_how_much_slower_the_drag_trackers_of_the_rlv_are():
     """The least power of two with which both are damped by 0.3 behind this bank."""
-    bank = RLV.scenario("r5").attitude.bank_response
+    bank = RLV.scenario("modulation").attitude.bank_response
     assert float(bank.damping) == 1.0
     found = {}
     for slower in (1.0, 2.0, 4.0):
@@ -89,7 +89,7 @@ def test_how_much_slower_the_drag_trackers_of_the_rlv_are():
 
 def test_drag_trackers_of_the_rlv_begin_as_its_own_law():
     """From the same drag on, with the same bank before."""
-    own = RLV.scenario("r5").guidance.bank.law
+    own = RLV.scenario("modulation").guidance.bank.law
     known = on_rlv.observer_drag_tracking().guidance.bank.law.reference
     assert float(known.gate) == float(own.gate.drag)
     cosine = float(known.cos_bank(jnp.asarray(7300.0)))
@@ -140,7 +140,7 @@ def test_feedback_linearization_has_the_gains_and_the_band_of_the_sx_2():
 
 @pytest.mark.slow
 def test_modulation_has_the_gains_of_the_rlv():
-    law, own = on_x_33.modulation().guidance, RLV.scenario("r5").guidance
+    law, own = on_x_33.modulation().guidance, RLV.scenario("modulation").guidance
     assert same(law.angle_of_attack.gains, own.angle_of_attack.gains)
     assert same(law.bank.law.gains, own.bank.law.gains)
     assert same(law.limits, own.limits) and same(law.cycle, own.cycle)
@@ -164,7 +164,7 @@ def test_regulators_have_the_weights_of_the_x_33():
 
 @pytest.mark.slow
 def test_the_laws_of_the_rlv_turn_where_those_of_the_mission_do():
-    own = RLV.scenario("r5")
+    own = RLV.scenario("modulation")
     for name in ("state-drag-tracking", "observer-drag-tracking", "pseudospectral"):
         flown = RLV.scenario(name)
         assert same(flown.guidance.bank.law.lateral, own.guidance.bank.law.lateral)
@@ -225,7 +225,7 @@ NOMINAL = {
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["observer-drag-tracking"])
 def test_x_33_ends_where_its_reference_does(variant):
-    scenario = X_33.scenario(variant)
+    scenario = X_33.scenario_of(variant)
     flight = fly_compiled(scenario)
     miss = misses(scenario, flight)
     downrange, altitude = NOMINAL[variant]
@@ -266,7 +266,7 @@ def test_a_flown_flight_is_the_one_over_its_bank():
 @pytest.mark.slow
 @pytest.mark.parametrize("variant", ["pseudospectral", "pseudospectral-with-range"])
 def test_the_regulated_lander_ends_where_its_reference_does(variant):
-    scenario = MARS.scenario(variant)
+    scenario = MARS.scenario_of(variant)
     flight = fly_compiled(scenario)
     miss = misses(scenario, flight)
     assert flight.outcome == Outcome.REACHED
@@ -353,7 +353,7 @@ LIMITED = "heat_rate", "normal_load_factor"
 def test_rlv_in_the_readme():
     table = rows("| RLV | drag error")
     names = [name.split("`")[1] for name, *_ in table]
-    assert names == ["r5", *populations.CROSSINGS["rlv"]]
+    assert names == ["modulation", *populations.CROSSINGS["rlv"]]
     for variant, (_, drag, downrange, altitude) in zip(names, table, strict=True):
         found = sets(
             *("rlv", variant, "table-1"),

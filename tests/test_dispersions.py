@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from first_sets import small_batches
-from helpers import mars_scenario, observer_law
+from helpers import choices, mars_scenario, observer_law
 from scipy import special, stats
 
 from jentry.addresses import leaves_by_address
@@ -294,7 +294,7 @@ def test_every_declared_dispersion_changes_the_flight_when_it_alone_is_drawn_ane
 ):
     """A flight of each table, and for every dispersion one in which only that differs."""
     for variant, readings in readings_by_variant(mission).items():
-        scenario = mission.scenario(variant)
+        scenario = mission.scenario_of(variant)
         names, rows = [], []
         for reading in readings:
             table = mission.dispersion_table(reading)
@@ -324,21 +324,21 @@ def test_every_declared_dispersion_changes_the_flight_when_it_alone_is_drawn_ane
 
 
 def readings_by_variant(mission):
-    """The readings, by as few variants as have what they move: each is compiled."""
+    """The readings, by as few choices as have what they move: each is compiled."""
 
     def takes(variant, reading):
         try:
             check_dispersions(
-                mission.scenario(variant), mission.dispersion_table(reading)
+                mission.scenario_of(variant), mission.dispersion_table(reading)
             )
         except ValueError:
             return False
         return True
 
     found = {}
-    # Those that move much first: their variants have what the others move as well.
+    # Those that move much first: their choices have what the others move as well.
     for reading in sorted(mission.dispersions, key=lambda r: -size(mission, r)):
-        variant = next(v for v in (*found, *mission.variants) if takes(v, reading))
+        variant = next(v for v in (*found, *choices(mission)) if takes(v, reading))
         found.setdefault(variant, []).append(reading)
     return found
 

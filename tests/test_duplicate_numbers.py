@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import assert_refused
-from helpers import mars_entry, mars_planet, mars_scenario, regulator
+from helpers import choices, mars_entry, mars_planet, mars_scenario, regulator
 
 from jentry import find_mission
 from jentry.addresses import leaves_by_address, replace_leaves, unit_of
@@ -116,8 +116,8 @@ def test_each_number_of_a_mission_stands_once_or_is_guarded(name):
     """Each leaf of each variant is moved alone: where another has the same value, that is
     refused with both names, or the pair is explained above."""
     mission = find_mission(name)
-    for variant in mission.variants:
-        scenario = mission.scenario(variant)
+    for variant in choices(mission):
+        scenario = mission.scenario_of(variant)
         check(scenario)
         leaves = set(leaves_by_address(scenario))
         for pair in stated_twice(scenario):
@@ -163,6 +163,21 @@ def test_a_ceiling_is_that_of_the_flight(lander):
         ValueError, match=r"end\.ceiling is 135 km and .* is 135\.135 km"
     ):
         check(moved_alone(lander, ceiling))
+
+
+def test_where_a_replanned_reference_ends_is_where_the_flight_does():
+    given = find_mission("sx-2").scenario("replanned")
+    energy = "termination.conditions.energy.energy"
+    with pytest.raises(ValueError, match=f"guidance.end is .* and {energy} is"):
+        check(moved_alone(given, energy))
+
+
+@pytest.mark.parametrize("mission", ["mars-drag-tracking", "rlv", "x-33"])
+def test_ranges_of_regulators_are_counted_from_a_place(mission):
+    law = "with-range" if mission == "x-33" else "pseudospectral-with-range"
+    given = find_mission(mission).scenario(law)
+    assert "place" in given.target.counted_from
+    check(given)
 
 
 def test_both_together_are_moved(lander):

@@ -17,7 +17,7 @@ from jentry.guidance import ConstantBankShape, FixedSide, GlideDamping
 from jentry.missions.cav_h.predictor_corrector import guided
 from jentry.missions.cav_h.scenario import earth, glider
 from jentry.missions.mars.predictor_corrector import networked
-from jentry.missions.x_33.predictor_corrector import in_plane as x_33
+from jentry.missions.x_33.predictor_corrector import guided as x_33
 from jentry.motion import Controls, EntryState
 from jentry.motion.dynamics import entry_dynamics
 from jentry.onboard import Factors, OnboardModel, measure

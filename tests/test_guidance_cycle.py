@@ -169,7 +169,7 @@ def test_a_wrapper_that_forwards_all_is_the_identity(history):
     ("variant", "history"), [("stored", None), ("stored", 20.0), ("newton", None)]
 )
 def test_the_glider_in_a_wrapper_flies_the_same(variant, history):
-    scenario = find_mission("cav-h").scenario(variant)
+    scenario = find_mission("cav-h").scenario_of(variant)
     law = scenario.guidance
     alone, inside = (program(x, scenario, history) for x in (law, wrapped(law)))
     assert alone == inside

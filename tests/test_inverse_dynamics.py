@@ -23,7 +23,7 @@ SCENARIO = "cav-h", "stored"
 @pytest.fixture(scope="module")
 def world():
     mission, variant = SCENARIO
-    scenario = find_mission(mission).scenario(variant)
+    scenario = find_mission(mission).scenario_of(variant)
     return scenario.planet, scenario.vehicle
 
 

@@ -60,7 +60,7 @@ CASES = {
 def test_second_derivatives_of_a_miss(case):
     """To 1e-5 of the largest: what a difference of gradients has of rounding and order."""
     mission, variant, where, density, what, step = CASES[case]
-    scenario = find_mission(mission).scenario(variant)
+    scenario = find_mission(mission).scenario_of(variant)
     scenario = eqx.tree_at(
         lambda s: s.planet.density_scale, scenario, jnp.asarray(density)
     )

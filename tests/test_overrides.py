@@ -29,6 +29,7 @@ from jentry.cli.overrides import (
     read_overrides,
 )
 from jentry.cli.stated_correlations import correlated
+from jentry.missions.choice import Choice
 from jentry.tuning.saving import with_unit
 from jentry.units import degree
 
@@ -54,14 +55,15 @@ def read(*given, scenario=None):
 
 def test_nothing_given_changes_nothing():
     overrides = read_overrides(None)
-    assert (overrides.variant, overrides.reading, overrides.dispersions) == (None,) * 3
+    assert overrides.choice == Choice()
+    assert overrides.reading is overrides.dispersions is None
     assert overrides.values == {}
 
 
 def test_both_spellings_of_an_address_and_units(written):
     path = written(
         """
-        variant = "steep"
+        law = "steep"
         dispersions = "mass-only"
         [set]
         "initial_state.flight_path_angle" = "-14.2 deg"
@@ -72,7 +74,7 @@ def test_both_spellings_of_an_address_and_units(written):
         """
     )
     overrides = read(path)
-    assert (overrides.variant, overrides.reading) == ("steep", "mass-only")
+    assert (overrides.choice.law, overrides.reading) == ("steep", "mass-only")
     assert overrides.values == {
         "initial_state.flight_path_angle": -14.2 * degree,
         "vehicle.mass": 900.0,
@@ -169,10 +171,10 @@ def uniform(**changes):
 
 
 WRONG = {
-    "no TOML": ("variant = ", "file.txt is no valid TOML"),
+    "no TOML": ("law = ", "file.txt is no valid TOML"),
     "no text": (b"\xff\xfe\x00", "file.txt is no valid TOML"),
-    "unknown key": ('varaint = "a"', "unknown key 'varaint'; nearest: variant"),
-    "variant no name": ("variant = 3", "variant is 3: it must be a name"),
+    "unknown key": ('lwa = "a"', "unknown key 'lwa'; nearest: law"),
+    "law no name": ("law = 3", "law is 3: it must be a name"),
     "dispersions no name": ("dispersions = 3", "dispersions is 3: it must be a name"),
     "set no table": ("set = 3", r"set is 3: write a table, \[set\]"),
     "set a word": ('[set]\na.b = "much"', "set.a.b: 'much' is not a number"),
@@ -202,7 +204,7 @@ WRONG = {
         '[set]\nvehicle.mass = 1\n"vehicle.mass" = 2',
         "set.vehicle.mass is given twice",
     ),
-    "variant a table": ("[variant]\na = 1", "variant is {'a': 1}: it must be a name"),
+    "law a table": ("[law]\na = 1", "law is {'a': 1}: it must be a name"),
     "replace no flag": (
         "[dispersions]\nreplace = 1",
         "dispersions.replace is 1: it must",
@@ -282,7 +284,7 @@ def test_inputs_that_are_not_understood_are_refused(written, contents, message):
 def write_overrides(path, comment, variant, values, dispersions):
     """As `Tuned.save` does, of numbers without a unit."""
     set_to = {address: with_unit(value, "1") for address, value in values.items()}
-    contents = {"variant": variant, "set": set_to, "dispersions": dispersions}
+    contents = {"law": variant, "set": set_to, "dispersions": dispersions}
     if isinstance(dispersions, str):
         contents = {"dispersions": contents.pop("dispersions"), **contents}
     write_toml(path, comment, contents)
@@ -346,7 +348,7 @@ def test_a_written_file_names_variant_and_dispersions(tmp_path):
     path = tmp_path / "tuned.toml"
     write_overrides(path, "Two\n[lines]", 'the "right" one', {}, "mass-only")
     overrides = read_overrides(path)
-    assert overrides.variant == 'the "right" one'
+    assert overrides.choice.law == 'the "right" one'
     assert overrides.reading == "mass-only"
     assert overrides.dispersions is None and overrides.values == {}
     assert path.read_text().startswith("# Two\n# [lines]\n")

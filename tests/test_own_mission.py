@@ -92,7 +92,7 @@ def test_it_is_listed_and_shown(command):
     code, printed, _ = command("list", OWN)
     assert code == 0
     assert (
-        printed == "own: Glide and turn\n  variants     lagging\n  dispersions  all\n"
+        printed == "own: Glide and turn\n  laws\n    lagging\n  dispersions\n    all\n"
     )
     code, printed, _ = command("show", OWN)
     assert code == 0 and "guidance.angle_at_rest" in printed
@@ -134,7 +134,7 @@ def scenario():
     import own_mission
     return own_mission.scenario()
 
-MISSION = jentry.Mission(name="minimal", title="", variants={"one": scenario})
+MISSION = jentry.Mission(name="minimal", title="", laws={"one": scenario})
 """
 
 WRONG = {
@@ -152,9 +152,9 @@ WRONG = {
         "named 'cav-h', which is also the name of the mission cav-h of jentry",
     ),
     "name no name": (MINIMAL.replace("minimal", "a/b"), "name of a mission is 'a/b'"),
-    "no variants": (
+    "no laws": (
         MINIMAL.replace('{"one": scenario}', "{}"),
-        "has variants {}: they must be functions by name",
+        "has laws {}: they must be functions by name",
     ),
     "builder fails": (
         MINIMAL.replace("return", "1 / 0\n    return"),
@@ -162,7 +162,7 @@ WRONG = {
     ),
     "builder gives another": (
         MINIMAL.replace("return", "return 3 #"),
-        "a variant of mission minimal is a int: it must be a function that returns",
+        "a law of mission minimal makes a int: it must be a function that returns",
     ),
     "another file of the name": (
         "import tomllib",
@@ -183,10 +183,10 @@ def test_wrong_files_are_refused_with_the_line(command, tmp_path, contents, mess
 NONE = """
 import jentry
 for wrong in (
-    dict(variants={"one": 3}),
-    dict(variants=lambda: 3),
-    dict(variants={"one": dict}, dispersions={"all": {}}),
-    dict(variants={"one": dict}, gains="guidance"),
+    dict(laws={"one": 3}),
+    dict(laws=lambda: 3),
+    dict(laws={"one": dict}, dispersions={"all": {}}),
+    dict(laws={"one": dict}, gains="guidance"),
 ):
     try:
         jentry.Mission(name="mine", title="", **wrong)
@@ -206,8 +206,8 @@ def test_missions_of_wrong_types_are_refused():
     for said, message in zip(
         run.stdout.splitlines(),
         (
-            "variants 'one' of mission mine is a int: it must be a function",
-            "mission mine has variants <function",
+            "laws 'one' of mission mine is a int: it must be a function",
+            "mission mine has laws <function",
             "dispersions 'all' of mission mine is a dict: it must be a function",
             "gains of mission mine is 'guidance': it must be a tuple, ('guidance',)",
         ),
@@ -237,7 +237,7 @@ def test_builders_know_their_numbers_where_jax_traces_who_asks(asked):
     mission = jentry.Mission(
         name="mine",
         title="",
-        variants=built(flown),
+        laws=built(flown),
         dispersions=built(cheap.mass_only()),
         problems=built(PROBLEM),
     )

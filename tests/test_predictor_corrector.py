@@ -42,7 +42,7 @@ from jentry.guidance.predictor_corrector import _End, _with_effects
 from jentry.missions import find_mission
 from jentry.missions.mars import predictor_corrector as mars
 from jentry.missions.mars.drag_tracking import entry, independent
-from jentry.missions.x_33.predictor_corrector import in_plane as x_33
+from jentry.missions.x_33.predictor_corrector import guided as x_33
 from jentry.motion import EntryState, Response, SecondOrderAttitude, Swing
 from jentry.onboard import BankTurning, Factors, PolynomialProfile, measure
 from jentry.units import degree, km
@@ -140,12 +140,14 @@ def test_a_number_without_effect_stays_where_it_is_best():
 
 @computed_once
 def in_plane():
-    return mars.in_plane()
+    return find_mission("mars-range-tracking").scenario(
+        "predictor-corrector", world="in-plane"
+    )
 
 
 @computed_once
 def in_space():
-    return mars.three_dimensional()
+    return mars.guided()
 
 
 def start_of(scenario):

@@ -28,7 +28,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*decisions without prediction")
 @functools.cache
 def campaign(mission, variant, reading, runs):
     chosen = find_mission(mission)
-    scenario = chosen.scenario(variant)
+    scenario = chosen.scenario_of(variant)
     table = chosen.dispersion_table(reading)
     return scenario, monte_carlo(scenario, table, jax.random.key(KEY), runs)
 
@@ -36,7 +36,7 @@ def campaign(mission, variant, reading, runs):
 FIRST_SETS = [
     ("mars-range-tracking", "predictor-corrector", "lift-to-drag-held"),
     ("mars-range-tracking", "predictor-corrector", "independent"),
-    ("mars-range-tracking", "predictor-corrector-in-plane", "independent"),
+    ("mars-range-tracking", "predictor-corrector world in-plane", "independent"),
     ("sx-2", "predictor-corrector", "air-and-vehicle"),
 ]
 """By programs with which other tests fly many runs"""
@@ -59,11 +59,15 @@ def test_first_set_of_a_population_is_the_saved_one(mission, variant, reading):
 first_runs = functools.cache(fly_few)
 
 FIRST_RUNS = [
+    (
+        "mars-range-tracking",
+        "predictor-corrector-network world in-plane",
+        "independent",
+    ),
     ("mars-range-tracking", "predictor-corrector-network", "independent"),
-    ("mars-range-tracking", "predictor-corrector-network-3d", "independent"),
     ("x-33", "predictor-corrector", "initial-errors"),
     ("x-33", "predictor-corrector-limited", "initial-errors"),
-    ("x-33", "predictor-corrector-3d", "air-and-vehicle"),
+    ("x-33", "predictor-corrector world three-dimensional", "air-and-vehicle"),
     ("rlv", "predictor-corrector", "table-1"),
     ("cav-h", "predictor-corrector", "normal-sensed"),
     ("cav-h", "learning", "waves-sensed"),
@@ -104,7 +108,10 @@ def test_ends_of_the_gliders():
 
 def test_a_network_beside_the_prediction():
     table, saved = rows("| prediction | downrange"), populations.saved()
-    variants = "predictor-corrector-in-plane", "predictor-corrector-network"
+    variants = (
+        "predictor-corrector world in-plane",
+        "predictor-corrector-network world in-plane",
+    )
     for (_, *cells), variant in zip(table, variants, strict=True):
         found = [
             saved["mars-range-tracking", variant, "independent", heading]
@@ -128,7 +135,7 @@ def test_a_network_beside_the_prediction():
 
 def test_networks_beside_the_prediction_in_three_dimensions():
     table, saved = rows("| prediction, in three dim"), populations.saved()
-    variants = "predictor-corrector", "predictor-corrector-network-3d"
+    variants = "predictor-corrector", "predictor-corrector-network"
     headings = (
         "downrange error, median, km",
         "95th percentile",
@@ -167,7 +174,7 @@ def test_what_is_said_of_limits_and_of_the_rlv():
     assert_says("(`with-range` 1.37 and 2.11)", *shares[2:4])
     assert_says("keeps them within 1.03 and 1.00", *shares[4:])
     spread, crossrange, altitude = (
-        np.mean(saved["rlv", "r5", "table-1", heading])
+        np.mean(saved["rlv", "modulation", "table-1", heading])
         for heading in (
             "downrange std, km",
             "crossrange error, median, km",
@@ -247,7 +254,7 @@ def test_cav_h_comes_to_its_point_and_velocity_within_its_limits():
 @pytest.mark.optimized
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "variant", ["predictor-corrector", "predictor-corrector-in-plane"]
+    "variant", ["predictor-corrector", "predictor-corrector world in-plane"]
 )
 def test_mars_lander_comes_to_its_target_where_full_lift_does(variant):
     _, flown = campaign("mars-range-tracking", variant, "independent", 1000)

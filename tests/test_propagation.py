@@ -483,7 +483,7 @@ class Correcting(AbstractSampledLaw[tuple[()], Held]):
 
 
 def correcting() -> "eqx.Module":
-    scenario = range_tracking.in_plane()
+    scenario = range_tracking.in_plane(range_tracking.three_dimensional())
     law = scenario.law
     believed = OnboardModel(law.model.planet, law.model.vehicle)
     law = Correcting(believed, law.aim.origin, law.aim.downrange)

@@ -25,6 +25,7 @@ from jentry.learning.range_network import (
     predict_samples,
     train_range_network,
 )
+from jentry.missions import find_mission
 from jentry.missions.mars import predictor_corrector as mars
 from jentry.missions.mars.drag_tracking import independent
 from jentry.motion.quantities import ground_track
@@ -69,12 +70,14 @@ def of(law):
 
 @computed_once
 def in_plane():
-    return mars.in_plane()
+    return find_mission("mars-range-tracking").scenario(
+        "predictor-corrector", world="in-plane"
+    )
 
 
 @computed_once
 def in_space():
-    return mars.three_dimensional()
+    return mars.guided()
 
 
 def underway(velocity=3000.0, altitude=30e3, law=None):
@@ -574,7 +577,7 @@ def test_training_again_learns(samples):
 def samples_in_space():
     """From places that flights by the networks visit, of another seed than those that
     these have learnt from."""
-    scenario = mars.networked_in_space()
+    scenario = mars.networked()
     # Of the last cycle before the end, for which there was nothing to learn.
     with pytest.warns(UserWarning, match="decisions without prediction, up to 1%"):
         return predict_samples(scenario, independent(), 100, 1500, jax.random.key(7))
@@ -636,7 +639,7 @@ def test_shipped_networks_in_three_dimensions_are_as_good_as_their_cards_say(
 @pytest.mark.slow
 def test_a_flight_by_the_networks_has_its_derivatives():
     """By density and lift; between reversals, which are discrete."""
-    scenario = mars.networked_in_space()
+    scenario = mars.networked()
 
     def end(factors):
         given = with_leaf(scenario, lambda s: s.planet.density_scale, factors[0])

@@ -31,6 +31,11 @@ KEY = 0
 """Of every campaign here"""
 
 
+def in_plane():
+    """The law without lateral motion, as its paper flies."""
+    return mars_range_tracking.MISSION.scenario(world="in-plane")
+
+
 @computed_once
 def scenario():
     return mars_range_tracking.three_dimensional()
@@ -56,7 +61,7 @@ def reaches(runs):
 @functools.cache
 def nominal():
     """The nominal flight, without lateral motion, kept each second."""
-    return fly_compiled(mars_range_tracking.in_plane(), FixedStep(), 1.0)
+    return fly_compiled(in_plane(), FixedStep(), 1.0)
 
 
 def state_at(flight, second):
@@ -124,7 +129,7 @@ def scale_by_search(law, now, range_to_go, drag_factor):
 def test_scale_is_that_of_the_profile_that_ends_at_the_target(
     drag_factor, second, range_share
 ):
-    law = mars_range_tracking.in_plane().law
+    law = in_plane().law
     state = state_at(nominal(), second)
     downrange, _ = ground_track(law.model.planet, law.aim.origin, state)
     range_to_go = range_share * (law.aim.downrange - downrange)
@@ -141,8 +146,8 @@ def test_scale_is_that_of_the_profile_that_ends_at_the_target(
 @pytest.mark.slow
 @pytest.mark.parametrize("second", [45, 60, 100, 150, 190])
 def test_nominal_flight_keeps_the_reference_as_it_is(second):
-    law = mars_range_tracking.in_plane().law
-    measurement = sensed(mars_range_tracking.in_plane(), state_at(nominal(), second))
+    law = in_plane().law
+    measurement = sensed(in_plane(), state_at(nominal(), second))
     memory, held = law.init(measurement)
     _, decided = law.update(jnp.asarray(0.0), measurement, memory, held)
     # The interpolated range, and what the tracked flight is off its reference.
@@ -153,7 +158,7 @@ def test_nominal_flight_keeps_the_reference_as_it_is(second):
 def test_nominal_flight_ends_at_the_target():
     flight = nominal()
     assert flight.outcome == Outcome.REACHED
-    target = mars_range_tracking.in_plane().target
+    target = in_plane().target
     assert abs(flight.state.longitude * 3397 * km - target.downrange) < 5.0
     assert abs(flight.state.altitude - target.altitude) < 5.0
     assert abs(flight.state.velocity - target.velocity) < 0.1
@@ -471,7 +476,7 @@ def off_the_reference():
             s.vehicle.lift_scale,
             s.termination.conditions["velocity"].velocity,
         ),
-        mars_range_tracking.in_plane(),
+        in_plane(),
         (state_at(nominal(), 60), *(jnp.asarray(x) for x in (1.002, 1.01, 3000.0))),
     )
 
@@ -524,7 +529,7 @@ def check_campaigns(runs):
     for reading, flown in zip(READINGS, (held, free), strict=True):
         assert np.all(flown.flights.outcome == Outcome.REACHED)
         if (runs, KEY) == (1000, 0):
-            row = "mars-range-tracking", "three-dimensional", reading
+            row = "mars-range-tracking", "range-tracking", reading
             assert_first_set(*row, scenario(), flown)
 
     # The largest of all 16 000 are 0.24 and 0.62 km.

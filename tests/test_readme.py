@@ -88,7 +88,7 @@ def test_nominal_downrange_errors_of_the_mars_mission():
     mission, paper = find_mission("mars-drag-tracking"), truths("yan_he.csv")
     errors = {}
     for variant in ("state-feedback", "observer-feedback", "time-index"):
-        scenario = mission.scenario(variant)
+        scenario = mission.scenario_of(variant)
         errors[variant] = float(misses(scenario, fly_compiled(scenario)).downrange)
     printed = paper["nominal_errors"]
     assert_says(
@@ -104,7 +104,7 @@ def test_nominal_downrange_errors_of_the_mars_mission():
 @pytest.mark.parametrize(
     ("variant", "title"),
     [
-        ("three-dimensional", "Beyond the paper"),
+        ("range-tracking", "Beyond the paper"),
         ("predictor-corrector", "The predictor-corrector"),
     ],
 )
@@ -134,7 +134,7 @@ def test_range_tracking(variant, title):
 VARIANTS = {
     "the same, factors": ("newton", "uniform"),
     "the same, with accelerometer": ("newton", "normal-sensed"),
-    "the same, through": ("us-1976", "normal-sensed"),
+    "the same, through": ("newton world us-1976", "normal-sensed"),
     "`newton-network`": ("newton-network", "normal-sensed"),
     "`newton`, density": ("newton", "waves-sensed"),
     "`learning`: the": ("learning", "waves-sensed"),
@@ -149,7 +149,7 @@ def cav_h(heading, variant="adjusted-once", reading="normal"):
 
 
 def test_cav_h():
-    table = rows("| variant | velocity error, mean")
+    table = rows("| law | velocity error, mean")
     assert len(table) == 15
     for name, *cells in table:
         row = [at for beginning, at in VARIANTS.items() if name.startswith(beginning)]
@@ -288,7 +288,7 @@ def test_tuned_gains():
 def test_tuned_gains_are_judged_as_it_is_saved(name):
     """Without the optimizer: another order of rounding leads it elsewhere in the valley."""
     saved, mission = tuned(name), find_mission(name)
-    start = mission.scenario(saved["variant"])
+    start = mission.scenario_of(saved["variant"])
     overrides = in_si(read_overrides(path_of_tuned(name)), start)
     found = judge(
         start,

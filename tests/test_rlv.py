@@ -62,7 +62,7 @@ def glide():
 
 def test_the_plan_heats_evenly_and_glides_near_equilibrium(glide):
     velocity, found = glide
-    scenario = MISSION.scenario("r5")
+    scenario = MISSION.scenario_of("modulation")
     density = jax.vmap(scenario.planet.atmosphere.undisturbed.density)
     rho = np.asarray(density(jnp.asarray(found["altitude"])))
     hot = velocity > 5100.0
@@ -105,7 +105,7 @@ def test_the_plan_obeys_the_motion(glide):
 
 def test_flight_conditions_along_the_plan():
     """On the back side of the lift-to-drag ratio above 1255 m/s, as the notes have it."""
-    scenario = MISSION.scenario("r5")
+    scenario = MISSION.scenario_of("modulation")
     domain = scenario.guidance.angle_of_attack.domain
 
     @jax.jit
@@ -159,7 +159,9 @@ def test_readings_and_variants():
     }
     noise = set(MISSION.dispersion_table("table-1-noise"))
     assert noise - set(MISSION.dispersion_table("table-1")) == {"noise seed"}
-    sensed = MISSION.scenario("hard-noise").accelerometers
+    sensed = MISSION.scenario_of(
+        "lag-inverted world attitude-3 world noise"
+    ).accelerometers
     assert float(sensed.noise) == pytest.approx(2e-4 * standard_gravity)
     flown = MISSION.scenario("shuttle-as-flown").guidance.angle_of_attack
     assert float(flown.cycle.period) == 1.92
@@ -187,14 +189,16 @@ def test_readings_and_variants():
 
 
 def test_noise_is_another_in_each_flight():
-    scenario = MISSION.scenario("hard-noise")
+    scenario = MISSION.scenario_of("lag-inverted world attitude-3 world noise")
     check_dispersions(scenario, MISSION.dispersion_table("table-1-noise"))
     with pytest.raises(ValueError, match="all runs would have the same: disperse"):
         check_dispersions(scenario, MISSION.dispersion_table("table-1"))
 
 
 def test_tuning_is_of_the_deviations_and_not_of_the_range():
-    scaled = parse_scales(MISSION.tuned_for, MISSION.scenario("hard"))
+    scaled = parse_scales(
+        MISSION.tuned_for, MISSION.scenario_of("lag-inverted world attitude-3")
+    )
     names = {"drag_deviation", "angle_of_attack_deviation"}
     assert MISSION.modes_faster_than == 0.2  # rad/s: the phugoid is slower
     assert {name for name, _ in scaled.scales} == names
@@ -233,14 +237,16 @@ def peaks(scenario, reading, seed):
 
 
 def drag_errors(variant, reading, seed):
-    return peaks(MISSION.scenario(variant), reading, seed)[0]
+    return peaks(MISSION.scenario_of(variant), reading, seed)[0]
 
 
 SLOW = [pytest.mark.slow, pytest.mark.optimized]
 
 BARS = [
     # nominal and median, a percentile and its bound, 1e-3 g, as the README has them
-    pytest.param("r5", "table-1", 2.0, 2.0, 99.7, 2.6, marks=SLOW, id="modulated"),
+    pytest.param(
+        "modulation", "table-1", 2.0, 2.0, 99.7, 2.6, marks=SLOW, id="modulated"
+    ),
     pytest.param(
         "shuttle",
         "table-1-estimated-angle",
@@ -358,14 +364,14 @@ def test_the_shuttles_law_differs_from_another_program_by_the_steps_of_its_attit
 @pytest.mark.optimized
 def test_a_fast_attitude_keeps_the_error_of_the_paper():
     """Below 2e-3 g in all runs."""
-    errors = drag_errors("a8", "table-1", seed=0)
+    errors = drag_errors("modulation-fast-observer world attitude-8", "table-1", seed=0)
     assert np.max(errors) < 2.0
     assert errors[-1] == pytest.approx(1.3, abs=0.05)
 
 
 def tuned(variant):
     given = read_overrides(populations.SAVED.with_name("tuned-rlv.toml"))
-    start = MISSION.scenario(variant)
+    start = MISSION.scenario_of(variant)
     return apply_values(start, in_si(given, start).values)
 
 
@@ -374,8 +380,14 @@ def tuned(variant):
 @pytest.mark.parametrize(
     ("variant", "reading", "nominal", "median", "most"),
     [
-        ("hard", "table-1", 0.26, 0.265, 0.48),
-        ("hard-noise", "table-1-noise", 0.645, 0.63, 0.95),
+        ("lag-inverted world attitude-3", "table-1", 0.26, 0.265, 0.48),
+        (
+            "lag-inverted world attitude-3 world noise",
+            "table-1-noise",
+            0.645,
+            0.63,
+            0.95,
+        ),
     ],
 )
 def test_tuned_gains_of_a_slow_attitude(variant, reading, nominal, median, most):
@@ -397,7 +409,7 @@ def test_tuned_gains_of_a_slow_attitude(variant, reading, nominal, median, most)
 @pytest.mark.optimized
 def test_more_samples_keep_the_noise_out():
     """In cycles of 0.05 s; asked for are 0.7 with noise, and 0.5 without, in all runs."""
-    scenario = MISSION.scenario("quick-noise")
+    scenario = MISSION.scenario_of("lag-inverted-fast world attitude-3 world noise")
     errors, angles = peaks(scenario, "table-1-noise", seed=1)
     assert errors[-1] == pytest.approx(0.39, abs=0.01)
     assert np.median(errors) == pytest.approx(0.34, abs=0.01)
@@ -415,7 +427,7 @@ def test_the_bank_feedback_brings_the_angle_of_attack_back():
     gains = "guidance.angle_of_attack.gains"
     inputs = {f"{gains}.bank_deviation": [4.0, 0.0], f"{gains}.bank_rate": [-0.15, 0.0]}
     inputs = {name: np.array(values) for name, values in inputs.items()}
-    found = monte_carlo(MISSION.scenario("r5"), inputs=inputs).flights.peaks
+    found = monte_carlo(MISSION.scenario_of("modulation"), inputs=inputs).flights.peaks
     angles = found["angle_of_attack_deviation"] / degree
     assert angles == pytest.approx([8.9, 16.9], abs=0.1)
     flight = eqx.filter_jit(fly)(MISSION.scenario("shuttle-as-flown"))
@@ -429,14 +441,21 @@ def least_damping(scenario):
 @pytest.mark.slow
 def test_least_damping_with_tuned_gains_and_with_more_samples():
     """As the README has it; asked for is 0.2."""
-    assert least_damping(tuned("hard")) == pytest.approx(0.63, abs=0.02)
-    assert least_damping(MISSION.scenario("quick-noise")) > 0.2
+    assert least_damping(tuned("lag-inverted world attitude-3")) == pytest.approx(
+        0.63, abs=0.02
+    )
+    assert (
+        least_damping(
+            MISSION.scenario_of("lag-inverted-fast world attitude-3 world noise")
+        )
+        > 0.2
+    )
 
 
 @pytest.mark.slow
 def test_what_the_gains_need_of_the_attitude():
     """Least damping with those for 5 rad/s, as the README has it."""
-    scenario = MISSION.scenario("r5")
+    scenario = MISSION.scenario_of("modulation")
     least = []
     for frequency in (5.0, 3.0, 2.0):
         response = lambda s: s.attitude.angle_of_attack_response.frequency

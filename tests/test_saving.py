@@ -13,6 +13,7 @@ from commands import monte_carlo
 from jentry.addresses import leaves_by_address, unit_of
 from jentry.cli.overrides import apply_values, in_si, read_overrides
 from jentry.missions import ALL
+from jentry.missions.choice import Choice
 from jentry.tuning import Bounds, Budget, Draws, MeanSquare, Scale, tune
 from jentry.tuning.saving import with_unit
 from jentry.units import quantity
@@ -46,7 +47,8 @@ def test_what_is_saved_is_read_to_the_last_bit(tuned, tmp_path):
     path = tmp_path / "tuned.toml"
     tuned.save(path)
     overrides, scenario = read_back(path, cheap.scenario())
-    assert overrides.variant is overrides.reading is overrides.dispersions is None
+    assert overrides.choice == Choice()
+    assert overrides.reading is overrides.dispersions is None
     assert set(overrides.values) == set(tuned.values) == set(tuned.moved)
     found, expected = map(leaves_by_address, (scenario, tuned.scenario))
     for address, value in expected.items():
@@ -90,13 +92,13 @@ def test_variant_dispersions_further_values_and_comment(tuned, tmp_path):
     bank = "guidance.bank_angle"
     tuned.save(
         path,
-        variant='the "right" \N{ROCKET}\x7f one',
+        law='the "right" \N{ROCKET}\x7f one',
         dispersions="mass-only",
         values={"vehicle.mass": 900.0, bank: 0.3},
         comment="Two\n[lines]",
     )
     overrides, scenario = read_back(path, cheap.scenario())
-    assert overrides.variant == 'the "right" \N{ROCKET}\x7f one'
+    assert overrides.choice.law == 'the "right" \N{ROCKET}\x7f one'
     assert overrides.reading == "mass-only"
     assert float(scenario.vehicle.mass) == 900.0
     # What was tuned is not what was set before.
@@ -106,7 +108,7 @@ def test_variant_dispersions_further_values_and_comment(tuned, tmp_path):
 
 def test_a_saved_file_flies(tuned, tmp_path, command):
     path = tmp_path / "tuned.toml"
-    tuned.save(path, variant="right", dispersions="mass-only")
+    tuned.save(path, law="right", dispersions="mass-only")
     flown = monte_carlo(command, "--config", path, "--runs", 4, "--out", "flown")
     assert flown[0] == 0
     described = json.loads((tmp_path / "flown" / "campaign.json").read_text())

@@ -6,7 +6,7 @@ import functools
 import numpy as np
 import pytest
 import shuttle_by_hand as by_hand
-from helpers import fly_compiled
+from helpers import choices, fly_compiled
 from readme import assert_prints, rows
 
 from jentry.missions import find_mission
@@ -22,7 +22,7 @@ BTU = 1055.05585262 / foot**2
 
 def test_the_readme_says_what_is_published():
     table = {row[0].strip("`"): row for row in rows("| | latitude at the end, deg |")}
-    assert list(table) == list(MISSION.variants)
+    assert list(table) == choices(MISSION)
     for variant, (_, _, published, _, _, _) in table.items():
         value = MISSION.problem().published[variant] / degree
         assert_prints(published, value)
@@ -38,7 +38,7 @@ def assert_as_in_the_readme(variant, flight):
 @functools.cache
 def found(variant, nodes=40):
     problem = dataclasses.replace(MISSION.problem(), nodes=nodes)
-    return best_flight(MISSION.scenario(variant), problem)
+    return best_flight(MISSION.scenario_of(variant), problem)
 
 
 def flown_by_hand(best):
@@ -106,7 +106,7 @@ def test_cross_range_of_the_literature():
 @pytest.mark.optimized
 def test_cross_range_with_limited_heating():
     """30.6255 deg at 2198.67 s; the limit is kept every 10 s, and between to 0.1 %."""
-    best = found("limited-heating")
+    best = found("glide case limited-heating")
     assert_published_end(best.flight)
     latitude = float(best.flight.state.latitude) / degree
     assert latitude == pytest.approx(30.6255, abs=0.01)
@@ -116,5 +116,5 @@ def test_cross_range_with_limited_heating():
     assert float(best.flight.peaks.wing_heat_rate) / BTU < 70.0 * 1.001
     assert len(best.active["wing_heat_rate"]) > 20
     assert np.all(best.prices["wing_heat_rate"] <= 0.0)
-    assert_as_in_the_readme("limited-heating", best.flight)
+    assert_as_in_the_readme("glide case limited-heating", best.flight)
     assert_same_end(best.flight, *flown_by_hand(best))

@@ -48,7 +48,7 @@ def campaign(runs=RUNS, seed=0, **more):
     }
     described = {
         "mission": "cheap",
-        "variant": "right",
+        "law": "right",
         "seed": 3,
         "versions": {"jax": "1"},
     }
@@ -302,7 +302,7 @@ def test_the_page_stands_alone_and_has_the_numbers(summary):
     assert rows[REQUIREMENTS[0].text][1] == ["passes"]
     assert rows[REQUIREMENTS[1].text][1] == ["fails"]
     joined = " ".join(" ".join(page.text).split())
-    assert "mission cheap, variant right, seed 3, jax 1" in joined
+    assert "mission cheap, law right, seed 3, jax 1" in joined
     assert "2 of 400 runs stopped where" in joined and "2 of them left out" in joined
     assert "exceed the limit of the peak load factor, 2.5 g" in joined
     assert "flights have low cycles" in joined and "end errors" in joined

@@ -18,7 +18,7 @@ from jentry.campaign.campaign import drawn_inputs
 from jentry.cli.overrides import apply_values, in_si, read_overrides
 from jentry.flight import FixedStep, Outcome
 from jentry.missions.sx_2.dispersions import INITIAL_ERRORS, off_by
-from jentry.missions.sx_2.mission import cases, figure_case
+from jentry.missions.sx_2.mission import cases
 from jentry.motion.index import EnergyIndex
 from jentry.units import nautical_mile
 
@@ -95,7 +95,7 @@ def test_the_printed_law_flies_its_reference_too():
 
 @pytest.mark.optimized(False)
 def test_over_the_energy_the_closed_loop_flies_the_same():
-    scenario = figure_case()
+    scenario = MISSION.scenario(case="figures")
     last = scenario.termination.conditions["energy"].energy
     over = eqx.filter_jit(fly_over)(scenario, EnergyIndex(), last, 4000)
     flight = eqx.filter_jit(fly)(scenario, FixedStep(0.25))
@@ -130,7 +130,7 @@ def test_errors_one_at_a_time_end_within_the_bound_of_the_paper():
 def tuned() -> Scenario:
     path = populations.SAVED.with_name("tuned-sx-2.toml")
     given = read_overrides(path)
-    start = MISSION.scenario(given.variant)
+    start = MISSION.scenario_of(given.choice)
     return apply_values(start, in_si(given, start).values)
 
 
@@ -181,7 +181,7 @@ def test_replanned_flights_all_arrive(table, runs):
 @pytest.mark.parametrize("variant, share", [("small-angle", 70.0), ("measured", 34.0)])
 def test_without_replanning_many_flights_diverge(variant, share):
     """More than 25 n mile off, or nowhere, in %: what the README says of these laws."""
-    scenario = MISSION.scenario(variant)
+    scenario = MISSION.scenario_of(variant)
     miss, _ = miss_of(scenario, populated(scenario, "air-and-vehicle"))
     assert 100.0 * np.mean(miss > 25.0) == pytest.approx(share, abs=0.5)
 

@@ -45,7 +45,7 @@ COUNT = len(CASES)
 @functools.cache
 def flown(variant):
     """The nominal flight and those of the cases: misses (SI), largest cosine, outcomes."""
-    nominal = MISSION.scenario(variant)
+    nominal = MISSION.scenario_of(variant)
     return flown_from(nominal, [case(nominal, n + 1) for n in range(COUNT)])
 
 
@@ -77,7 +77,7 @@ def test_cases_are_those_of_the_paper():
         115.21,
         -106.2,
     ]
-    start = MISSION.scenario("tracking-case-3").initial_state
+    start = MISSION.scenario_of("tracking case 3").initial_state
     nominal = MISSION.scenario("tracking").initial_state
     assert float(start.altitude - nominal.altitude) == pytest.approx(1700.0)
     assert float(start.velocity - nominal.velocity) == pytest.approx(50.0)
@@ -234,7 +234,7 @@ def test_dispersed_flights():
     """What the regulator is for: with the range as a state it is met 20 times better."""
     far = {}
     for variant in ("tracking", "with-range"):
-        scenario = MISSION.scenario(variant)
+        scenario = MISSION.scenario_of(variant)
         table = MISSION.dispersion_table("everything")
         campaign = monte_carlo(scenario, table, jax.random.key(3), 64)
         assert np.all(np.asarray(campaign.flights.outcome) == Outcome.REACHED)

@@ -38,7 +38,7 @@ def print_campaign(
     size = mission.published_runs
     if not as_published:
         console.print(
-            f"published values are of the variant {mission.published_variant} with the "
+            f"published values are of the law {mission.published_law} with the "
             f"dispersions {mission.published_dispersions}, unchanged, by plain draws"
         )
     elif results.sizes["run"] < SETS * size:

@@ -7,6 +7,7 @@ import typer
 
 from .ending import rounding_off
 from .options import (
+    Case,
     ClusterAt,
     Dispersions,
     Fast,
@@ -14,6 +15,7 @@ from .options import (
     Set,
     Step,
     Workers,
+    World,
     app,
     flying_at,
     set_up,
@@ -25,14 +27,18 @@ def command(
     what: Annotated[
         list[str],
         typer.Argument(
-            help="Folders of two or more stored campaigns; or a mission, of which variants "
+            help="Folders of two or more stored campaigns; or a mission, of which laws "
             "or configurations are flown on the same draws."
         ),
     ],
-    variant: Annotated[
+    law: Annotated[
         list[str] | None,
-        typer.Option(help="Variant of the mission that is flown. Repeated."),
+        typer.Option(
+            help="Guidance law of the mission that is flown. Repeated; `all` for all."
+        ),
     ] = None,
+    case: Case = None,
+    world: World = None,
     config: Annotated[
         list[Path] | None,
         typer.Option(
@@ -94,7 +100,7 @@ def command(
     cluster: ClusterAt = None,
     fast: Fast = False,
 ) -> None:
-    """Compare campaigns run by run: what one law, gain set or variant changes.
+    """Compare campaigns run by run: what one law or gain set changes.
 
     One table has a row for each; the differences are those from the first.
     """
@@ -117,13 +123,15 @@ def command(
             name.strip().strip("|").replace(" ", "_") for name in outputs.split(",")
         ]
 
-    asked = [*(variant or ()), *(config or ())]
+    asked = [*(law or ()), *(config or ()), *(world or ())]
+    asked += [] if case is None else [case]
     if len(what) == 1 and not Path(what[0]).is_dir():
         folder = out
         with rounding_off("the same command resumes") as look, flying_at(cluster):
             entries, folder = fly_entries(
                 what[0],
-                variant or [],
+                law or [],
+                (case, world),
                 config or [],
                 1000 if runs is None else runs,
                 seed or 0,
@@ -139,8 +147,9 @@ def command(
         given = (step, seed, cluster)
         if asked or dispersions or set_ or any(x is not None for x in given):
             raise ValueError(
-                "stored campaigns are compared as they are: leave out --variant, "
-                "--config, --dispersions, --set, --step, --seed and --cluster"
+                "stored campaigns are compared as they are: leave out --law, "
+                "--case, --world, --config, --dispersions, --set, --step, --seed and "
+                "--cluster"
             )
         if runs is not None and runs < 2:
             raise ValueError(f"--runs is {runs}: a comparison takes 2 or more")

@@ -11,6 +11,7 @@ from ..campaign.results import output_names
 from ..campaign.store import run_campaign
 from ..flight.solver import FixedStep
 from ..flight.termination import Outcome
+from ..missions import find_mission
 from ..plots import save_figures
 from ..plots.comparison import draw_comparison
 from ..statistics.alternatives import Alternatives, no_output, shared_runs
@@ -19,7 +20,6 @@ from ..statistics.intervals import CONFIDENCE, Interval
 from .options import (
     chosen_scenario,
     dispersion_table,
-    first_given,
     refuse_set_in_vain,
 )
 from .progress import reported
@@ -49,7 +49,8 @@ def stored_entries(folders: Sequence[str], runs: int | None = None) -> Entries:
 
 def fly_entries(
     mission: str,
-    variants: Sequence[str],
+    laws: Sequence[str],
+    where: tuple[str | None, Sequence[str] | None],
     configs: Sequence[Path],
     runs: int,
     seed: int,
@@ -61,33 +62,38 @@ def fly_entries(
     outputs: Sequence[str] | None,
     look: Callable[[], None],
 ) -> tuple[Entries, Path]:
-    """Fly variants and configurations of a mission on the same draws, each in a folder."""
+    """Fly laws and configurations of a mission on the same draws, each in a folder.
+
+    `where` are the case and the worlds of all of them.
+    """
+    if "all" in laws:
+        laws = [*find_mission(mission).laws]
     choices: list[tuple[str, str | None, Path | None]]
-    choices = [(name, name, None) for name in dict.fromkeys(variants)]
+    choices = [(name, name, None) for name in dict.fromkeys(laws)]
     choices += [(path.stem, None, path) for path in dict.fromkeys(configs)]
     if len(choices) == 1 and configs:
         choices.insert(0, ("mission", None, None))
     names = [name for name, _, _ in choices]
     if len(choices) < 2:
         raise ValueError(
-            "a comparison takes two: give --variant twice, or --config; or the folders of "
+            "a comparison takes two: give --law twice, or --config; or the folders of "
             "stored campaigns"
         )
     if len(set(names)) < len(names):
         raise ValueError(f"{', '.join(names)}: two have the same name; rename a file")
     prepared = []
-    for name, variant, config in choices:
+    for name, law, config in choices:
         # All of them before the first is flown.
         try:
             chosen, scenario, overrides = chosen_scenario(
-                mission, variant, config, assignments
+                mission, (law, *where), config, assignments
             )
             _, table = dispersion_table(chosen, overrides, dispersions)
             refuse_set_in_vain(scenario, overrides, table)
         except ValueError as error:
             raise ValueError(f"{name}: {error}") from None
-        flown = first_given(variant, overrides.variant, *chosen.variants)
-        prepared.append((name, chosen, scenario, table, flown))
+        labels = {**chosen.labels, **overrides.choice.labels}
+        prepared.append((name, chosen, scenario, table, labels))
     for name, _, scenario, *_ in prepared:
         known = output_names(scenario)
         for output in outputs or ():
@@ -95,7 +101,7 @@ def fly_entries(
                 raise ValueError(no_output(name, output, known))
     folder = out or Path("results") / f"{prepared[0][1].name}-compared"
     solver = FixedStep(step)
-    for name, chosen, scenario, table, flown in prepared:
+    for name, _, scenario, table, labels in prepared:
         with reported(runs, quiet) as told:
 
             def report(stored: int, told: Callable[[int], None] = told) -> None:
@@ -111,8 +117,7 @@ def fly_entries(
                     runs,
                     solver=solver,
                     report=report,
-                    **chosen.labels,
-                    variant=flown,
+                    **labels,
                 )
             except ValueError as error:
                 raise ValueError(f"{name} does not fit: {error}") from None

@@ -6,11 +6,13 @@ from typing import Annotated
 import typer
 
 from .options import (
+    Case,
     Config,
+    Law,
     MissionName,
     Set,
     Step,
-    Variant,
+    World,
     app,
     chosen_scenario,
     note_step,
@@ -21,7 +23,9 @@ from .options import (
 @app.command("fly")
 def command(
     mission: MissionName,
-    variant: Variant = None,
+    law: Law = None,
+    case: Case = None,
+    world: World = None,
     set_: Set = None,
     config: Config = None,
     step: Step = None,
@@ -59,13 +63,16 @@ def command(
         )
     if (out is not None or figure is not None) and history is None:
         history = 1.0
-    chosen, scenario, _ = chosen_scenario(mission, variant, config, set_)
+    chosen, scenario, overrides = chosen_scenario(
+        mission, (law, case, world), config, set_
+    )
     solver = FixedStep(step)
     note_step(scenario, solver, history)
     flight = kept(fly)(without_zero_departures(scenario), solver, history)
     print_flight(chosen, scenario, flight)
     if out is not None:
-        write_flight(out, scenario, flight, solver, history, **chosen.labels)
+        labels = {**chosen.labels, **overrides.choice.labels}
+        write_flight(out, scenario, flight, solver, history, **labels)
         typer.echo(f"written: {out}")
     if figure is not None:
         from ..plots.one_flight import draw_flight

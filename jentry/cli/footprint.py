@@ -7,14 +7,15 @@ import typer
 
 from .optimize import AngleOfAttack, Bank, End, Every, Limits, Nodes, OverIndex
 from .options import (
+    Case,
     Config,
+    Law,
     MissionName,
     Set,
     Step,
-    Variant,
+    World,
     app,
     chosen_scenario,
-    first_given,
     set_up,
 )
 
@@ -47,7 +48,9 @@ def command(
             help="Folder for table and figure: results/MISSION-footprint if not given.",
         ),
     ] = None,
-    variant: Variant = None,
+    law: Law = None,
+    case: Case = None,
+    world: World = None,
     set_: Set = None,
     config: Config = None,
     step: Step = None,
@@ -63,9 +66,8 @@ def command(
     from .progress import reported
 
     chosen, scenario, overrides = chosen_scenario(
-        mission, variant, config, set_, law_flies=False
+        mission, (law, case, world), config, set_, law_flies=False
     )
-    name = first_given(variant, overrides.variant, *chosen.variants)
     if problem is None and "footprint" in chosen.problems:
         problem = "footprint"
     origin = scenario.target.origin or scenario.initial_state
@@ -85,7 +87,7 @@ def command(
     )
     with reported(directions + 4) as told:
         found = footprint(scenario, asked, directions, FixedStep(step), told)
-    print_footprint(chosen, name, found)
+    print_footprint(chosen, overrides.choice, found)
     folder = Path("results") / f"{chosen.name}-footprint" if out is None else out
-    for written in write_footprint(folder, chosen, name, found):
+    for written in write_footprint(folder, chosen, overrides.choice, found):
         typer.echo(f"written: {written}")

@@ -65,7 +65,7 @@ def page_of(title: str, summary: Summary, figures: Mapping[str, bytes]) -> str:
 def _flown(summary: Summary) -> str:
     """Which campaign it is, in one line."""
     campaign = summary.campaign
-    names = ("mission", "variant", "seed")
+    names = ("mission", "law", "case", "world", "variant", "seed")
     told = [f"{n} {campaign[n]}" for n in names if campaign.get(n) is not None]
     versions = campaign.get("versions", {})
     told += [

@@ -11,6 +11,7 @@ from .._printed import quantity_in_words
 from ..analysis.frozen_loop import FrozenLoop, Worst
 from ..fields import units_of
 from ..flight.flight import Flight
+from ..missions.choice import Choice
 from ..missions.mission import Mission
 from ..plots import save_figures
 from ..plots.eigenvalues import draw_eigenvalues
@@ -109,15 +110,15 @@ def _in_short(numbers: np.ndarray) -> str:
 def write_loop(
     path: Path,
     mission: Mission,
-    variant: str,
+    choice: Choice,
     loop: FrozenLoop,
     faster_than: float = 0.0,
 ) -> tuple[Path, Path]:
     """Write the figure, and beside it every number to its last digit as JSON."""
-    title = f"{mission.name} {variant}: closed loop at equal {loop.over}"
+    title = f"{mission.name} {choice}: closed loop at equal {loop.over}"
     (figure,) = save_figures({path.stem: draw_eigenvalues(loop, title)}, path.parent)
     numbers = figure.with_suffix(".json")
-    told = {"mission": mission.name, "variant": variant} | {
+    told = {"mission": mission.name, **choice.labels} | {
         name: _plain(value) for name, value in vars(loop).items()
     }
     least = _least(loop, faster_than).value

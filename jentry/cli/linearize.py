@@ -6,15 +6,16 @@ from typing import Annotated
 import typer
 
 from .options import (
+    Case,
     Config,
+    Law,
     MissionName,
     Over,
     Set,
     Step,
-    Variant,
+    World,
     app,
     chosen_scenario,
-    first_given,
     set_up,
 )
 
@@ -43,7 +44,9 @@ def command(
             "name."
         ),
     ] = None,
-    variant: Variant = None,
+    law: Law = None,
+    case: Case = None,
+    world: World = None,
     set_: Set = None,
     config: Config = None,
     step: Step = None,
@@ -60,14 +63,15 @@ def command(
     from ..motion.index import index_named
     from .linearization_report import print_loop, write_loop
 
-    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    chosen, scenario, overrides = chosen_scenario(
+        mission, (law, case, world), config, set_
+    )
     index = index_named(over, scenario.target.origin or scenario.initial_state)
     if faster_than is None:
         named = chosen.modes_faster_than if over is Over.TIME else None
         faster_than = named or 0.0
     loop = linearize(scenario, index, points, solver=FixedStep(step))
-    name = first_given(variant, overrides.variant, *chosen.variants)
     print_loop(chosen, loop, faster_than)
     if out is not None:
-        for path in write_loop(out, chosen, name, loop, faster_than):
+        for path in write_loop(out, chosen, overrides.choice, loop, faster_than):
             typer.echo(f"written: {path}")

@@ -1,4 +1,4 @@
-"""`jentry list`: the missions, their variants and their dispersions."""
+"""`jentry list`: the missions: their laws, cases, worlds and dispersions."""
 
 from typing import Annotated
 
@@ -18,7 +18,7 @@ def command(
         ),
     ] = None,
 ) -> None:
-    """The missions, their variants and their dispersions."""
+    """The missions: their laws, cases, worlds and dispersions."""
     from ..missions import every_mission, find_mission
     from .mission_report import print_missions
 

@@ -1,6 +1,8 @@
 """What the commands print of missions, of their scenarios and of one flight."""
 
-from collections.abc import Iterable
+import inspect
+import re
+from collections.abc import Callable, Iterable
 
 from rich.table import Table
 
@@ -22,15 +24,28 @@ from .tables import new_console, new_table, print_under
 
 
 def print_missions(missions: Iterable[Mission]) -> None:
-    """Name, title, source, variants and dispersions of each."""
+    """Name, title and source of each, and what can be chosen of it, a sentence each."""
     console = new_console()
     for mission in missions:
         console.print(mission.name, style="bold", end="")
         console.print(f": {mission.title}")
         if mission.source:
             console.print(f"  source       {mission.source}")
-        console.print(f"  variants     {', '.join(mission.variants)}")
-        console.print(f"  dispersions  {', '.join(mission.dispersions)}")
+        for axis in ("laws", "cases", "worlds", "dispersions"):
+            named = getattr(mission, axis)
+            if not named:
+                continue
+            console.print(f"  {axis}")
+            width = max(map(len, named))
+            for name, function in named.items():
+                line = f"    {name:{width}}  {_sentence(function)}".rstrip()
+                console.print(line, highlight=False)
+
+
+def _sentence(function: Callable) -> str:
+    """The first sentence of what a function says of itself."""
+    words = " ".join((inspect.getdoc(function) or "").split("\n\n")[0].split())
+    return re.split(r"(?<=\.)\s", words)[0]
 
 
 def print_leaves(scenario: Scenario) -> None:

@@ -8,12 +8,14 @@ import typer
 
 from .ending import rounding_off
 from .options import (
+    Case,
     ClusterAt,
     Config,
     Dispersions,
     Fast,
     Formats,
     Json,
+    Law,
     MissionName,
     Percentiles,
     Quiet,
@@ -23,12 +25,11 @@ from .options import (
     Sampling,
     Set,
     Step,
-    Variant,
     Workers,
+    World,
     app,
     chosen_scenario,
     dispersion_table,
-    first_given,
     flying_at,
     import_meanwhile,
     note_step,
@@ -54,7 +55,9 @@ def command(
     ] = None,
     workers: Workers = None,
     cluster: ClusterAt = None,
-    variant: Variant = None,
+    law: Law = None,
+    case: Case = None,
+    world: World = None,
     dispersions: Dispersions = None,
     sampler: Sampler = Sampling.PLAIN,
     inputs: Annotated[
@@ -153,8 +156,9 @@ def command(
         raise ValueError("--until-decided draws more runs, and --inputs has no more")
     if most_runs is not None and not until_decided:
         raise ValueError("--most-runs is of --until-decided: give that as well")
-    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
-    variant = first_given(variant, overrides.variant, *chosen.variants)
+    chosen, scenario, overrides = chosen_scenario(
+        mission, (law, case, world), config, set_
+    )
     if sampler is not Sampling.PLAIN and asked:
         raise ValueError(
             f"--sampler {sampler} spreads the runs evenly, and requirements are judged of "
@@ -230,7 +234,7 @@ def command(
                 report=report,
                 part=part,
                 **chosen.labels,
-                variant=variant,
+                **overrides.choice.labels,
             )
             if part is not None:
                 break

@@ -12,6 +12,7 @@ from ..campaign.store import write_flight
 from ..fields import units_of
 from ..flight.flight import Flight
 from ..flight.solver import FixedStep
+from ..missions.choice import Choice
 from ..missions.mission import Mission
 from ..motion.state import EntryState
 from ..planning.flight_problem import AtEnd, FlightProblem, Peak
@@ -28,15 +29,15 @@ from .tables import new_console, new_table, print_under
 
 
 def print_optimized(
-    mission: Mission, variant: str, problem: FlightProblem, best: Optimized
+    mission: Mission, choice: Choice, problem: FlightProblem, best: Optimized
 ) -> None:
     """The objective, the end of the flight, and what holds it where it is."""
     console = new_console()
     sign = -1.0 if problem.largest else 1.0
     words, unit = _described(problem, best)
     rows = [("at the start", sign * best.at_start), ("at best", sign * best.objective)]
-    if variant in problem.published:
-        rows.append(("published", problem.published[variant]))
+    if str(choice) in problem.published:
+        rows.append(("published", problem.published[str(choice)]))
     aim = "largest" if problem.largest else "smallest"
     table = new_table(f"{aim} {words}", "value", "unit")
     for name, value in rows:
@@ -47,7 +48,7 @@ def print_optimized(
     for name, its_unit in units_of(EntryState).items():
         number, shown = at_edge(getattr(best.flight.state, name), its_unit)
         table.add_row(in_words(name), f"{float(number):z.6f}", shown)
-    print_under(console, f"{mission.name}, {variant}", table)
+    print_under(console, f"{mission.name}, {choice}", table)
     if best.constraints:
         print_under(console, "constraints", _constraints(problem, best))
     console.print(
@@ -107,7 +108,7 @@ def write_optimized(
     folder: Path,
     given: str,
     mission: Mission,
-    variant: str,
+    choice: Choice,
     problem: FlightProblem,
     best: Optimized,
     overrides: Overrides,
@@ -127,7 +128,7 @@ def write_optimized(
     }
     sign = -1.0 if problem.largest else 1.0
     contents = {
-        "variant": variant,
+        **choice.labels,
         "set": {a: with_unit(x, unit_of(scenario, a)) for a, x in set_to.items()},
         "free_controls": overrides.free_controls or table_of(problem),
         "optimized": {
@@ -147,7 +148,13 @@ def write_optimized(
     )
     solver = FixedStep(step)
     write_flight(
-        history, scenario, best.flight, solver, problem.history, **mission.labels
+        history,
+        scenario,
+        best.flight,
+        solver,
+        problem.history,
+        **mission.labels,
+        **choice.labels,
     )
     words, _ = _described(problem, best)
     aim = "largest" if problem.largest else "smallest"
@@ -156,7 +163,7 @@ def write_optimized(
     return [configuration, history, folder / "figures" / "best-flight.png"]
 
 
-def print_footprint(mission: Mission, variant: str, found: Footprint) -> None:
+def print_footprint(mission: Mission, choice: Choice, found: Footprint) -> None:
     """The points on the outline, around it."""
     console = new_console()
     table = new_table("downrange", "crossrange", "time", "iterations", "slope left")
@@ -168,7 +175,7 @@ def print_footprint(mission: Mission, variant: str, found: Footprint) -> None:
             f"{best.iterations}",
             f"{best.slope_left:.1e}",
         )
-    title = f"{mission.name}, {variant}: landing footprint, crossrange to the left"
+    title = f"{mission.name}, {choice}: landing footprint, crossrange to the left"
     print_under(console, title, table)
     for reason in found.failed:
         console.print(f"no flight at {reason}")
@@ -177,7 +184,7 @@ def print_footprint(mission: Mission, variant: str, found: Footprint) -> None:
 
 
 def write_footprint(
-    folder: Path, mission: Mission, variant: str, found: Footprint
+    folder: Path, mission: Mission, choice: Choice, found: Footprint
 ) -> list[Path]:
     """Write the points as a table, and the figure."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -187,5 +194,5 @@ def write_footprint(
         lines.append(",".join(repr(float(x)) for x in point))
     table = folder / "footprint.csv"
     write_whole(table, ("\n".join(lines) + "\n").encode())
-    figure = draw_footprint(found, f"{mission.title}: {variant}")
+    figure = draw_footprint(found, f"{mission.title}: {choice}")
     return [table, *save_figures({"footprint": figure}, folder / "figures")]

@@ -7,15 +7,16 @@ from typing import Annotated
 import typer
 
 from .options import (
+    Case,
     Config,
+    Law,
     MissionName,
     Over,
     Set,
     Step,
-    Variant,
+    World,
     app,
     chosen_scenario,
-    first_given,
     set_up,
 )
 
@@ -95,7 +96,9 @@ def command(
             help="Folder for the best flight: results/MISSION-optimized if not given.",
         ),
     ] = None,
-    variant: Variant = None,
+    law: Law = None,
+    case: Case = None,
+    world: World = None,
     set_: Set = None,
     config: Config = None,
     step: Step = None,
@@ -110,9 +113,8 @@ def command(
     from .optimization_report import print_optimized, write_optimized
 
     chosen, scenario, overrides = chosen_scenario(
-        mission, variant, config, set_, law_flies=False
+        mission, (law, case, world), config, set_, law_flies=False
     )
-    name = first_given(variant, overrides.variant, *chosen.variants)
     origin = scenario.target.origin or scenario.initial_state
     asked = problem_asked(
         chosen,
@@ -137,9 +139,9 @@ def command(
     if overrides.values:
         asked = dataclasses.replace(asked, published={})
     best = best_flight(scenario, asked, FixedStep(step), begin)
-    print_optimized(chosen, name, asked, best)
+    print_optimized(chosen, overrides.choice, asked, best)
     folder = Path("results") / f"{chosen.name}-optimized" if out is None else out
     for written in write_optimized(
-        folder, mission, chosen, name, asked, best, overrides, step
+        folder, mission, chosen, overrides.choice, asked, best, overrides, step
     ):
         typer.echo(f"written: {written}")

@@ -1,6 +1,7 @@
 """The command line's application, and the options that several commands share."""
 
 import contextlib
+import dataclasses
 import enum
 import importlib
 import threading
@@ -24,8 +25,21 @@ MissionName = Annotated[
         "MISSION, my_mission.py."
     ),
 ]
-Variant = Annotated[
-    str | None, typer.Option(help="Variant of the mission: see `jentry list`.")
+Law = Annotated[
+    str | None,
+    typer.Option(
+        help="Guidance law, the mission's own if not given: see `jentry list`."
+    ),
+]
+Case = Annotated[
+    str | None,
+    typer.Option(help="Another start or target of the mission: see `jentry list`."),
+]
+World = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Another planet, vehicle or sensors: see `jentry list`. May be repeated."
+    ),
 ]
 Set = Annotated[
     list[str] | None,
@@ -42,7 +56,7 @@ Config = Annotated[
         exists=True,
         dir_okay=False,
         # What rich takes for markup it leaves out.
-        help="TOML file with `variant`, `\\[set]` and `\\[dispersions]`.",
+        help="TOML file with `law`, `case`, `world`, `\\[set]` and `\\[dispersions]`.",
     ),
 ]
 Step = Annotated[
@@ -196,22 +210,26 @@ def import_meanwhile(*modules: str) -> None:
     threading.Thread(target=import_all, daemon=True).start()
 
 
-def chosen_scenario(name, variant, config, assignments, *, law_flies=True):
-    """Mission, its scenario with all overrides, and these.
+def chosen_scenario(name, choice, config, assignments, *, law_flies=True):
+    """Mission, its scenario with all overrides, and these, with all that is chosen.
 
-    A target that is set must be one that the law reads, where the law flies.
+    `choice` has law, case and worlds as the command was given them: what it leaves open is
+    that of the configuration, or else the mission's own. A target that is set must be one
+    that the law reads, where the law flies.
     """
     from ..flight.duplicate_numbers import require_both
     from ..flight.effect import require_felt
     from ..flight.scenario import check
     from ..missions import find_mission
+    from ..missions.choice import Choice
     from .free_controls_table import with_free_controls
     from .overrides import apply_values, in_si, read_overrides
 
     chosen = find_mission(name)
     overrides = read_overrides(config, assignments or ())
-    name = first_given(variant, overrides.variant, *chosen.variants)
-    scenario = chosen.scenario(name)
+    choice = chosen.complete(Choice.given(*choice).over(overrides.choice))
+    overrides = dataclasses.replace(overrides, choice=choice)
+    scenario = chosen.scenario_of(choice)
     if overrides.free_controls is not None:
         scenario = with_free_controls(scenario, overrides)
     overrides = in_si(overrides, scenario)

@@ -1,6 +1,6 @@
 """Overrides of a mission: from `--set ADDRESS=VALUE` and from TOML files.
 
-    variant = "energy-index"
+    law = "energy-index"
 
     [set]
     "initial_state.flight_path_angle" = "-14.2 deg"
@@ -44,6 +44,7 @@ from ..campaign.distributions import (
     Uniform,
 )
 from ..flight.scenario import Scenario
+from ..missions.choice import AXES, Choice
 from ..units import Quantity, quantity
 
 
@@ -102,7 +103,8 @@ class Stated:
 class Overrides:
     """What a user changes of a mission: as read, or `in_si` of a scenario."""
 
-    variant: str | None = None
+    choice: Choice = Choice()
+    """Law, case and worlds of the mission"""
     reading: str | None = None
     """Of the mission's dispersions"""
     values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
@@ -150,7 +152,7 @@ def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
     # What is said there of how the numbers came about is for the reader.
     contents.pop("tuned", None)
     contents.pop("optimized", None)
-    require_keys(contents, ("variant", "dispersions", "set", "free_controls"), "")
+    require_keys(contents, (*AXES, "dispersions", "set", "free_controls"), "")
     values = {
         address: _quantities(value, f"set.{address}")
         for address, value in _flat(contents.get("set", {})).items()
@@ -167,9 +169,8 @@ def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
     free = contents.get("free_controls")
     if free is not None and not isinstance(free, Mapping):
         raise ValueError(f"free_controls is {free!r}: write a table, [free_controls]")
-    variant, dispersed = contents.get("variant"), contents.get("dispersions")
-    if variant is not None and not isinstance(variant, str):
-        raise ValueError(f"variant is {variant!r}: it must be a name")
+    choice = Choice.given(*(contents.get(axis) for axis in AXES))
+    dispersed = contents.get("dispersions")
     if dispersed is not None and not isinstance(dispersed, str | Mapping):
         raise ValueError(f"dispersions is {dispersed!r}: it must be a name")
     if isinstance(dispersed, Mapping):
@@ -177,7 +178,7 @@ def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
     else:
         table, reading, replaces = None, dispersed, False
     return Overrides(
-        variant=variant,
+        choice=choice,
         reading=reading,
         values=values | assigned,
         dispersions=table,

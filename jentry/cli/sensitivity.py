@@ -7,13 +7,15 @@ import typer
 
 from .options import (
     Addresses,
+    Case,
     Config,
     Dispersions,
+    Law,
     MissionName,
     Set,
     Step,
-    Variant,
     Workers,
+    World,
     app,
     chosen_scenario,
     dispersion_table,
@@ -45,7 +47,9 @@ def command(
     ] = False,
     seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
     workers: Workers = None,
-    variant: Variant = None,
+    law: Law = None,
+    case: Case = None,
+    world: World = None,
     dispersions: Dispersions = None,
     set_: Set = None,
     config: Config = None,
@@ -62,7 +66,9 @@ def command(
     from .dispersions_report import print_what_is_flown
     from .overrides import AtAddresses
 
-    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    chosen, scenario, overrides = chosen_scenario(
+        mission, (law, case, world), config, set_
+    )
     reading, table = dispersion_table(chosen, overrides, dispersions)
     solver = FixedStep(step)
     factors = scale or (0.1, 1.0)

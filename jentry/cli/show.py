@@ -1,11 +1,13 @@
 """`jentry show`: every number of a mission, and what is dispersed of them."""
 
 from .options import (
+    Case,
     Config,
     Dispersions,
+    Law,
     MissionName,
     Set,
-    Variant,
+    World,
     app,
     chosen_scenario,
     dispersion_table,
@@ -16,7 +18,9 @@ from .options import (
 @app.command("show")
 def command(
     mission: MissionName,
-    variant: Variant = None,
+    law: Law = None,
+    case: Case = None,
+    world: World = None,
     dispersions: Dispersions = None,
     set_: Set = None,
     config: Config = None,
@@ -30,7 +34,9 @@ def command(
     from .dispersions_report import print_dispersions, print_what_is_flown
     from .mission_report import print_leaves
 
-    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
+    chosen, scenario, overrides = chosen_scenario(
+        mission, (law, case, world), config, set_
+    )
     print_leaves(scenario)
     if overrides.dispersions is not None:
         reading, table = dispersion_table(chosen, overrides, dispersions)

@@ -10,15 +10,17 @@ import typer
 from .ending import rounding_off
 from .options import (
     Addresses,
+    Case,
     ClusterAt,
     Config,
     Dispersions,
     Fast,
+    Law,
     MissionName,
     Set,
     Step,
-    Variant,
     Workers,
+    World,
     app,
     chosen_scenario,
     dispersion_table,
@@ -130,7 +132,9 @@ def command(
     seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
     workers: Workers = None,
     cluster: ClusterAt = None,
-    variant: Variant = None,
+    law: Law = None,
+    case: Case = None,
+    world: World = None,
     dispersions: Dispersions = None,
     set_: Set = None,
     config: Config = None,
@@ -166,8 +170,9 @@ def command(
     )
     from .tuning_report import print_damping, print_tuned, report_step, write_course
 
-    chosen, scenario, overrides = chosen_scenario(mission, variant, config, set_)
-    variant = first_given(variant, overrides.variant, *chosen.variants)
+    chosen, scenario, overrides = chosen_scenario(
+        mission, (law, case, world), config, set_
+    )
     reading, table = dispersion_table(chosen, overrides, dispersions)
     refuse_set_in_vain(scenario, overrides, table)
     if loss not in BY_NAME:
@@ -228,7 +233,7 @@ def command(
     stepped = "" if step is None else f", --step {step:g}"
     tuned.save(
         folder / "tuned.toml",
-        variant=variant,
+        **overrides.choice.labels,
         dispersions=overrides.written_with(reading),
         values=overrides.values,
         comment=f"{chosen.name} tuned by jentry: {loss} over {runs} draws of seed {seed},"

@@ -2,7 +2,7 @@
 
 import dataclasses
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,17 +14,24 @@ from ..campaign.dispersions import Dispersion
 from ..flight.scenario import Scenario
 from ..planning.flight_problem import FlightProblem
 from ..plots.campaign import USUAL, DrawFigure
+from .choice import Choice
 
+
+Change = Callable[[Scenario], Scenario]
 
 _NAME = re.compile(r"\w[\w.-]*")
 _EXAMPLES = {
-    "variants": "scenario",
+    "laws": "scenario",
+    "cases": "start_higher",
+    "worlds": "in_thin_air",
     "dispersions": "dispersions",
     "figures": "figure",
     "problems": "problem",
 }
 _MEANT = {
-    "variants": "without arguments that returns a Scenario",
+    "laws": "without arguments that returns a Scenario",
+    "cases": "of a Scenario that returns a Scenario",
+    "worlds": "of a Scenario that returns a Scenario",
     "dispersions": "without arguments that returns a table of dispersions",
     "figures": "of jentry.plots.FigureData that returns a matplotlib figure, or None",
     "problems": "without arguments that returns a FlightProblem",
@@ -49,7 +56,7 @@ class Mission:
     MISSION = Mission(
         name="my-lander",
         title="Lander with a law of my own",
-        variants={"nominal": scenario},
+        laws={"nominal": scenario},
         dispersions={"all": dispersions},
     )
 
@@ -60,8 +67,13 @@ class Mission:
     name: str
     """Name of letters, digits, dots, dashes and underscores: results go to such a folder"""
     title: str
-    variants: Mapping[str, Callable[[], Scenario]]
-    """Builders of the scenario; the first is the mission's own"""
+    laws: Mapping[str, Callable[[], Scenario]]
+    """The scenario under each guidance law; the first is the mission's own"""
+    cases: Mapping[str, Change] = dataclasses.field(default_factory=dict)
+    """Other starts and targets: each a function of a scenario, whatever its law"""
+    worlds: Mapping[str, Change] = dataclasses.field(default_factory=dict)
+    """Other planets, vehicles and sensors: likewise. Where a law's model is to know of
+    it, the function changes that as well"""
     dispersions: Mapping[str, Callable[[], Mapping[str, Dispersion]]] = (
         dataclasses.field(default_factory=dict)
     )
@@ -71,7 +83,7 @@ class Mission:
     """The paper, if there is one"""
     gains: tuple[str, ...] = ("guidance.gains", "guidance.observer")
     """What `jentry tune` tunes unless told otherwise: addresses, or the beginnings of
-    some; those that a variant does not have are left out"""
+    some; those that a law does not have are left out"""
     tuned_for: tuple[str, ...] = ()
     """What `jentry tune --of` is unless told otherwise, such as `drag_deviation=0.5`; the
     misses where it is empty"""
@@ -92,11 +104,14 @@ class Mission:
     `jentry.plots.FigureData`, such as those of `jentry.plots.USUAL` and `GLIDE`"""
     published: tuple[PublishedValue, ...] = ()
     published_note: str = ""
-    published_variant: str = ""
+    published_law: str = ""
     published_dispersions: str = ""
     """Reading of the dispersions that the published values belong to"""
     published_runs: int = 1000
     """Number of runs of the published statistics: the size of the sets beside them"""
+    former_variants: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """How what earlier versions called a variant is chosen now, as `Choice.of` reads it,
+    where that is not the law of the same name: for stored campaigns"""
     code: Mapping[str, str] = dataclasses.field(default_factory=dict)
     """Digests of the files of a mission of one's own when it was imported, by name;
     filled in by `find_mission`, stored with results, compared on resumption"""
@@ -109,7 +124,7 @@ class Mission:
             )
         for what in _EXAMPLES:
             named = getattr(self, what)
-            if not isinstance(named, Mapping) or (what == "variants" and not named):
+            if not isinstance(named, Mapping) or (what == "laws" and not named):
                 raise ValueError(
                     f"mission {self.name} has {what} {named!r}: they must be functions "
                     f'by name, such as {{"nominal": {_EXAMPLES[what]}}}'
@@ -119,6 +134,13 @@ class Mission:
                     raise ValueError(
                         f"{what} {name!r} of mission {self.name} is a "
                         f"{type(function).__name__}: it must be a function {_MEANT[what]}"
+                    )
+        for axis in ("laws", "cases", "worlds"):
+            for name in getattr(self, axis):
+                if not re.fullmatch(r"\S+", name):
+                    raise ValueError(
+                        f"{axis} of mission {self.name} have the name {name!r}: write it "
+                        "without spaces"
                     )
         if isinstance(self.gains, str):
             raise ValueError(
@@ -136,19 +158,54 @@ class Mission:
         return {"mission": self.name} | ({"code": dict(self.code)} if self.code else {})
 
     @needs_float64
-    def scenario(self, variant: str | None = None) -> Scenario:
-        """The nominal scenario of a variant.
+    def scenario(
+        self,
+        law: str | None = None,
+        case: str | None = None,
+        world: str | Iterable[str] | None = None,
+    ) -> Scenario:
+        """The nominal scenario under a law, in a case and in a world, or in several.
 
-        Raises `ValueError` for an unknown variant, and for one that is no scenario.
+        The mission's own law if none is given.
+
+        Raises `ValueError` for an unknown name, for what is no scenario, and for a law, a
+        case and worlds that do not go together.
+
+            find_mission("x-33").scenario("with-range", case="3")
         """
-        scenario = _build(self.variants, variant, "variant", self.name)
-        if not isinstance(scenario, Scenario):
-            raise ValueError(
-                f"a variant of mission {self.name} is a {type(scenario).__name__}: it "
-                "must be a function that returns a Scenario"
-            )
+        return self.scenario_of(Choice.given(law, case, world))
+
+    @needs_float64
+    def scenario_of(self, choice: Choice | str) -> Scenario:
+        """That of a choice, or of what `Choice.of` reads; see `scenario`."""
+        choice = Choice.of(choice) if isinstance(choice, str) else choice
+        law = _choose(self.laws, choice.law, "law", self.name)
+        changes = [("case", choice.case, self.cases)] if choice.case is not None else []
+        changes += [("world", name, self.worlds) for name in choice.worlds]
+        functions = [_choose(of, name, axis, self.name) for axis, name, of in changes]
         with known_numbers():
+            scenario = self._scenario(law(), "law")
+            for (axis, name, _), change in zip(changes, functions, strict=True):
+                try:
+                    scenario = self._scenario(change(scenario), axis)
+                except (ValueError, AttributeError) as error:
+                    raise ValueError(
+                        f"{axis} {name} of mission {self.name} does not go with what it "
+                        f"is applied to, {self.complete(choice)}: {error}"
+                    ) from error
             return with_leaves(scenario)
+
+    def complete(self, choice: Choice) -> Choice:
+        """The choice with the mission's own law where it has none."""
+        return choice.over(Choice(next(iter(self.laws))))
+
+    def _scenario(self, made: Any, axis: str) -> Scenario:
+        if not isinstance(made, Scenario):
+            raise ValueError(
+                f"a {axis} of mission {self.name} makes a {type(made).__name__}: it must "
+                "be a function that returns a Scenario"
+            )
+        return made
 
     def dispersion_table(self, reading: str | None = None) -> Mapping[str, Dispersion]:
         """The table of dispersions of a reading.

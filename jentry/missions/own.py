@@ -3,6 +3,7 @@
 import ast
 import contextlib
 import dataclasses
+import functools
 import hashlib
 import importlib.metadata
 import importlib.util
@@ -195,6 +196,7 @@ def _own(
         raise ValueError(f"{where} is a {type(mission).__name__}: it must be a Mission")
 
     def told(function: Callable) -> Callable:
+        @functools.wraps(function)
         def call(*given: Any) -> Any:
             with _with_the_line(where, sources):
                 return function(*given)
@@ -203,7 +205,9 @@ def _own(
 
     return dataclasses.replace(
         mission,
-        variants={name: told(f) for name, f in mission.variants.items()},
+        laws={name: told(f) for name, f in mission.laws.items()},
+        cases={name: told(f) for name, f in mission.cases.items()},
+        worlds={name: told(f) for name, f in mission.worlds.items()},
         dispersions={name: told(f) for name, f in mission.dispersions.items()},
         figures={name: told(f) for name, f in mission.figures.items()},
         code=code,

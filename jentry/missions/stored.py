@@ -12,6 +12,7 @@ from ..campaign.errors import CampaignError
 from ..flight.scenario import Scenario
 from ..flight.solver import FixedStep
 from . import find_mission
+from .choice import Choice
 from .mission import Mission
 
 
@@ -59,17 +60,17 @@ def stored_mission(
 def stored_scenario(description: Mapping[str, Any], mission: Mission) -> Scenario:
     """The nominal scenario that a campaign has flown, to the last bit of every number.
 
-    **Raises:** `CampaignError` where the mission's variant has another structure than
-    what was flown.
+    **Raises:** `CampaignError` where the mission does not have what was flown,
+    or has it with another structure.
     """
-    told = description.get("variant")
-    variant = told if told in mission.variants else None
-    if told is not None and variant is None:
+    choice = stored_choice(description, mission)
+    try:
+        scenario = mission.scenario_of(choice)
+    except ValueError as error:
         raise CampaignError(
-            f"the campaign is of the variant {told}, which {mission.name} does not have: "
+            f"the campaign is of {choice}, which {mission.name} does not have, {error}: "
             f"{_ANOTHER}"
-        )
-    scenario = mission.scenario(variant)
+        ) from None
     stored = {a: leaf["value"] for a, leaf in description["scenario"].items()}
     ours = {address: None for address in leaves_by_address(scenario)}
     missing = first_difference(dict.fromkeys(stored), ours)
@@ -89,6 +90,16 @@ def stored_scenario(description: Mapping[str, Any], mission: Mission) -> Scenari
     return scenario
 
 
+def stored_choice(description: Mapping[str, Any], mission: Mission) -> Choice:
+    """The law, case and worlds that a campaign has flown; also what earlier versions of
+    jentry called a variant."""
+    former = description.get("variant")
+    if former is not None:
+        return Choice.of(mission.former_variants.get(former, former))
+    axes = (description.get(axis) for axis in ("law", "case", "world"))
+    return Choice.given(*axes)
+
+
 def stored_solver(description: Mapping[str, Any]) -> FixedStep:
     """The solver of a campaign that the command line has flown.
 
@@ -106,19 +117,19 @@ def stored_solver(description: Mapping[str, Any]) -> FixedStep:
 def is_as_published(description: Mapping[str, Any], mission: Mission) -> bool:
     """Whether a campaign flew what the mission's published values are of.
 
-    That is the published variant with all of its numbers, and the published dispersions;
+    That is the published law with all of its numbers, and the published dispersions;
     the step of the solver does not count.
     """
     if (
         not mission.published
         or description["inputs"]
         or "sampler" in description
-        or description.get("variant") != mission.published_variant
+        or stored_choice(description, mission) != Choice(mission.published_law)
     ):
         return False
     table = mission.dispersion_table(mission.published_dispersions)
     ours = describe(
-        mission.scenario(mission.published_variant), table, 0, FixedStep(), None
+        mission.scenario(mission.published_law), table, 0, FixedStep(), None
     )
     parts = "structure", "scenario", "dispersions"
     return all(

@@ -139,7 +139,7 @@ class FlightProblem:
     history: float = 10.0
     """Interval at which the path constraints are kept, s"""
     published: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    """The best that the literature has, by variant of the mission, in SI"""
+    """The best that the literature has, by what of a mission is flown, in SI"""
 
 
 def best_flight(

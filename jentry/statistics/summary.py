@@ -110,7 +110,7 @@ class Summary:
     """What a campaign says, of numbers alone: printed, written and drawn elsewhere."""
 
     campaign: dict[str, Any]
-    """What was flown: mission, variant, seed and versions, as far as the results tell"""
+    """What was flown: mission, law, case, worlds, seed and versions, where results tell"""
     runs: int
     finite: int
     """Flights that the statistics are of: with an end, and all outputs finite"""
@@ -243,7 +243,10 @@ def _described(results: "xarray.Dataset") -> dict[str, Any]:
     described = json.loads(results.attrs.get("campaign", "{}"))
     told = (
         "mission",
-        "variant",
+        "law",
+        "case",
+        "world",
+        "variant",  # as earlier versions had it
         "seed",
         "sampler",
         "solver",

@@ -27,7 +27,7 @@ def write_tuned(
     set_to = {**values, **{address: leaves[address] for address in tuned.moved}}
     dispersions = head["dispersions"]
     contents = {
-        "variant": head["variant"],
+        **{axis: head[axis] for axis in ("law", "case", "world")},
         # Before the tables, where TOML has plain values.
         "dispersions": dispersions if isinstance(dispersions, str) else None,
         "set": {a: with_unit(x, unit_of(tuned.scenario, a)) for a, x in set_to.items()},

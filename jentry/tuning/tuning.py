@@ -2,7 +2,7 @@
 
 import dataclasses
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +75,9 @@ class Tuned:
         self,
         path: Path | str,
         *,
-        variant: str | None = None,
+        law: str | None = None,
+        case: str | None = None,
+        world: Sequence[str] | None = None,
         dispersions: str | Mapping[str, Any] | None = None,
         values: Mapping[str, Any] | None = None,
         comment: str = "",
@@ -88,7 +90,7 @@ class Tuned:
 
         **Arguments:**
 
-        - `variant`: of the mission, whose first one is flown if not given.
+        - `law`, `case`, `world`: of the mission, as `Mission.scenario` takes them.
         - `dispersions`: a reading of the mission, or the `[dispersions]` table of another
           configuration file.
         - `values`: further numbers to set, by address, in SI.
@@ -96,7 +98,7 @@ class Tuned:
 
             tuned.save("tuned.toml")
         """
-        head = {"variant": variant, "dispersions": dispersions}
+        head = {"law": law, "case": case, "world": world, "dispersions": dispersions}
         write_tuned(path, self, head, values or {}, comment)
 
 

@@ -1,8 +1,9 @@
-"""The mission Apollo 10: its variants and its dispersions."""
+"""The mission Apollo 10: its laws, a case, a world and its dispersions."""
 
 from ..mission import Mission
+from ..npcg_toolbox import through_us_1976
 from .dispersions import air_and_vehicle, entry_errors, everything
-from .scenario import guided, skip, unlimited, us_1976
+from .scenario import guided, skip, unlimited
 
 
 MISSION = Mission(
@@ -10,11 +11,12 @@ MISSION = Mission(
     title="Apollo 10 capsule from the Moon, numerical predictor-corrector",
     source='Szelc, "Entry Postflight Analysis", Apollo 10 Mission Report, Supplement 10, '
     "as in the NPCG Toolbox of Lee, Lee and Wie",
-    variants={
-        "predictor-corrector": guided,
-        "skip": skip,
-        "unlimited": unlimited,
-        "us-1976": us_1976,
+    laws={"predictor-corrector": guided, "unlimited": unlimited},
+    cases={"skip": skip},
+    worlds={"us-1976": through_us_1976},
+    former_variants={
+        "skip": "predictor-corrector case skip",
+        "us-1976": "predictor-corrector world us-1976",
     },
     dispersions={
         "everything": everything,

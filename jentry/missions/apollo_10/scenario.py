@@ -158,14 +158,14 @@ def guided() -> Scenario:
     )
 
 
-def skip() -> Scenario:
+def skip(scenario: Scenario) -> Scenario:
     """Out of the air and in again, to a point 5000 km straight ahead, a choice of our own.
 
     Far beyond it the ceiling would have to be higher.
     """
     return eqx.tree_at(
         lambda s: (s.target.downrange, s.target.crossrange),
-        guided(),
+        scenario,
         (jnp.asarray(SKIP_RANGE), jnp.asarray(0.0)),
     )
 
@@ -175,8 +175,3 @@ def unlimited() -> Scenario:
     scenario = guided()
     law = dataclasses.replace(scenario.guidance, limits=None)
     return dataclasses.replace(scenario, guidance=law)
-
-
-def us_1976() -> Scenario:
-    """Through the US Standard Atmosphere, while the law believes the exponential one."""
-    return toolbox.through_us_1976(guided())

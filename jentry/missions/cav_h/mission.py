@@ -1,4 +1,4 @@
-"""The mission CAV-H: its variants, its dispersions, and Table 3 of the paper."""
+"""The mission CAV-H: its laws, its dispersions, and Table 3 of the paper."""
 
 from pathlib import Path
 from typing import Any
@@ -71,7 +71,7 @@ MISSION = Mission(
     title="CAV-H glider, Bézier inverse dynamics with a neural predictor",
     source='Zhou, Rahman and Chen, "Neural Network Assisted Inverse Dynamic Guidance '
     'for Terminally Constrained Entry Flight"',
-    variants={
+    laws={
         "newton": newton,
         "newton-network": newton_network,
         "learning": learning,
@@ -82,9 +82,10 @@ MISSION = Mission(
         "adjusted-at-epochs": adjusted_at_epochs,
         "network-once": network_once,
         "state-network-once": state_network_once,
-        "us-1976": us_1976,
         "predictor-corrector": predictor_corrector.guided,
     },
+    worlds={"us-1976": us_1976},
+    former_variants={"us-1976": "newton world us-1976"},
     dispersions={
         "normal-sensed": normal_sensed,
         "uniform-sensed": uniform_sensed,
@@ -109,7 +110,7 @@ MISSION = Mission(
     ),
     published_note="Table 3, which contradicts itself: one miss of 159 m in 500 makes a "
     "standard deviation of 7.1 m or more",
-    published_variant="adjusted-once",
+    published_law="adjusted-once",
     published_dispersions="normal",
     published_runs=500,
 )

@@ -272,7 +272,7 @@ def _constant_and_slope() -> tuple[float, float]:
 
 
 def learning() -> Scenario:
-    """The variant `newton`, with factors over the altitude that are learnt on the way.
+    """The law `newton`, with factors over the altitude that are learnt on the way.
 
     By a prior that knows trend and waves of `waves-sensed`, and not their phases.
     """
@@ -313,11 +313,11 @@ def newton_network() -> Scenario:
     )
 
 
-def us_1976() -> Scenario:
-    """The variant `newton` in the US Standard Atmosphere, which is also on board."""
+def us_1976(scenario: Scenario) -> Scenario:
+    """Air of the US Standard Atmosphere 1976, which the law knows as well."""
     air = USStandardAtmosphere1976()
     places = lambda s: (
         s.planet.atmosphere.undisturbed,
         s.guidance.model.planet.atmosphere,
     )
-    return eqx.tree_at(places, newton(), (air, air))
+    return eqx.tree_at(places, scenario, (air, air))

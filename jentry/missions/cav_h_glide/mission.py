@@ -1,7 +1,8 @@
-"""The mission CAV-H glide: its variants and its dispersions."""
+"""The mission CAV-H glide: its laws, its worlds and its dispersions."""
 
 from ...plots import GLIDE
 from ..mission import Mission
+from ..npcg_toolbox import through_us_1976
 from .dispersions import air_and_vehicle, entry_errors, everything
 from .scenario import (
     at_rest,
@@ -9,7 +10,6 @@ from .scenario import (
     two_ended,
     undamped,
     undamped_unlimited,
-    us_1976,
 )
 
 
@@ -18,13 +18,15 @@ MISSION = Mission(
     title="CAV-H glider to a point, numerical predictor-corrector",
     source='Lu, Forbes and Baldwin, "Gliding Guidance of High L/D Hypersonic Vehicles", '
     "AIAA 2013-4648, as in the NPCG Toolbox of Lee, Lee and Wie",
-    variants={
+    laws={
         "predictor-corrector": guided,
         "two-ended": two_ended,
         "undamped": undamped,
         "undamped-unlimited": undamped_unlimited,
-        "at-rest": at_rest,
-        "us-1976": us_1976,
+    },
+    worlds={"us-1976": through_us_1976, "at-rest": at_rest},
+    former_variants={
+        name: f"predictor-corrector world {name}" for name in ("us-1976", "at-rest")
     },
     dispersions={
         "everything": everything,

@@ -180,16 +180,11 @@ def undamped_unlimited() -> Scenario:
     return _with(guided(), damping=None, limits=None)
 
 
-def at_rest() -> Scenario:
+def at_rest(scenario: Scenario) -> Scenario:
     """The law believes in an Earth at rest, as the predictions of the toolbox do."""
     return eqx.tree_at(
-        lambda s: s.guidance.model.planet.rotation_rate, guided(), jnp.asarray(0.0)
+        lambda s: s.guidance.model.planet.rotation_rate, scenario, jnp.asarray(0.0)
     )
-
-
-def us_1976() -> Scenario:
-    """Through the US Standard Atmosphere, while the law believes the exponential one."""
-    return toolbox.through_us_1976(guided())
 
 
 def _with(scenario: Scenario, **changes: Any) -> Scenario:

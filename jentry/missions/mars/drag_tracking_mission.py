@@ -41,7 +41,7 @@ MISSION = Mission(
     title="Mars lander, drag tracking with a high-gain observer",
     source='Yan and He, "Drag-Tracking Guidance for Entry Vehicles Without Drag Rate '
     'Measurement"',
-    variants={
+    laws={
         "table-3": table_3,
         "energy-index": energy_index,
         "time-index": time_index,
@@ -65,7 +65,7 @@ MISSION = Mission(
         _altitude("standard deviation", 0.8584, standard_deviation),
     ),
     published_note="Table 3; downrange error desired minus actual, as the paper has it",
-    published_variant="table-3",
+    published_law="table-3",
     published_dispersions="lift-to-drag-held",
     published_runs=1000,
 )

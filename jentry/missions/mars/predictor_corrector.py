@@ -18,10 +18,10 @@ from ...fields import Vector
 from ...flight.scenario import Scenario
 from ...guidance.bank_shapes import ConstantBankShape
 from ...guidance.guided_end import GuidedEnd
-from ...guidance.lateral import AbstractLateralLogic, FixedSide, PredictedCrossrange
+from ...guidance.lateral import PredictedCrossrange
 from ...guidance.predictor_corrector import PredictorCorrector
 from ...guidance.range_network import ACROSS, AHEAD, BASIS, PURPOSE, RangeNetwork
-from ...motion.dynamics import AbstractDynamics, EntryDynamics, EquatorialDynamics
+from ...motion.dynamics import EntryDynamics
 from ...onboard.model import OnboardModel
 from ...onboard.network import Network, load_network, save_network
 from ...units import km
@@ -35,35 +35,38 @@ _RANGE, _AHEAD, _ACROSS = "range", "ahead", "across"
 """Files of the networks: of the vertical plane, and two of three dimensions"""
 
 
-def _guided(dynamics: AbstractDynamics, lateral: AbstractLateralLogic) -> Scenario:
+def guided() -> Scenario:
+    """Predictor-corrector: a constant bank to the end, corrected every 2 s, with bank
+    reversals as predicted."""
     start = entry()
     target = start.target
     law = PredictorCorrector(
         model=OnboardModel(start.planet, start.vehicle),
         shape=ConstantBankShape(),
         end=GuidedEnd(target.velocity, target.altitude, ceiling=135.0 * km),
-        lateral=lateral,
-        in_space=dynamics.has_crossrange,
+        lateral=PredictedCrossrange(),
+        in_space=True,
     )
     guided = eqx.tree_at(lambda s: s.guidance, to_the_place(start), law)
-    return dataclasses.replace(guided, dynamics=dynamics)
-
-
-def in_plane() -> Scenario:
-    """A constant bank to the end, corrected every 2 s, in the vertical plane."""
-    return _guided(EquatorialDynamics(), FixedSide())
+    return dataclasses.replace(guided, dynamics=EntryDynamics())
 
 
 @computed_once
 def range_network(folder: Path = FOLDER) -> RangeNetwork:
-    """The stored network of `networked`. Raises `ValueError` for another one."""
+    """The stored network of flights in the vertical plane.
+
+    Raises `ValueError` for another one.
+    """
     return RangeNetwork(*_stored(folder, _RANGE, PURPOSE))
 
 
 @computed_once
 def range_network_in_space(folder: Path = FOLDER) -> RangeNetwork:
-    """Those of `networked_in_space`. Raises `ValueError` for others, and for two that have
-    not been trained for the same model and the same end."""
+    """Those of flights in three dimensions.
+
+    Raises `ValueError` for others, and for two that have not been trained for the same
+    model and the same end.
+    """
     ahead, of = _stored(folder, _AHEAD, AHEAD)
     across, of_across = _stored(folder, _ACROSS, ACROSS)
     both = zip(BASIS, np.asarray(of), np.asarray(of_across), strict=True)
@@ -91,14 +94,9 @@ def _stored(folder: Path, name: str, purpose: str) -> tuple[Network, Vector]:
 
 
 def networked() -> Scenario:
-    """As `in_plane`, with a network in place of the prediction."""
-    return _asking(in_plane(), range_network())
-
-
-def networked_in_space() -> Scenario:
-    """As `three_dimensional`, with networks in place of the prediction, of the lateral
-    logic as well."""
-    return _asking(three_dimensional(), range_network_in_space())
+    """Predictor-corrector with networks in place of the prediction, also of that by which
+    the bank is reversed."""
+    return _asking(guided(), range_network_in_space())
 
 
 def _asking(scenario: Scenario, network: RangeNetwork) -> Scenario:
@@ -116,8 +114,8 @@ def train(
     iterations: int = 5000,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict[str, dict[str, Any]]:
-    """Fly the data, train the networks of `networked` and of `networked_in_space` and store
-    them; gives their cards by name.
+    """Fly the data, train the networks of flights in the plane and in three dimensions and
+    store them; gives their cards by name.
 
     **Arguments:**
 
@@ -135,7 +133,9 @@ def train(
         f"--again {again} --iterations {iterations}",
     }
     cards = {}
-    for scenario in (in_plane(), three_dimensional()):
+    from .range_tracking import in_plane
+
+    for scenario in (in_plane(guided()), guided()):
         in_space = scenario.dynamics.has_crossrange
         where = "three dimensions" if in_space else "the plane"
         report(f"{flights} flights and {again} predictions in {where}")
@@ -148,8 +148,3 @@ def train(
             cards[name] = card | made
             save_network(folder / f"{name}.npz", network, cards[name])
     return cards
-
-
-def three_dimensional() -> Scenario:
-    """The same in three dimensions, with reversals as predicted."""
-    return _guided(EntryDynamics(), PredictedCrossrange())

@@ -11,7 +11,8 @@ import equinox as eqx
 from ..._computed_once import computed_once
 from ..._programs import kept
 from ...flight.scenario import Scenario
-from ...guidance.lateral import CrossrangeCorridor
+from ...guidance.lateral import CrossrangeCorridor, FixedSide
+from ...guidance.predictor_corrector import PredictorCorrector
 from ...guidance.range_tracking import RangeTracking, ScaleLimits
 from ...motion.dynamics import EntryDynamics, EquatorialDynamics
 from ...motion.index import EnergyIndex
@@ -69,7 +70,7 @@ def _reference() -> tuple[DragReference, QuinticProfile]:
 
 
 def three_dimensional() -> Scenario:
-    """Three-dimensional flight to the point of Table 1, straight ahead.
+    """Drag tracking scaled to the range to go, to the point of Table 1 straight ahead.
 
     Gains and observer are those of the paper's nominal study: its Monte Carlo gains are
     less damped, and here the scale answers for the range. The corridor is chosen: six
@@ -90,9 +91,15 @@ def three_dimensional() -> Scenario:
     return dataclasses.replace(guided, dynamics=EntryDynamics())
 
 
-def in_plane() -> Scenario:
-    """The same law without lateral motion, as the paper flies."""
-    return dataclasses.replace(three_dimensional(), dynamics=EquatorialDynamics())
+def in_plane(scenario: Scenario) -> Scenario:
+    """Motion in the vertical plane of the equator alone, as in the paper."""
+    flat = dataclasses.replace(scenario, dynamics=EquatorialDynamics())
+    law = flat.guidance
+    if not isinstance(law, PredictorCorrector):
+        return flat
+    network = None if law.network is None else predictor_corrector.range_network()
+    law = dataclasses.replace(law, lateral=FixedSide(), in_space=False, network=network)
+    return dataclasses.replace(flat, guidance=law)
 
 
 MISSION = Mission(
@@ -100,13 +107,18 @@ MISSION = Mission(
     title="Mars lander, drag tracking scaled to the range to go, with bank reversals",
     source='The family of Yan and He, "Drag-Tracking Guidance for Entry Vehicles '
     'Without Drag Rate Measurement", beyond the paper',
-    variants={
-        "three-dimensional": three_dimensional,
-        "in-plane": in_plane,
-        "predictor-corrector": predictor_corrector.three_dimensional,
-        "predictor-corrector-in-plane": predictor_corrector.in_plane,
+    laws={
+        "range-tracking": three_dimensional,
+        "predictor-corrector": predictor_corrector.guided,
         "predictor-corrector-network": predictor_corrector.networked,
-        "predictor-corrector-network-3d": predictor_corrector.networked_in_space,
+    },
+    worlds={"in-plane": in_plane},
+    former_variants={
+        "three-dimensional": "range-tracking",
+        "in-plane": "range-tracking world in-plane",
+        "predictor-corrector-in-plane": "predictor-corrector world in-plane",
+        "predictor-corrector-network": "predictor-corrector-network world in-plane",
+        "predictor-corrector-network-3d": "predictor-corrector-network",
     },
     dispersions={
         "lift-to-drag-held": lift_to_drag_held,

@@ -83,7 +83,7 @@ from .scenario import (
 
 
 FREQUENCY = 5.0
-"""rad/s: of the attitude, as in `r5`"""
+"""rad/s: of the attitude, the mission's own"""
 FIRST_BANK = 30.0 * degree
 """Before guidance begins, as under the mission's bank law"""
 

@@ -1,15 +1,17 @@
-"""The mission RLV: both laws with attitudes of several bandwidths."""
+"""The mission RLV: both laws, with attitudes of several bandwidths."""
 
 from ...plots.campaign import HISTORIES
 from ..mission import Mission, PublishedValue
 from . import crossings, figures, predictor_corrector
 from .dispersions import atmosphere, table_1, table_1_estimated_angle, table_1_noise
 from .scenario import (
-    a8,
-    hard,
-    hard_noise,
-    quick_noise,
-    r5,
+    attitude_3,
+    attitude_8,
+    lag_inverted,
+    lag_inverted_fast,
+    modulation,
+    modulation_fast_observer,
+    noise,
     shuttle,
     shuttle_as_flown,
     shuttle_quarter,
@@ -21,12 +23,11 @@ MISSION = Mission(
     title="RLV, angle-of-attack modulation with a disturbance observer",
     source='Zhang, Li and Zhang, "Angle-of-Attack Modulation in Trajectory Tracking for a '
     'Reusable Launch Vehicle"',
-    variants={
-        "r5": r5,
-        "a8": a8,
-        "hard": hard,
-        "hard-noise": hard_noise,
-        "quick-noise": quick_noise,
+    laws={
+        "modulation": modulation,
+        "modulation-fast-observer": modulation_fast_observer,
+        "lag-inverted": lag_inverted,
+        "lag-inverted-fast": lag_inverted_fast,
         "shuttle": shuttle,
         "shuttle-quarter": shuttle_quarter,
         "shuttle-as-flown": shuttle_as_flown,
@@ -37,6 +38,14 @@ MISSION = Mission(
         "pseudospectral": crossings.pseudospectral,
         "pseudospectral-with-range": crossings.pseudospectral_with_range,
         "feedback-linearization": crossings.feedback_linearization,
+    },
+    worlds={"attitude-3": attitude_3, "attitude-8": attitude_8, "noise": noise},
+    former_variants={
+        "r5": "modulation",
+        "a8": "modulation-fast-observer world attitude-8",
+        "hard": "lag-inverted world attitude-3",
+        "hard-noise": "lag-inverted world attitude-3 world noise",
+        "quick-noise": "lag-inverted-fast world attitude-3 world noise",
     },
     dispersions={
         "table-1": table_1,
@@ -66,7 +75,7 @@ MISSION = Mission(
     ),
     published_note="less than about this by its text of figure 9, in units of gravity; "
     "neither its gains nor its attitude are printed",
-    published_variant="r5",
+    published_law="modulation",
     published_dispersions="table-1",
     published_runs=500,
     figures={**HISTORIES, "deviations": figures.deviations, "flown": figures.flown},

@@ -1,4 +1,4 @@
-"""The mission Space Shuttle: its two variants, and what is asked of them."""
+"""The mission Space Shuttle: with and without a limit of heating, and what is asked."""
 
 import dataclasses
 
@@ -30,7 +30,10 @@ def cross_range() -> FlightProblem:
                 AtEnd("flight_path_angle"), equals=END_PATH_ANGLE
             ),
         },
-        published={"glide": 34.1412 * degree, "limited-heating": 30.6255 * degree},
+        published={
+            "glide": 34.1412 * degree,
+            "glide case limited-heating": 30.6255 * degree,
+        },
     )
 
 
@@ -45,7 +48,9 @@ MISSION = Mission(
     title="Space Shuttle, the largest cross-range of its re-entry",
     source='Betts, "Practical Methods for Optimal Control and Estimation Using Nonlinear '
     'Programming"',
-    variants={"glide": glide, "limited-heating": limited_heating},
+    laws={"glide": glide},
+    cases={"limited-heating": limited_heating},
+    former_variants={"limited-heating": "glide case limited-heating"},
     problems={"cross-range": cross_range, "footprint": to_both_sides},
     gains=(),
 )

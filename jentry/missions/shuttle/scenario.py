@@ -125,9 +125,8 @@ def glide() -> Scenario:
     )
 
 
-def limited_heating() -> Scenario:
-    """The same with a heat rate of the wing of 70 Btu/(ft2 s) at most."""
+def limited_heating(scenario: Scenario) -> Scenario:
+    """With a heat rate of the wing of 70 Btu/(ft2 s) at most."""
     limited = WingHeatRate(limit=HEATING_LIMIT)
-    scenario = glide()
     constraints = {**scenario.constraints, "wing_heat_rate": limited}
     return dataclasses.replace(scenario, constraints=constraints)

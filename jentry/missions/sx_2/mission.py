@@ -1,4 +1,4 @@
-"""The mission SX-2: its variants, the cases of the paper among them."""
+"""The mission SX-2: its laws, and the cases of the paper."""
 
 import dataclasses
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from ...flight.scenario import Scenario
 from ...units import nautical_mile
-from ..mission import Mission, PublishedValue
+from ..mission import Change, Mission, PublishedValue
 from . import predictor_corrector
 from .dispersions import (
     INITIAL_ERRORS,
@@ -19,16 +19,19 @@ from .dispersions import (
 from .scenario import full, measured, replanned, scheduled, small_angle
 
 
-def case(**errors: float) -> Scenario:
-    """The full law from an initial state that is off the reference; see `off_by`."""
-    nominal = full()
-    start = off_by(nominal.initial_state, **errors)
-    return dataclasses.replace(nominal, initial_state=start)
+def _off(**errors: float) -> Change:
+    """The change of a scenario to an initial state that is off by these: see `off_by`."""
+
+    def change(scenario: Scenario) -> Scenario:
+        start = off_by(scenario.initial_state, **errors)
+        return dataclasses.replace(scenario, initial_state=start)
+
+    return change
 
 
-def figure_case() -> Scenario:
-    """Figures 1 to 6: 1000 ft higher, and 0.1 degrees ahead and to the left."""
-    return case(altitude=1.0, longitude=1.0, latitude=1.0)
+def figures(scenario: Scenario) -> Scenario:
+    """Of figures 1 to 6: 1000 ft higher, and 0.1 degrees ahead and to the left."""
+    return _off(altitude=1.0, longitude=1.0, latitude=1.0)(scenario)
 
 
 def cases() -> dict[str, dict[str, float]]:
@@ -40,8 +43,13 @@ def cases() -> dict[str, dict[str, float]]:
     }
 
 
-def _builder(errors: dict[str, float]):
-    return lambda: case(**errors)
+def _case(name: str, errors: dict[str, float]) -> Change:
+    change = _off(**errors)
+    quantity, side = name.rsplit("-", 1)
+    change.__doc__ = (
+        f"The largest initial error of the {quantity.replace('-', ' ')}, too {side}."
+    )
+    return change
 
 
 def _largest(name: str, variable: str) -> PublishedValue:
@@ -59,16 +67,19 @@ MISSION = Mission(
     "bank",
     source='Bharadwaj, Rao and Mease, "Entry Trajectory Tracking Law via Feedback '
     'Linearization"',
-    variants={
+    laws={
         "full": full,
         "small-angle": small_angle,
         "measured": measured,
         "scheduled": scheduled,
         "replanned": replanned,
         "predictor-corrector": predictor_corrector.guided,
-        "figures": figure_case,
-        **{name: _builder(errors) for name, errors in cases().items()},
     },
+    cases={
+        "figures": figures,
+        **{name: _case(name, errors) for name, errors in cases().items()},
+    },
+    former_variants={name: f"full case {name}" for name in ("figures", *cases())},
     dispersions={
         "initial-errors": initial_errors,
         "one-at-a-time": one_at_a_time,
@@ -81,7 +92,7 @@ MISSION = Mission(
         _largest("crossrange", "crossrange_error"),
     ),
     published_note="the bound of its text for errors one at a time",
-    published_variant="full",
+    published_law="full",
     published_dispersions="one-at-a-time",
     published_runs=1000,
 )

@@ -84,7 +84,7 @@ def zero_pair(scenario: Scenario, points: int = 24) -> Float[np.ndarray, " n"]:
         law.gains, ScheduledEigenvalues
     ):
         raise ValueError(
-            f"{type(law).__name__} has no schedule of eigenvalues: take the variant "
+            f"{type(law).__name__} has no schedule of eigenvalues: take the law "
             "scheduled"
         )
     loop = linearize(scenario, EnergyIndex(), points)

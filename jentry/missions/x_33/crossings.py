@@ -160,7 +160,7 @@ def glide_reference() -> Reference:
 
 
 def modulation() -> Scenario:
-    """Zhang, Li and Zhang's law, with the gains of `r5`, beside the Shuttle's bank.
+    """Zhang, Li and Zhang's law, with those gains of the RLV, beside the Shuttle's bank.
 
     The attitude is flown at once here, and there is nothing to reverse.
     """

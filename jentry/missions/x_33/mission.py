@@ -1,14 +1,14 @@
-"""The mission X-33: its laws, and with each the cases of the paper."""
+"""The mission X-33: its laws, and the cases of the paper."""
 
 import dataclasses
-import functools
-from collections.abc import Callable
 
 from ...flight.scenario import Scenario
+from ...guidance.predictor_corrector import PredictorCorrector
+from ...motion.dynamics import EntryDynamics
 from ...planning.flight_constraints import Constraint
 from ...planning.flight_problem import AtEnd, FlightProblem, FreeControl
 from ...units import degree
-from ..mission import Mission
+from ..mission import Change, Mission
 from . import crossings, predictor_corrector
 from .cases import CASES, case
 from .dispersions import air_and_vehicle, everything, initial_errors
@@ -16,7 +16,6 @@ from .scenario import (
     GLIDE_BANK,
     exact_inverse,
     glide,
-    glide_in_space,
     open_loop,
     receding,
     receding_with_range,
@@ -24,16 +23,6 @@ from .scenario import (
     tracking,
     with_range,
 )
-
-
-_LAWS = {
-    "tracking": tracking,
-    "with-range": with_range,
-    "receding": receding,
-    "receding-with-range": receding_with_range,
-    "exact-inverse": exact_inverse,
-    "open-loop": open_loop,
-}
 
 
 def _range(largest: bool) -> FlightProblem:
@@ -69,8 +58,24 @@ def to_both_sides() -> FlightProblem:
     return dataclasses.replace(longest(), bank=free, history=5.0)
 
 
-def _started(build: Callable[[], Scenario], number: int) -> Scenario:
-    return case(build(), number)
+def _case(number: int) -> Change:
+    def change(scenario: Scenario) -> Scenario:
+        return case(scenario, number)
+
+    errors = CASES[number - 1]
+    change.__doc__ = (
+        f"Starts {errors.altitude:+g} m, {errors.velocity:+g} m/s and "
+        f"{errors.flight_path_angle / degree:+.1f} deg of path angle off the reference."
+    )
+    return change
+
+
+def three_dimensional(scenario: Scenario) -> Scenario:
+    """Motion in three dimensions, in which a bank turns the flight to the side."""
+    free = dataclasses.replace(scenario, dynamics=EntryDynamics())
+    if not isinstance(free.guidance, PredictorCorrector):
+        return free
+    return predictor_corrector.in_space(free)
 
 
 MISSION = Mission(
@@ -79,23 +84,32 @@ MISSION = Mission(
     "regulation",
     source='Lee, Cho and Yan, "Re-Entry Trajectory Tracking Via an Inverse Dynamics '
     'Method"',
-    variants={
-        **_LAWS,
-        **{
-            f"{name}-case-{number}": functools.partial(_started, _LAWS[name], number)
-            for name in ("open-loop", "tracking", "with-range")
-            for number in range(1, len(CASES) + 1)
-        },
+    laws={
+        "tracking": tracking,
+        "with-range": with_range,
+        "receding": receding,
+        "receding-with-range": receding_with_range,
+        "exact-inverse": exact_inverse,
+        "open-loop": open_loop,
         "glide": glide,
-        "glide-3d": glide_in_space,
-        "predictor-corrector": predictor_corrector.in_plane,
+        "predictor-corrector": predictor_corrector.guided,
         "predictor-corrector-limited": predictor_corrector.limited,
-        "predictor-corrector-3d": predictor_corrector.in_space,
         "state-drag-tracking": crossings.state_drag_tracking,
         "observer-drag-tracking": crossings.observer_drag_tracking,
         "modulation": crossings.modulation,
         "shuttle": crossings.shuttle,
         "feedback-linearization": crossings.feedback_linearization,
+    },
+    cases={f"{number}": _case(number) for number in range(1, len(CASES) + 1)},
+    worlds={"three-dimensional": three_dimensional},
+    former_variants={
+        **{
+            f"{law}-case-{number}": f"{law} case {number}"
+            for law in ("open-loop", "tracking", "with-range")
+            for number in range(1, len(CASES) + 1)
+        },
+        "glide-3d": "glide world three-dimensional",
+        "predictor-corrector-3d": "predictor-corrector world three-dimensional",
     },
     problems={"longest": longest, "shortest": shortest, "footprint": to_both_sides},
     dispersions={

@@ -8,13 +8,13 @@ from ...flight.scenario import Scenario
 from ...guidance.bank_shapes import TwoEndedBankShape
 from ...guidance.cycle import FixedCycle
 from ...guidance.guided_end import GuidedEnd
-from ...guidance.lateral import AbstractLateralLogic, FixedSide, PredictedCrossrange
+from ...guidance.lateral import FixedSide, PredictedCrossrange
 from ...guidance.path_limits import PathLimits
 from ...guidance.predictor_corrector import PredictorCorrector
 from ...motion.index import VelocityIndex
 from ...units import degree
 from .airframe import ScheduledAngleOfAttack
-from .scenario import LAST_VELOCITY, glide, glide_in_space, model
+from .scenario import LAST_VELOCITY, glide, model
 
 
 STEP = 0.5
@@ -27,7 +27,6 @@ LONGEST = 2000.0
 
 def _guided(
     free: Scenario,
-    lateral: AbstractLateralLogic = FixedSide(),
     limits: PathLimits | None = None,
     largest_bank: float = 80.0 * degree,
     prediction_step: float = 5.0,
@@ -38,7 +37,7 @@ def _guided(
             end=LAST_VELOCITY, final=45.0 * degree, largest=largest_bank
         ),
         end=GuidedEnd(velocity=LAST_VELOCITY),
-        lateral=lateral,
+        lateral=FixedSide(),
         angle_of_attack=ScheduledAngleOfAttack(),
         limits=limits,
         foresees_limits=limits is not None,
@@ -52,8 +51,8 @@ def _guided(
     return dataclasses.replace(guided, step=STEP)
 
 
-def in_plane() -> Scenario:
-    """In the vertical plane, down to the velocity at the end of the reference.
+def guided() -> Scenario:
+    """Predictor-corrector, down to the velocity at the end of the reference.
 
     Both ends of the bank are free, so that the altitude there is met as well.
     """
@@ -61,7 +60,7 @@ def in_plane() -> Scenario:
 
 
 def limited() -> Scenario:
-    """The same within the corridor, for which the bank may be larger.
+    """Predictor-corrector within the corridor, for which the bank may be larger.
 
     A steep entry that is kept from heat and load pulls up. The prediction foresees it, in
     steps of a guidance cycle: the limits bound the bank there as they will in flight.
@@ -79,6 +78,7 @@ def limited() -> Scenario:
     return eqx.tree_at(lambda s: s.guidance.largest_step, scenario, 0.1)
 
 
-def in_space() -> Scenario:
-    """The same in three dimensions, to the point straight ahead."""
-    return _guided(glide_in_space(), lateral=PredictedCrossrange(factor=5.0))
+def in_space(scenario: Scenario) -> Scenario:
+    """With bank reversals as predicted, in place of a bank to one side."""
+    lateral = PredictedCrossrange(factor=5.0)
+    return eqx.tree_at(lambda s: s.guidance.lateral, scenario, lateral)

@@ -37,7 +37,7 @@ from ...motion.constraints import (
     HeatRate,
     NormalLoadFactor,
 )
-from ...motion.dynamics import EntryDynamics, EquatorialDynamics
+from ...motion.dynamics import EquatorialDynamics
 from ...motion.index import EnergyIndex
 from ...motion.state import EntryState
 from ...onboard.longitudinal import (
@@ -248,11 +248,6 @@ def glide() -> Scenario:
     termination = Termination(ends, time_limit=3.0 * float(of.ends[-1]))
     flown = entry(bank, of)
     return dataclasses.replace(flown, termination=termination, step=GLIDE_STEP)
-
-
-def glide_in_space() -> Scenario:
-    """The same in three dimensions: the constant bank turns it to the right."""
-    return dataclasses.replace(glide(), dynamics=EntryDynamics())
 
 
 def exact_inverse() -> Scenario:
