@@ -202,7 +202,7 @@ class Linear:
         return np.concatenate(sets)[:FLIGHTS]
 
 
-def lost(variant: str, seed: int, wider: float) -> int:
+def lost(choice: str, seed: int, wider: float) -> int:
     """How many of 500 flights come to more than 1 g of drag error, or to no end, with
     normal dispersions so many times as wide: the attitude has met its limits."""
     mission = jentry.find_mission("rlv")
@@ -210,9 +210,7 @@ def lost(variant: str, seed: int, wider: float) -> int:
     normal = {n: d for n, d in table.items() if isinstance(d.distribution, Normal)}
     table = {**table, **scaled_dispersions(normal, wider)}
     key = jax.random.key(seed)
-    flown = jentry.monte_carlo(
-        mission.scenario_of(variant), table, key, FLIGHTS
-    ).flights
+    flown = jentry.monte_carlo(mission.scenario_of(choice), table, key, FLIGHTS).flights
     far = np.asarray(flown.peaks["drag_deviation"]) > 1.0
     return int(np.sum(far | ~np.asarray(has_end(flown.outcome))))
 
@@ -248,12 +246,12 @@ def main() -> None:
             row(f"    {name}", deviation, [model.peaks(g, seed) for seed in seeds])
     print(f"flights lost, of {options.sets} sets of {FLIGHTS}")
     for wider in (1.0, 1.4):
-        for variant in (
+        for choice in (
             "lag-inverted world attitude-3 world noise",
             "lag-inverted-fast world attitude-3 world noise",
         ):
-            counts = [lost(variant, seed, wider) for seed in seeds]
-            name = f"{variant}, dispersions {wider} times as wide"
+            counts = [lost(choice, seed, wider) for seed in seeds]
+            name = f"{choice}, dispersions {wider} times as wide"
             print(f"{name:50}{', '.join(map(str, counts))}", flush=True)
 
 

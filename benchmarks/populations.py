@@ -201,10 +201,9 @@ MORE = {
         Column("heat rate, maximum, MW/m2", "peak_heat_rate", 1e6, np.max),
         Column("load factor, maximum", "peak_load_factor", 1.0, np.max),
     ),
-    **{("x-33", variant): (_LOST,) for variant in CROSSINGS["x-33"]},
+    **{("x-33", choice): (_LOST,) for choice in CROSSINGS["x-33"]},
     **{
-        ("rlv", variant): (_LOST, *_DRAG)
-        for variant in ("modulation", *CROSSINGS["rlv"])
+        ("rlv", choice): (_LOST, *_DRAG) for choice in ("modulation", *CROSSINGS["rlv"])
     },
 }
 """Columns of one flight of a mission beside those of its mission"""
@@ -273,14 +272,14 @@ ROWS = {
         ("predictor-corrector-network", "independent"),
     ),
     "sx-2": tuple(
-        (variant, reading)
+        (choice, reading)
         for reading in ("initial-errors", "air-and-vehicle")
-        for variant in ("full", "predictor-corrector")
+        for choice in ("full", "predictor-corrector")
     ),
     "x-33": tuple(
-        (variant, reading)
+        (choice, reading)
         for reading in ("initial-errors", "air-and-vehicle")
-        for variant in (
+        for choice in (
             "with-range",
             "predictor-corrector",
             "predictor-corrector-limited",
@@ -289,8 +288,8 @@ ROWS = {
         )
     ),
     "rlv": tuple(
-        (variant, "table-1")
-        for variant in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
+        (choice, "table-1")
+        for choice in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
     ),
     "apollo-10": (
         ("predictor-corrector", "everything"),
@@ -311,8 +310,8 @@ ROWS = {
         ("predictor-corrector world us-1976", "everything"),
     ),
     "mars-drag-tracking": tuple(
-        (variant, "lift-to-drag-held")
-        for variant in (
+        (choice, "lift-to-drag-held")
+        for choice in (
             "table-3",
             "energy-index",
             "state-feedback",
@@ -339,9 +338,9 @@ FEWER = {("cav-h", "predictor-corrector"): 50}
 """In a set that takes longer"""
 
 
-def runs_of(mission: str, variant: str) -> int:
+def runs_of(mission: str, choice: str) -> int:
     """Runs in a set."""
-    return FEWER.get((mission, variant), RUNS[mission])
+    return FEWER.get((mission, choice), RUNS[mission])
 
 
 SAVED = Path(__file__).with_suffix(".csv")
@@ -371,9 +370,9 @@ def save(mission: str, rows: dict[tuple[str, str, str], Statistic]) -> None:
         csv.writer(file, lineterminator="\n").writerows(kept)
 
 
-def statistics_of(mission: str, variant: str) -> dict[str, Callable[..., float]]:
+def statistics_of(mission: str, choice: str) -> dict[str, Callable[..., float]]:
     """By heading; each takes the results of a set."""
-    columns = COLUMNS[mission] + MORE.get((mission, variant), ())
+    columns = COLUMNS[mission] + MORE.get((mission, choice), ())
     return {c.heading: c.of for c in columns} | OTHERS[mission]
 
 
@@ -397,13 +396,13 @@ def first_runs_of(results):
     return first
 
 
-def flown(mission: str, variant: str, reading: str, runs: int, seed: int, out: Path):
+def flown(mission: str, choice: str, reading: str, runs: int, seed: int, out: Path):
     """The stored campaign, of which what is missing is flown."""
     chosen = find_mission(mission)
-    folder = out / f"{mission}-{Choice.of(variant).folder}-{reading}-{seed}"
-    labels = {"mission": mission, **Choice.of(variant).labels}
+    folder = out / f"{mission}-{Choice.of(choice).folder}-{reading}-{seed}"
+    labels = {"mission": mission, **Choice.of(choice).labels}
     table = chosen.dispersion_table(reading)
-    run_campaign(folder, chosen.scenario_of(variant), table, seed, runs, **labels)
+    run_campaign(folder, chosen.scenario_of(choice), table, seed, runs, **labels)
     return open_campaign(folder, runs)
 
 
@@ -427,25 +426,25 @@ def main() -> None:
     print(f"{mission}: {options.sets} sets, seed {options.seed}; mean over the sets")
     print("± standard deviation of a set; of maxima also median, largest")
     rows, headings = {}, None
-    for variant, reading in ROWS[mission]:
-        if options.only and variant not in options.only:
+    for choice, reading in ROWS[mission]:
+        if options.only and choice not in options.only:
             continue
-        size = runs_of(mission, variant)
+        size = runs_of(mission, choice)
         runs = options.sets * size
-        results = flown(mission, variant, reading, runs, options.seed, options.out)
+        results = flown(mission, choice, reading, runs, options.seed, options.out)
         cells = {}
         first, sets = first_runs_of(results), sets_of(results, size)
-        for heading, statistic in statistics_of(mission, variant).items():
+        for heading, statistic in statistics_of(mission, choice).items():
             ours = population(statistic, sets)
             found = Statistic(float(statistic(first)), ours.values)
-            rows[variant, reading, heading] = found
+            rows[choice, reading, heading] = found
             cells[heading] = f"{ours.mean:.3g} ± {ours.spread:.2g}"
             if "maximum" in heading:
                 middle, largest = np.median(ours.values), np.max(ours.values)
                 cells[heading] += f"; {middle:.3g}, {largest:.3g}"
         cells["reached"] = str(np.sum(results["outcome"].values == Outcome.REACHED))
         cells["left out"] = str(runs - finite_flights(results).sizes["run"])
-        told = {"flown": variant, "dispersions": reading, "runs": str(size)} | cells
+        told = {"flown": choice, "dispersions": reading, "runs": str(size)} | cells
         if told.keys() != headings:
             headings = told.keys()
             print("| " + " | ".join(headings) + " |")

@@ -19,7 +19,7 @@ import jentry
 from jentry.campaign.campaign import drawn_inputs
 
 
-VARIANTS = {
+CHOICES = {
     "mars-range-tracking": (
         "range-tracking world in-plane",
         "predictor-corrector world in-plane",
@@ -44,7 +44,7 @@ def drawn_program(scenario, table, flights):
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--missions", nargs="*", choices=VARIANTS, default=[*VARIANTS])
+    parser.add_argument("--missions", nargs="*", choices=CHOICES, default=[*CHOICES])
     parser.add_argument("--flights", type=int, default=64, help="side by side")
     parser.add_argument(
         "--fast", action="store_true", help="as jentry.setup(fast=True)"
@@ -56,27 +56,25 @@ def main() -> None:
     for name in options.missions:
         mission = jentry.find_mission(name)
         table = mission.dispersion_table()
-        scenarios = {
-            variant: mission.scenario_of(variant) for variant in VARIANTS[name]
-        }
-        for variant, scenario in list(scenarios.items()):
+        scenarios = {choice: mission.scenario_of(choice) for choice in CHOICES[name]}
+        for choice, scenario in list(scenarios.items()):
             if getattr(scenario.guidance, "foresees_limits", False):
                 law = dataclasses.replace(scenario.guidance, foresees_limits=False)
                 blind = dataclasses.replace(scenario, guidance=law)
-                scenarios[f"{variant}, limits not foreseen"] = blind
+                scenarios[f"{choice}, limits not foreseen"] = blind
         programs = {
-            variant: drawn_program(scenario, table, options.flights)
-            for variant, scenario in scenarios.items()
+            choice: drawn_program(scenario, table, options.flights)
+            for choice, scenario in scenarios.items()
         }
-        times: dict[str, list[float]] = {variant: [] for variant in programs}
+        times: dict[str, list[float]] = {choice: [] for choice in programs}
         for _ in range(ROUNDS):
-            for variant, timed in programs.items():
-                times[variant].append(timed())
+            for choice, timed in programs.items():
+                times[choice].append(timed())
         medians = {v: statistics.median(t) for v, t in times.items()}
         first = next(iter(medians.values()))
-        for variant, median in medians.items():
+        for choice, median in medians.items():
             rate, ratio = options.flights / median, median / first
-            print(f"| {name} | `{variant}` | {rate:.0f} | {ratio:.1f} |", flush=True)
+            print(f"| {name} | `{choice}` | {rate:.0f} | {ratio:.1f} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ class Tuning(NamedTuple):
     """What is tuned, and for what."""
 
     mission: str
-    variant: str
+    choice: str
     where: Callable[[Any], Any]
     statistic: Callable[..., Any]
     """Of values of shape (runs,) that are zero on the target"""
@@ -121,7 +121,7 @@ def main() -> None:
 
     tuning = PROBLEMS[options.problem]()
     mission = jentry.find_mission(tuning.mission)
-    scenario = mission.scenario_of(tuning.variant)
+    scenario = mission.scenario_of(tuning.choice)
     dispersions = mission.dispersion_table()
     where = tuning.where
     loss = OfDistance(tuning.statistic, tuning.lengths)

@@ -88,16 +88,16 @@ def main() -> None:
 
     mission = find_mission("cav-h")
     print(f"\n{'500 flights':36}{'seconds':>8}")
-    for variant in ("stored", "newton-network", "newton"):
+    for choice in ("stored", "newton-network", "newton"):
         scenario, table = (
-            mission.scenario_of(variant),
+            mission.scenario_of(choice),
             mission.dispersion_table("normal"),
         )
 
         def fly(scenario=scenario, table=table):
             return monte_carlo(scenario, table, jax.random.key(0), 500).flights.time
 
-        print(f"{variant:36}{seconds(fly, rounds=5):8.2f}")
+        print(f"{choice:36}{seconds(fly, rounds=5):8.2f}")
 
 
 if __name__ == "__main__":

@@ -188,7 +188,8 @@ ARRIVE = {
         "cluster",
     }
     | REPORT,
-    "report": {"runs", "mission", "figures", "no-figures", "figures-only"} | REPORT,
+    "report": {"runs", "mission", "figures", "no-figures", "figures-only", "full"}
+    | REPORT,
     "merge": set(),
     "inspect": {"by", "smallest", "worst", "run", "history", "mission", "workers"}
     | {"gradient", "no-gradient"},

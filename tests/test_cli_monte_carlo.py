@@ -35,7 +35,8 @@ def test_monte_carlo(command, tmp_path):
     xarray.testing.assert_equal(results, same)
     assert "5 of 5 runs reached the end of guided flight" in printed
     assert f"stored: {out}" in printed
-    assert f"{results['end_time'].mean().item():.4f}" in printed
+    assert f"{results['downrange_error'].mean().item() / 1e3:.4g}" in printed
+    assert "end time" not in printed and "report FOLDER --full" in printed
     # Published values stand beside sets of what they are of, not beside anything else.
     assert "A note" not in printed and "--runs 48 compares" in printed
     sets = monte_carlo(command, "--runs", 48, "--out", tmp_path / "sets")[1]
@@ -216,6 +217,9 @@ def test_figures_are_drawn(command, tmp_path, monkeypatch):
         return save(figures, folder, formats)
 
     monkeypatch.setattr("jentry.plots.save_figures", keep)
+    # All of them at once, of histories in double precision.
+    every = "jentry.cli.figures.with_overview_alone"
+    monkeypatch.setattr(every, lambda mission: mission)
     code, printed, said = command(
         "monte-carlo", "cheap", "--step", 1, "--runs", 4, "--out", tmp_path / "out"
     )
@@ -339,6 +343,9 @@ def test_a_mission_with_a_guidance_cycle_that_varies(command, tmp_path):
     assert "3 of 3 runs reached the end of guided flight" in printed
     assert "miss distance" in printed and "heading error" in printed
     assert command(*words)[0] == 0
+    drawn = (tmp_path / "glides" / "figures").glob("*.png")
+    assert [path.stem for path in drawn] == ["overview"]
+    assert command("report", "glides", "--quiet")[0] == 0
     assert (tmp_path / "glides" / "figures" / "end_errors.png").exists()
     assert (tmp_path / "glides" / "figures" / "controls.png").exists()
 

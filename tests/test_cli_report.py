@@ -152,8 +152,12 @@ def test_figures_are_drawn_again_without_flying(command, tmp_path, monkeypatch):
     """The same bytes from what is stored, and others where they are asked for."""
     out = tmp_path / "out"
     words = ("monte-carlo", "cheap", "--step", 1, "--runs", 4, "--out", out)
-    command(*words)
     figures = out / "figures"
+    command(*words)
+    assert [path.name for path in figures.glob("*.png")] == ["overview.png"]
+    every = "jentry.cli.figures.with_overview_alone"
+    monkeypatch.setattr(every, lambda mission: mission)
+    command(*words)
     drawn = {path.name: path.read_bytes() for path in figures.glob("*.png")}
     for name in drawn:
         (figures / name).unlink()

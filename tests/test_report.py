@@ -1,6 +1,8 @@
 """What the commands print: every number and unit, against arithmetic done here."""
 
 import dataclasses
+import itertools
+import re
 
 import cheap
 import numpy as np
@@ -8,9 +10,11 @@ import pytest
 import xarray
 from helpers import fly_compiled
 
+from jentry.campaign.results import output_names
 from jentry.cli.campaign_report import SETS, print_campaign, print_summary
 from jentry.cli.mission_report import print_flight
 from jentry.flight import Outcome, misses
+from jentry.missions import ALL
 from jentry.statistics.summary import summarize
 from jentry.units import degree, km
 
@@ -61,7 +65,9 @@ def test_statistics_and_units(capsys):
         }
         | {"vehicle.mass": (900.0 + order, "kg"), "end_altitude": (order, "m")}
     )
-    print_campaign(dataclasses.replace(cheap.MISSION, published=()), results, True)
+    print_campaign(
+        dataclasses.replace(cheap.MISSION, published=()), results, True, full=True
+    )
     printed = capsys.readouterr().out
     table = rows(printed)
     for words, (_, _, unit) in quantities.items():
@@ -77,7 +83,7 @@ def test_statistics_and_units(capsys):
 
 def test_signs_are_of_the_error_and_magnitudes_beside_it(capsys):
     results = stored({"downrange_error": ([-3e3, 1e3, -1e3, 4e-3], "m")})
-    print_campaign(cheap.MISSION, results, False)
+    print_campaign(cheap.MISSION, results, False, full=True)
     table = rows(capsys.readouterr().out)
     assert table["downrange error"][:4] == ["km", "-3.0000", "1.0000", "-0.7500"]
     # 4 mm is 4e-6 km, which is not zero.
@@ -90,7 +96,7 @@ def test_one_flight_that_is_not_finite(capsys, outcome):
     errors = [1e3, 2e3, np.nan, 6e3]
     outcomes = [Outcome.REACHED, Outcome.CRASHED, outcome, Outcome.REACHED]
     results = stored({"downrange_error": (errors, "m")}, outcomes)
-    print_campaign(cheap.MISSION, results, False)
+    print_campaign(cheap.MISSION, results, False, full=True)
     printed = capsys.readouterr().out
     assert rows(printed)["downrange error"][:5] == [
         *["km", "1.0000", "6.0000", "3.0000"],
@@ -106,15 +112,101 @@ def test_one_flight_that_is_not_finite(capsys, outcome):
 
 def test_no_flight_and_one_flight(capsys):
     nothing = stored({"downrange_error": ([np.nan], "m")}, [Outcome.NOT_FINITE])
-    print_campaign(cheap.MISSION, nothing, False)
+    print_campaign(cheap.MISSION, nothing, False, full=True)
     printed = capsys.readouterr().out
     assert "1 of 1 runs stopped where" in printed and not rows(printed)
     assert "1 of them left out of the statistics" in " ".join(printed.split())
-    print_campaign(cheap.MISSION, stored({"downrange_error": ([2e3], "m")}), False)
+    print_campaign(
+        cheap.MISSION, stored({"downrange_error": ([2e3], "m")}), False, full=True
+    )
     # One number has no standard deviation.
     assert rows(capsys.readouterr().out)["downrange error"][:5] == [
         *["km", "2.0000", "2.0000", "2.0000", "-"]
     ]
+
+
+# What a campaign ends with.
+
+
+def short_rows(printed):
+    """Cells of the short table by the words of their row."""
+    lines = printed.splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith("──"))
+    found = {}
+    for line in lines[first + 1 :]:
+        cells = re.split(r"\s{2,}", line.strip())
+        if len(cells) < 7:
+            break
+        found[cells[0]] = cells[1:]
+    return found
+
+
+def test_the_short_table_has_what_is_aimed_at_and_limited(capsys):
+    """-100 to 0 m in any order: mean -50, magnitudes 0 to 100. A peak without a limit
+    counts where the mission is tuned for it."""
+    order = np.random.default_rng(0).permutation(101)
+    results = stored(
+        {
+            "downrange_error": (-1.0 * order, "m"),
+            "crossrange_error": (1e-11 * order, "m"),
+            "end_time": (1.0 * order, "s"),
+            "peak_drag": (1.0 * order, "m/s2"),
+            "peak_heat_rate": (1e4 * order, "W/m2"),
+            "peak_dynamic_pressure": (1e3 * order, "Pa"),
+        }
+    )
+    results["peak_heat_rate"].attrs["limit"] = 89.5e4
+    tuned = dataclasses.replace(cheap.MISSION, published=(), tuned_for=("drag=1m/s2",))
+    print_campaign(tuned, results, False)
+    printed = capsys.readouterr().out
+    deviation = f"{np.sqrt(858.5):.4g}"
+    assert short_rows(printed) == {
+        "downrange error": ["km", "-0.05", "0.0293", "0.05", "0.095", "0.099", "0.1"],
+        "peak drag": ["m/s2", "50", deviation, "50", "95", "99", "100"],
+        "peak heat rate": ["W/cm2", "50", deviation, "50", "95", "99", "100", "11"],
+    }
+    assert "not shown, since they do not vary: crossrange error\n" in printed
+    assert "2 more quantities" in printed and "report FOLDER --full" in printed
+    assert "magnitudes" in printed and "exceed the limit" in printed
+
+
+def test_percentiles_that_are_asked_for_are_those_of_the_short_table(capsys):
+    results = stored({"downrange_error": (np.arange(1.0, 102.0), "m")})
+    print_summary("cheap", summarize(results, [10.0, 99.87]))
+    heads = next(x for x in capsys.readouterr().out.splitlines() if "unit" in x)
+    assert heads.split() == "unit mean std 10 % 99.87 % maximum".split()
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_the_short_table_fits_100_columns(capsys, name):
+    """With numbers of any size and sign, and every limit that the mission has."""
+    mission = ALL[name]
+    scenario = mission.scenario()
+    spread = np.random.default_rng(1).normal(size=40)
+    sizes = itertools.cycle([-1.2345e-9, 1.2345e-4, -0.012345, 12345.6, -1234567.0])
+    values = {}
+    for output in output_names(scenario):
+        numbers = next(sizes) * (1.0 + spread), unit_of_output(output, scenario)
+        values[output] = numbers
+    results = stored(values)
+    for constraint in scenario.constraints:
+        results[f"peak_{constraint}"].attrs["limit"] = 1.0
+    print_campaign(dataclasses.replace(mission, published=()), results, False)
+    lines = capsys.readouterr().out.splitlines()
+    table = lines[lines.index(next(x for x in lines if "unit" in x)) :]
+    table = table[: table.index(next(x for x in table if "magnitudes" in x))]
+    assert len(table) > 4
+    assert max(map(len, (line.rstrip() for line in table))) <= 100
+
+
+def unit_of_output(output, scenario):
+    if output.startswith("peak_"):
+        known = scenario.constraints.get(output.removeprefix("peak_"))
+        return "1" if known is None else known.unit
+    for word, unit in (("angle", "rad"), ("heading", "rad"), ("velocity", "m/s")):
+        if word in output:
+            return unit
+    return "s" if output == "end_time" else "m"
 
 
 # Published values.

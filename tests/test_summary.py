@@ -234,7 +234,7 @@ def test_a_flight_in_a_plane_has_no_ellipse():
 
 
 def test_what_is_printed_has_the_numbers(summary, capsys):
-    print_summary("cheap", summary)
+    print_summary("cheap", summary, full=True)
     printed = capsys.readouterr().out
     assert f"{RUNS - 3} of {RUNS} runs reached the end" in printed
     lines = [line for line in printed.splitlines() if line.startswith("│")]

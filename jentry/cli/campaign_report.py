@@ -1,11 +1,14 @@
 """What the commands print of a campaign."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.table import Table
 
 from .._printed import in_words
+from ..campaign.outputs import MISS_DISTANCE, is_error, peak_of
 from ..campaign.populations import population, sets_of
 from ..flight.flight import caveat_words
 from ..flight.solver import FixedStep
@@ -13,7 +16,7 @@ from ..missions.mission import Mission
 from ..statistics.acceptance import Decision, Verdict
 from ..statistics.intervals import CONFIDENCE, Interval
 from ..statistics.miss_ellipse import MissEllipse
-from ..statistics.summary import Statistics, Summary, summarize
+from ..statistics.summary import PERCENTILES, Statistics, Summary, summarize
 from ..units import at_edge, degree, edge_unit
 from .tables import in_digits, new_console, new_table, print_in_pieces, print_under
 
@@ -23,15 +26,19 @@ SETS = 16
 
 
 def print_campaign(
-    mission: Mission, results, as_published: bool, summary: Summary | None = None
+    mission: Mission,
+    results,
+    as_published: bool,
+    summary: Summary | None = None,
+    full: bool = False,
 ) -> None:
-    """A summary of the runs, and the published values beside ours.
+    """A summary of the runs, whole if `full`, and the published values beside ours.
 
     These are shown where the campaign is as published and has enough sets of their size;
     else it is said what they are of.
     """
     summary = summarize(results) if summary is None else summary
-    print_summary(mission.name, summary)
+    print_summary(mission.name, summary, aims_of(mission), full)
     if not mission.published or summary.finite == 0:
         return
     console = new_console()
@@ -50,22 +57,37 @@ def print_campaign(
         _print_published(console, mission, results)
 
 
-def print_summary(name: str, summary: Summary) -> None:
-    """Outcomes, limits, statistics with their intervals, circular errors, acceptance."""
+def aims_of(mission: Mission) -> list[str]:
+    """Names in results of what a mission is tuned for beside its misses."""
+    names = (scale.partition("=")[0].strip() for scale in mission.tuned_for)
+    return [peak_of(name) for name in names]
+
+
+def print_summary(
+    name: str, summary: Summary, aims: Sequence[str] = (), full: bool = False
+) -> None:
+    """Outcomes, caveats, what is aimed at and limited, acceptance.
+
+    If `full` all statistics with their intervals, limits and circular errors. `aims` are
+    peaks that count beside misses and limits.
+    """
     console = new_console()
     _print_solver(console, summary)
-    for line in told_first(summary):
+    for line in told_first(summary, kept_limits=full):
         console.print(line)
-    if summary.statistics:
+    if summary.statistics and not full:
+        _print_aims(console, name, summary, aims)
+    elif summary.statistics:
         count = summary.finite
         title = f"{name}: {count} finite flights, errors are actual minus desired"
         _print_statistics(console, title, summary.statistics)
         _print_intervals(console, summary.statistics)
+    if summary.statistics:
         if summary.counted_from:
             console.print(f"downrange and crossrange: {summary.counted_from}")
         if summary.caution:
             console.print(summary.caution)
-    if summary.ellipse is not None:
+    if summary.ellipse is not None and full:
         _print_ellipse(console, summary.ellipse)
     if summary.verdicts:
         _print_verdicts(console, summary.verdicts)
@@ -78,14 +100,19 @@ def _print_solver(console: Console, summary: Summary) -> None:
         console.print(f"flown with {solver}, not with the mission's own steps")
 
 
-def told_first(summary: Summary) -> Iterator[str]:
-    """Lines about how the runs ended, how many exceed a limit, and caveats of the law."""
+def told_first(summary: Summary, kept_limits: bool = True) -> Iterator[str]:
+    """Lines about how the runs ended, how many exceed a limit, and caveats.
+
+    Limits that no flight exceeds have a line with `kept_limits` alone.
+    """
     for outcome, (runs, left_out) in summary.outcomes.items():
         line = f"{runs} of {summary.runs} runs {outcome.message}"
         if left_out:
             line += f"; {left_out} of them left out of the statistics"
         yield line
     for limit in summary.limits:
+        if not limit.beyond and not kept_limits:
+            continue
         number, unit = at_edge(limit.limit, limit.unit, limit.shown_unit)
         words = f"the limit of the {in_words(limit.name)}, {float(number):g} {unit}"
         yield f"{limit.beyond} of {summary.finite} flights exceed {words}"
@@ -93,6 +120,76 @@ def told_first(summary: Summary) -> Iterator[str]:
         told = caveat.flights, summary.runs, caveat.largest_share
         far = caveat.largest_distance, caveat.unit
         yield f"caveat: {caveat_words(name, *told, *far)}"
+
+
+_STILL = 1e-6
+"""SI unit; what differs by less from run to run cannot vary, as the crossrange of a
+flight in a plane"""
+
+_SHOWN = 50.0, 95.0, 99.0
+"""Percentiles of the short table, if no others are asked for"""
+
+
+def _print_aims(
+    console: Console, name: str, summary: Summary, aims: Sequence[str]
+) -> None:
+    """One table of what flights aim at and what they are kept below, 100 columns wide."""
+    signed = {each.name: each for each in summary.statistics if not each.magnitude}
+    sizes = {each.name: each for each in summary.statistics if each.magnitude}
+    limits = {limit.name: limit.beyond for limit in summary.limits}
+    of_all = tuple(summary.statistics[0].percentiles)
+    percentiles = [p for p in of_all if of_all != PERCENTILES or p in _SHOWN]
+    heads = ["", "unit", "mean", "std", *(f"{p:.10g} %" for p in percentiles)]
+    heads += ["maximum", *(["over"] if limits else [])]
+    rows, still, others = [], [], 0
+    for each in signed.values():
+        size = sizes.get(each.name, each)
+        counts = each.name in (MISS_DISTANCE, *aims, *limits) or is_error(each.name)
+        if not counts:
+            others += 1
+        elif each.maximum - each.minimum < _STILL:
+            still.append(each.words)
+        else:
+            numbers = [each.mean.value, each.standard_deviation.value]
+            numbers += [size.percentiles[p].value for p in percentiles]
+            numbers.append(size.maximum)
+            cells = [_short(number / size.shown_size) for number in numbers]
+            if limits:
+                beyond = limits.get(each.name)
+                cells.append("" if beyond is None else f"{beyond}")
+            rows.append((each.words, size.shown_unit, *cells))
+    table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
+    table.add_column(heads[0], max_width=23)
+    for head in heads[1:]:
+        table.add_column(head, justify="right")
+    for row in rows:
+        table.add_row(*row)
+    console.width = max(console.width, 100)
+    title = f"{name}: {summary.finite} finite flights, errors are actual minus desired"
+    if rows:
+        print_under(console, title, table)
+        console.print("percentiles and maxima of errors are those of their magnitudes")
+        if limits:
+            console.print("over: flights that exceed the limit")
+    if still:
+        console.print(f"not shown, since they do not vary: {', '.join(still)}")
+    if others:
+        console.print(
+            f"{others} more quantities, with intervals and circular errors: "
+            "jentry report FOLDER --full"
+        )
+
+
+def _short(number: float) -> str:
+    """In three or four digits, and not more than eight characters of a usual number."""
+    size = abs(number)
+    if np.isnan(number):
+        return "-"
+    if 0.0 < size < 1e-3:
+        return f"{number:.1e}"
+    if size >= 1e4:
+        return f"{number:.0f}"
+    return f"{number:.4g}" if size >= 0.01 else f"{number:.3g}"
 
 
 def _print_statistics(

@@ -1,6 +1,7 @@
 """The figures of a campaign: what is flown for them, and where they go."""
 
 import contextlib
+import dataclasses
 import io
 import math
 import threading
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
 
 FIGURES = "figures"
 """Folder of the figures, below that of their campaign"""
+
+OVERVIEW = "overview"
+"""The figure that is drawn as soon as a campaign has been flown"""
 
 HISTORIES = "histories.nc"
 """File beside the figures, of the flights that they show"""
@@ -146,6 +150,15 @@ def draw_figures(
     data = FigureData.of(results, trajectories, nominal, scenario, mission.title)
     figures = campaign_figures(data, mission.figures)
     return save_figures(figures, folder / FIGURES, formats)
+
+
+def with_overview_alone(mission: Mission) -> Mission:
+    """The mission with one figure: its overview, or the first where it has none."""
+    name = (
+        OVERVIEW if OVERVIEW in mission.figures else next(iter(mission.figures), None)
+    )
+    figures = {} if name is None else {name: mission.figures[name]}
+    return dataclasses.replace(mission, figures=figures)
 
 
 def store_histories(folder: Path, flown: "xarray.Dataset", campaign: str) -> None:

@@ -77,7 +77,10 @@ def command(
     ] = None,
     fast: Fast = False,
     figures: Annotated[
-        bool, typer.Option(help="Draw figures into OUT/figures.")
+        bool,
+        typer.Option(
+            help="Draw the overview into OUT/figures; jentry report draws all figures."
+        ),
     ] = True,
     format_: Formats = "png",
     percentiles: Percentiles = None,
@@ -133,7 +136,12 @@ def command(
     )
     from .campaign_report import print_campaign
     from .dispersions_report import print_what_is_flown
-    from .figures import FIGURES, histories_of, store_histories
+    from .figures import (
+        FIGURES,
+        histories_of,
+        store_histories,
+        with_overview_alone,
+    )
     from .overrides import read_inputs
     from .progress import reported
     from .report_choices import (
@@ -270,10 +278,12 @@ def command(
     drawn = []
     if figures:
         flown = histories.flown()
-        drawn = write_figures(folder, chosen, scenario, results, flown, formats)
+        drawn = write_figures(
+            folder, with_overview_alone(chosen), scenario, results, flown, formats
+        )
         store_histories(folder, flown, digest)
         if not quiet and not json:
-            typer.echo(f"figures: {folder / FIGURES}")
+            typer.echo(f"figures: {folder / FIGURES}; jentry report draws all of them")
     write_page(folder, chosen.title, summary, drawn)
     if json:
         typer.echo(summary.as_json(), nl=False)

@@ -35,10 +35,17 @@ def command(
         bool, typer.Option("--figures-only", help="Draw them, and do nothing else.")
     ] = False,
     format_: Formats = "png",
+    full: Annotated[
+        bool,
+        typer.Option(
+            "--full",
+            help="Print all quantities with their intervals, and circular errors.",
+        ),
+    ] = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say what a stored campaign says: a table, JSON, csv, a page, figures."""
+    """Say what a stored campaign says: a table, JSON, csv, a page, all figures."""
     set_up(workers=1)
     from ..campaign.errors import CampaignError
     from ..campaign.parts import digest_of, read_manifest
@@ -64,6 +71,11 @@ def command(
         raise ValueError(
             "--figures-only draws, and says nothing: leave out --json, --percentiles, "
             "--require and --requirements"
+        )
+    if full and (quiet or json or figures_only):
+        raise ValueError(
+            "--full prints more, and --quiet, --json and --figures-only print no table: "
+            "give one of them"
         )
     if figures_only and not figures:
         raise ValueError("--figures-only and --no-figures: give one of them")
@@ -95,9 +107,10 @@ def command(
     if not quiet and not json and not figures_only:
         if chosen is not None:
             as_published = is_as_published(description, chosen)
-            print_campaign(chosen, results, as_published, summary)
+            print_campaign(chosen, results, as_published, summary, full)
         else:
-            print_summary(str(description.get("mission", folder.name)), summary)
+            name = str(description.get("mission", folder.name))
+            print_summary(name, summary, full=full)
     written = []
     drawn = []
     if figures:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Optional
 
 from .._files import write_whole
+from ..campaign.outputs import error_of
 from . import errors, glide
 from .entry_corridor import corridor
 from .figure_data import FigureData
@@ -85,11 +86,13 @@ def _all_over_time(data: FigureData, names: tuple[str, ...]):
     return data.noted(figure, histories=True)
 
 
-def overview(data: FigureData) -> "matplotlib.figure.Figure":
+def overview(data: FigureData) -> "matplotlib.figure.Figure | None":
     """One wide figure: drag, bank and downrange error.
 
     Without trajectories, or without their drag: downrange error and footprint.
     """
+    if error_of("downrange") not in data.results:
+        return None
     runs = data.trajectories
     if runs is None or DRAG.name not in runs:
         figure, (histogram, ends) = panelled(11.0, 3.6, 2, "")
@@ -125,6 +128,7 @@ USUAL: Mapping[str, DrawFigure] = {
 
 GLIDE: Mapping[str, DrawFigure] = {
     **HISTORIES,
+    "overview": overview,
     "end_errors": end_errors,
     "states": states,
     "controls": controls,

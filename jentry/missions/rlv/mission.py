@@ -1,6 +1,6 @@
 """The mission RLV: both laws, with attitudes of several bandwidths."""
 
-from ...plots.campaign import HISTORIES
+from ...plots.campaign import HISTORIES, overview
 from ..mission import Mission, PublishedValue
 from . import crossings, figures, predictor_corrector
 from .dispersions import atmosphere, table_1, table_1_estimated_angle, table_1_noise
@@ -78,5 +78,10 @@ MISSION = Mission(
     published_law="modulation",
     published_dispersions="table-1",
     published_runs=500,
-    figures={**HISTORIES, "deviations": figures.deviations, "flown": figures.flown},
+    figures={
+        **HISTORIES,
+        "overview": overview,
+        "deviations": figures.deviations,
+        "flown": figures.flown,
+    },
 )
