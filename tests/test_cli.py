@@ -1,8 +1,10 @@
 """The command: its options, and how it ends."""
 
+import importlib.metadata
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import typer
@@ -280,3 +282,12 @@ def test_what_an_interruption_has_torn_says_nothing(raised):
     )
     assert ended.returncode == 130
     assert ended.stderr == "jentry: interrupted; the same command resumes\n"
+
+
+def test_the_version_is_that_of_the_package(command):
+    """The same in what one cites."""
+    code, printed, _ = command("--version")
+    version = importlib.metadata.version("jentry")
+    assert (code, printed) == (0, f"jentry {version}\n")
+    citation = Path(__file__).parent.parent / "CITATION.cff"
+    assert f"\nversion: {version}\n" in citation.read_text()

@@ -4,6 +4,10 @@ import errno
 import gc
 import sys
 import warnings
+from importlib.metadata import version
+from typing import Annotated
+
+import typer
 
 from .._warnings import ResultWarning
 from . import (
@@ -24,6 +28,24 @@ from . import (
 )
 from .ending import fail, forget_output, leaving_at_once, open_streams
 from .options import app
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"jentry {version('jentry')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version_: Annotated[
+        bool,
+        typer.Option(
+            "--version", callback=_version, is_eager=True, help="Print the version."
+        ),
+    ] = False,
+) -> None:
+    """Guided atmospheric entry: fly missions, one by one or in Monte Carlo campaigns."""
 
 
 def main() -> None:

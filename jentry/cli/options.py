@@ -14,7 +14,6 @@ import typer
 app = typer.Typer(
     help="Guided atmospheric entry: fly missions, one by one or in Monte Carlo campaigns.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
 )
 
