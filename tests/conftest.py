@@ -89,6 +89,19 @@ def forgetting(request):
             give_back()
 
 
+_LONGEST = (
+    *("predictor_corrector_missions", "rlv", "cluster", "sx_2", "tuning", "x_33"),
+    *("cav_h", "predictor_corrector", "crossings", "dispersions", "sensitivity"),
+)
+"""Files of slow tests, of which none begins when the others are done"""
+
+
+def pytest_collection_modifyitems(items):
+    """The longest files first, where xdist keeps this order (`.ci/run`)."""
+    places = {f"test_{name}": place for place, name in enumerate(_LONGEST)}
+    items.sort(key=lambda item: places.get(item.path.stem, len(places)))
+
+
 @pytest.fixture
 def key():
     return jax.random.key(20261121)

@@ -403,8 +403,20 @@ def test_what_matters_is_taken(observer_scenario):
         (lambda s: s.guidance.model.planet.radius, multiply),
         (lambda s: s.guidance.model.planet.atmosphere.scale_height, multiply),
         (lambda s: s.guidance.gains.epsilon0, multiply),
-        (lambda s: s.termination.conditions["velocity"].velocity, multiply),
-        (lambda s: s.target.altitude, add),
+        (
+            lambda s: (
+                s.termination.conditions["velocity"].velocity,
+                s.target.velocity,
+            ),
+            multiply,
+        ),
+        (
+            lambda s: (
+                s.target.altitude,
+                s.termination.conditions["altitude"].altitude,
+            ),
+            add,
+        ),
         (lambda s: s.initial_state.longitude, add),
     ]
     table = {

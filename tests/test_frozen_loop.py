@@ -427,7 +427,7 @@ def test_the_last_eigenvalues_of_sx_2_are_unstable(full_loop):
     ],
 )
 def test_every_law_is_linearized_along_its_flight(mission, variant, index):
-    scenario = find_mission(mission).scenario_of(variant)
+    scenario = find_mission(mission).scenario(variant)
     if isinstance(index, VelocityIndex):
         with pytest.raises(ValueError, match="VelocityIndex stands still or turns"):
             linearize(scenario, index, 3)

@@ -37,7 +37,7 @@ CASES = {
     "drag tracking": ("mars-drag-tracking", "table-3", gains, 1.02, "downrange", 2e-3),
     "range tracking": (
         "mars-range-tracking",
-        "three-dimensional",
+        "range-tracking",
         gains,
         1.02,
         "downrange",

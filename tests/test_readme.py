@@ -288,7 +288,7 @@ def test_tuned_gains():
 def test_tuned_gains_are_judged_as_it_is_saved(name):
     """Without the optimizer: another order of rounding leads it elsewhere in the valley."""
     saved, mission = tuned(name), find_mission(name)
-    start = mission.scenario_of(saved["variant"])
+    start = mission.scenario(saved["law"], world=saved.get("world"))
     overrides = in_si(read_overrides(path_of_tuned(name)), start)
     found = judge(
         start,
