@@ -153,10 +153,11 @@ def test_a_mission_without_cases_says_so():
         cheap.MISSION.scenario(case="low")
 
 
+@pytest.mark.parametrize("name", ["a b", "all", "case", "world", ""])
 @pytest.mark.parametrize("axis", ["laws", "cases", "worlds"])
-def test_names_are_words(axis):
+def test_names_are_words(axis, name):
     with pytest.raises(ValueError, match=f"{axis} of mission .* without spaces"):
-        dataclasses.replace(THREE, **{axis: {"a b": heavy}})
+        dataclasses.replace(THREE, **{axis: {name: heavy}})
 
 
 @pytest.mark.parametrize("mission", ALL.values(), ids=list(ALL))

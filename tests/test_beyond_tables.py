@@ -16,6 +16,7 @@ from jentry.cli.campaign_report import print_campaign
 from jentry.cli.mission_report import print_flight
 from jentry.flight import Adaptive, Outcome, fly, has_end
 from jentry.flight.closed_loop import caveat_names
+from jentry.flight.scenario import checked
 from jentry.statistics.acceptance import Requirement, require_outputs
 from jentry.statistics.summary import summarize
 from jentry.units import degree, km
@@ -29,6 +30,7 @@ from jentry.world import (
     TabulatedAtmosphere,
     TabulatedWind,
     smoothed,
+    without_zero_departures,
 )
 from jentry.world.tabulated import beyond_edges, tables_in
 
@@ -267,6 +269,19 @@ def test_tables_are_found_within_other_models():
     for table in found.values():
         first, last = table.edges()["altitudes"]
         assert (float(first), float(last)) == (LOW, HIGH)
+
+
+@pytest.mark.parametrize("trend", [0.0, 0.1])
+def test_a_name_does_not_depend_on_whether_air_departs(trend):
+    """Departures that are zero are not flown, and the results have what was required."""
+    departs = PerturbedAtmosphere(air(), trend=trend, share_low=0.1, share_high=0.1)
+    calm = free_scenario().planet.wind
+    given = tabulated(air=departs, wind=calm)
+    shapes = eqx.filter_eval_shape(
+        fly, without_zero_departures(checked(given)), cheap.SOLVER
+    )
+    assert list(shapes.caveats) == caveat_names(given)
+    assert AIR in shapes.caveats
 
 
 def test_edges_of_a_smoothed_atmosphere_are_those_that_were_asked_for():

@@ -20,6 +20,9 @@ from .choice import Choice
 Change = Callable[[Scenario], Scenario]
 
 _NAME = re.compile(r"\w[\w.-]*")
+_RESERVED = "all", "case", "world"
+"""What no law, case or world is called, since commands mean something else by it"""
+
 _EXAMPLES = {
     "laws": "scenario",
     "cases": "start_higher",
@@ -137,10 +140,10 @@ class Mission:
                     )
         for axis in ("laws", "cases", "worlds"):
             for name in getattr(self, axis):
-                if not re.fullmatch(r"\S+", name):
+                if not re.fullmatch(r"\S+", name) or name in _RESERVED:
                     raise ValueError(
                         f"{axis} of mission {self.name} have the name {name!r}: write it "
-                        "without spaces"
+                        f"without spaces, and not as {', '.join(_RESERVED)}"
                     )
         if isinstance(self.gains, str):
             raise ValueError(

@@ -83,8 +83,13 @@ def beyond_edges(
 
 
 def caveat_of(address: str, quantity: str) -> str:
-    """Name of the share of time that a flight is beyond a table."""
-    return f"time_beyond_{quantity}_of_{address.replace('.', '_')}"
+    """Name of the share of time that a flight is beyond a table.
+
+    It is the same whether the table stands in other air, `undisturbed`, or by itself, as
+    where that air has no departures (`without_zero_departures`).
+    """
+    steps = [step for step in address.split(".") if step != "undisturbed"]
+    return f"time_beyond_{quantity}_of_{'_'.join(steps)}"
 
 
 def distance_of(caveat: str) -> str:
