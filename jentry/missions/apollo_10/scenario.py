@@ -171,7 +171,7 @@ def skip(scenario: Scenario) -> Scenario:
 
 
 def unlimited() -> Scenario:
-    """The same with no regard to the limits: it exceeds those of load and pressure."""
+    """A linear bank with no regard to the limits: it exceeds those of load and pressure."""
     scenario = guided()
     law = dataclasses.replace(scenario.guidance, limits=None)
     return dataclasses.replace(scenario, guidance=law)

@@ -284,7 +284,7 @@ def learning() -> Scenario:
 
 
 def learning_correlated() -> Scenario:
-    """The same by a prior that knows of the waves a correlation length alone, 2.7 km.
+    """As `learning`, by a prior that knows of the waves a correlation length of 2.7 km alone.
 
     It is that of a correlation with the curvature, at zero, of that of the waves. The
     caution is chosen: a vehicle that is too fast near its target cannot help it any more,

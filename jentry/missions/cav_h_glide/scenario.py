@@ -171,7 +171,7 @@ def two_ended() -> Scenario:
 
 
 def undamped() -> Scenario:
-    """The same, free to swing about its equilibrium glide."""
+    """A linear bank without damping: the glide swings about its equilibrium."""
     return _with(guided(), damping=None)
 
 

@@ -61,7 +61,7 @@ def pseudospectral() -> Scenario:
 
 
 def pseudospectral_with_range() -> Scenario:
-    """The same with the downrange as a fourth state, with those of its `with-range`."""
+    """The regulator with the downrange as a fourth state, with weights of the X-33."""
     regulated = _regulated(
         underway=DeviationWeights(downrange=1.0),
         at_end=DeviationWeights(*4 * [3e4]),

@@ -214,7 +214,7 @@ def pseudospectral() -> Scenario:
 
 
 def pseudospectral_with_range() -> Scenario:
-    """The same with the downrange as a fourth state, with those of its `with-range`."""
+    """The regulator with the downrange as a fourth state, with weights of the X-33."""
     underway, at_end = DeviationWeights(downrange=1.0), DeviationWeights(*4 * [3e4])
     regulated = _regulated(
         Regulator(

@@ -212,7 +212,7 @@ def tracking() -> Scenario:
 
 
 def with_range() -> Scenario:
-    """The same with the downrange as a fourth state."""
+    """The paper's regulator with the downrange as a fourth state."""
     return tracked(regulator(reference(), with_range=True))
 
 
@@ -222,7 +222,7 @@ def receding() -> Scenario:
 
 
 def receding_with_range() -> Scenario:
-    """The same with the downrange as a fourth state."""
+    """The regulator solved again every 10 s, with the downrange as a fourth state."""
     regulated = regulator(reference(), with_range=True)
     return entry(PseudospectralTracking(regulator=regulated), reference())
 
