@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 
 import cheap
 import equinox as eqx
@@ -13,6 +14,7 @@ from hypothesis import given, strategies as st
 from jentry.addresses import leaves_by_address
 from jentry.campaign import open_campaign
 from jentry.campaign.errors import CampaignError
+from jentry.cli.mission_report import print_missions
 from jentry.cli.options import chosen_scenario
 from jentry.flight.scenario import check
 from jentry.missions import ALL, find_mission
@@ -270,3 +272,17 @@ def test_a_law_that_inverts_the_lag_knows_the_attitude_of_its_world(frequency, w
     noisy = mission.scenario("lag-inverted", world=[world, "noise"])
     assert float(noisy.accelerometers.noise) == pytest.approx(2e-4 * 9.80665)
     assert float(noisy.attitude.angle_of_attack_response.frequency) == frequency
+
+
+@pytest.mark.parametrize("mission", ALL.values(), ids=list(ALL))
+def test_each_entry_of_a_mission_has_a_sentence_that_stands_by_itself(mission, capsys):
+    print_missions([mission])
+    printed = capsys.readouterr().out
+    for axis in ("laws", "cases", "worlds", "dispersions"):
+        for entry in getattr(mission, axis):
+            found = re.search(
+                rf"^    {re.escape(entry)} +(\S.*)$", printed, re.MULTILINE
+            )
+            assert found, entry
+            assert found[1].endswith("."), found[1]
+            assert not found[1].lower().startswith("the same"), found[1]

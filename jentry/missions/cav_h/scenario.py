@@ -284,11 +284,11 @@ def learning() -> Scenario:
 
 
 def learning_correlated() -> Scenario:
-    """As `learning`, by a prior that knows of the waves a correlation length of 2.7 km alone.
+    """As `learning`, by a prior that knows of the waves their correlation length alone.
 
-    It is that of a correlation with the curvature, at zero, of that of the waves. The
-    caution is chosen: a vehicle that is too fast near its target cannot help it any more,
-    and one that is too slow can.
+    It is 2.7 km, that of a correlation with the curvature, at zero, of that of the waves.
+    The caution is chosen: a vehicle that is too fast near its target cannot help it any
+    more, and one that is too slow can.
     """
     variances = 0.5 * np.array(AMPLITUDES) ** 2
     numbers = 2.0 * math.pi / np.array(WAVELENGTHS)

@@ -36,8 +36,9 @@ _RANGE, _AHEAD, _ACROSS = "range", "ahead", "across"
 
 
 def guided() -> Scenario:
-    """Predictor-corrector: a constant bank to the end, corrected every 2 s, with bank
-    reversals as predicted."""
+    """A constant bank to the end, corrected every 2 s by predictions of the flight.
+
+    The bank is reversed as is predicted."""
     start = entry()
     target = start.target
     law = PredictorCorrector(
@@ -94,8 +95,9 @@ def _stored(folder: Path, name: str, purpose: str) -> tuple[Network, Vector]:
 
 
 def networked() -> Scenario:
-    """Predictor-corrector with networks in place of the prediction, also of that by which
-    the bank is reversed."""
+    """As `predictor-corrector`, with networks in place of the predictions.
+
+    Also of that by which the bank is reversed."""
     return _asking(guided(), range_network_in_space())
 
 
