@@ -30,10 +30,11 @@ from .ending import fail, forget_output, leaving_at_once, open_streams
 from .options import app
 
 
-def _version(asked: bool) -> None:
+def _version(asked: bool) -> bool:
     if asked:
         typer.echo(f"jentry {version('jentry')}")
         raise typer.Exit
+    return asked
 
 
 @app.callback()
