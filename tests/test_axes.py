@@ -212,6 +212,8 @@ def test_a_file_chooses_and_the_command_comes_first(three, tmp_path):
     mass, density = "vehicle.mass", "planet.density_scale"
     assert filed[mass] == 2.0 * plain[mass] and both[mass] == plain[mass]
     assert filed[density] == both[density] == 0.5
+    start = "initial_state.altitude"
+    assert filed[start] == both[start] == plain[start] - 10e3
     bank = "guidance.bank_angle"
     assert filed[bank] != plain[bank] == both[bank]
     config.write_text('world = "thin"\n')
