@@ -535,7 +535,7 @@ def test_figures_are_those_that_the_mission_asks_for(runs):
     directed = runs.assign(extra)
     assert set(figures_of(directed)) == {"downrange", "footprint", "overview"}
     drawn = figures_of(directed, figures=GLIDE)
-    assert set(drawn) == {"overview", "end_errors"}
+    assert set(drawn) == {"end_errors"}
     own = {"mine": lambda data: Figure(), "none": lambda data: None}
     assert set(figures_of(runs, figures=own)) == {"mine"}
 

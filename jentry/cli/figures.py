@@ -153,7 +153,7 @@ def draw_figures(
 
 
 def with_overview_alone(mission: Mission) -> Mission:
-    """The mission with one figure: its overview, or the first where it has none."""
+    """The mission with one figure: its overview, or its first where it has none."""
     name = (
         OVERVIEW if OVERVIEW in mission.figures else next(iter(mission.figures), None)
     )

@@ -127,9 +127,8 @@ USUAL: Mapping[str, DrawFigure] = {
 """Of a mission that says nothing else: bands, and errors along and across the track"""
 
 GLIDE: Mapping[str, DrawFigure] = {
-    **HISTORIES,
-    "overview": overview,
     "end_errors": end_errors,
+    **HISTORIES,
     "states": states,
     "controls": controls,
     "constraints": constraints,
