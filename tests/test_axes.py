@@ -8,6 +8,7 @@ import cheap
 import equinox as eqx
 import numpy as np
 import pytest
+import xarray
 from commands import assert_refused
 from hypothesis import given, strategies as st
 
@@ -20,6 +21,7 @@ from jentry.flight.scenario import check
 from jentry.missions import ALL, find_mission
 from jentry.missions.choice import Choice
 from jentry.missions.stored import stored_choice, stored_scenario
+from jentry.world import USStandardAtmosphere1976
 
 
 def heavy(scenario):
@@ -288,3 +290,24 @@ def test_each_entry_of_a_mission_has_a_sentence_that_stands_by_itself(mission, c
             assert found, entry
             assert found[1].endswith("."), found[1]
             assert not found[1].lower().startswith("the same"), found[1]
+
+
+def test_worlds_of_the_glider():
+    mission = find_mission("cav-h-glide")
+    still, thick = (mission.scenario(world=world) for world in ("at-rest", "us-1976"))
+    plain = mission.scenario()
+    known = lambda scenario: scenario.guidance.model.planet
+    assert float(known(still).rotation_rate) == 0.0 < float(known(plain).rotation_rate)
+    assert eqx.tree_equal(still.planet, plain.planet)
+    assert isinstance(thick.planet.atmosphere, USStandardAtmosphere1976)
+    assert eqx.tree_equal(known(thick), known(plain))
+
+
+def test_one_flight_is_stored_with_what_was_flown(three, tmp_path):
+    words = ("three", "--law", "steep", "--case", "low", "--world", "thin", "--step", 1)
+    code, _, said = three("fly", *words, "--out", tmp_path / "flight.nc")
+    assert code == 0, said
+    with xarray.open_dataset(tmp_path / "flight.nc", engine="h5netcdf") as stored:
+        described = json.loads(stored.attrs["campaign"])
+    chosen = {axis: described[axis] for axis in ("law", "case", "world")}
+    assert chosen == {"law": "steep", "case": "low", "world": ["thin"]}
