@@ -1,10 +1,13 @@
 #!/usr/bin/env python3
-"""Execute the notebooks, two at a time.
+"""Execute the notebooks, two at a time, and write them with their outputs if asked to.
+
+    .ci/notebooks.py [--out FOLDER] [NOTEBOOK...]
 
 Their kernels talk over sockets in the file system: two that start at once can be given
 one and the same TCP port.
 """
 
+import argparse
 import sys
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
@@ -25,8 +28,8 @@ SHORT = "first_flight", "four_laws_mars", "your_own_mission"
 """Those that take no more than a minute of a core"""
 
 
-def execute(path: Path) -> None:
-    """Execute one notebook, in its own folder.
+def execute(path: Path, out: Path | None) -> None:
+    """Execute one notebook, in its own folder, and write it to another one.
 
     Raises:
         CellExecutionError: A cell raised.
@@ -35,7 +38,7 @@ def execute(path: Path) -> None:
     notebook = nbformat.read(path, as_version=4)
     notebook.cells.insert(0, nbformat.v4.new_code_cell(BATCHES))
     with tempfile.TemporaryDirectory() as sockets:
-        # Of a kernel that it has started itself a client is rid when it ends.
+            # A client ends the kernel that it has started itself.
         NotebookClient(
             notebook,
             config=Config(
@@ -43,17 +46,24 @@ def execute(path: Path) -> None:
             ),
             resources={"metadata": {"path": str(FOLDER)}},
         ).execute()
+    if out is not None:
+        del notebook.cells[0]
+        nbformat.write(notebook, out / path.name)
     print(path.name, flush=True)
 
 
 if __name__ == "__main__":
-    paths = [Path(each).resolve() for each in sys.argv[1:]] or list(
-        FOLDER.glob("*.ipynb")
-    )
-    # What takes long first, and what nobody knows: at the end none waits for another.
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("notebooks", nargs="*", type=Path)
+    parser.add_argument("--out", type=Path, help="folder of the executed notebooks")
+    options = parser.parse_args()
+    if options.out is not None:
+        options.out.mkdir(parents=True, exist_ok=True)
+    paths = [each.resolve() for each in options.notebooks or FOLDER.glob("*.ipynb")]
+    # The longest first, and those that are unknown, so that none runs alone at the end.
     paths.sort(key=lambda path: path.stem in SHORT)
     with ThreadPoolExecutor(2) as pool:
-        runs = {path: pool.submit(execute, path) for path in paths}
+        runs = {path: pool.submit(execute, path, options.out) for path in paths}
     failures = {path.name: run.exception() for path, run in runs.items()}
     for name, failure in failures.items():
         if failure is not None:

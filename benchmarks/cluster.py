@@ -22,6 +22,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import distributed
+from records import TIMINGS, Cell, save
 
 import jentry
 from jentry.campaign import cluster as cluster_module, worker as worker_module
@@ -129,6 +130,7 @@ def main() -> None:
     parser.add_argument("mission", nargs="?", default="mars-drag-tracking")
     parser.add_argument("--runs", type=int, default=10_000)
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--save", action="store_true", help=f"to {TIMINGS.name}")
     options = parser.parse_args()
     cores = len(os.sched_getaffinity(0))
     if cores < 2:
@@ -162,10 +164,10 @@ def main() -> None:
         parts = parts_of(fly, address)
         with jentry.Cluster(address):
             size = len(next(in_blocks(range(10**9)))) // (cores // 2)
-    told(options, cores, spent, parts, size)
+    report(options, cores, spent, parts, size)
 
 
-def told(options, cores: int, spent, parts: Parts, size: int) -> None:
+def report(options, cores: int, spent, parts: Parts, size: int) -> None:
     """Print all of it."""
     middle = {way: statistics.median(times) for way, times in spent.items()}
     print(f"{options.runs} runs of {options.mission}, stored; medians of")
@@ -182,6 +184,17 @@ def told(options, cores: int, spent, parts: Parts, size: int) -> None:
             f"{words.format(cores=cores):38}{middle[way]:6.1f} ({low:.1f} to {high:.1f})"
             f"{ratios[way]:8.2f} of one process"
         )
+    if options.save:
+        cells = []
+        for way, words in WAYS.items():
+            row = words.format(cores=cores)
+            cells += [
+                Cell(row, "median, s", middle[way], 1),
+                Cell(row, "least", min(spent[way]), 1),
+                Cell(row, "largest", max(spent[way]), 1),
+                Cell(row, "in units of one process", ratios[way], 2),
+            ]
+        save(TIMINGS, "cluster", cells)
     there, back = (statistics.median(sizes) / 1e6 for sizes in parts[:2])
     print(f"a part: {size} runs for each core of a worker; {there:.2f} MB there,")
     print(f"{back:.2f} MB back, {parts.seconds:.3f} s of the process that stores it,")

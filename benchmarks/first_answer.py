@@ -18,6 +18,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from records import TIMINGS, Cell, save
+
 
 RUNS = {
     "mars-drag-tracking": 1000,
@@ -50,6 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("missions", nargs="*", default=list(RUNS), metavar="MISSION")
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--save", action="store_true", help=f"to {TIMINGS.name}")
     options = parser.parse_args()
     unknown = [name for name in options.missions if name not in RUNS]
     if unknown:
@@ -62,6 +65,22 @@ def main() -> None:
                     for state in ("empty", "filled"):
                         seconds = once(mission, Path(cache), figures)
                         spent[mission, (state, figures)].append(seconds)
+    if options.save:
+        save(
+            TIMINGS,
+            "first-answer",
+            [
+                Cell(f"`{m}`, {RUNS[m]} runs", f"{words}, {what}", value, 1)
+                for m in options.missions
+                for way, words in WAYS.items()
+                for what, value in (
+                    ("median, s", statistics.median(spent[m, way])),
+                    ("least", min(spent[m, way])),
+                    ("largest", max(spent[m, way])),
+                )
+                if what == "median, s" or way == ("filled", "--figures")
+            ],
+        )
     print(f"median of {options.rounds} rounds, s (smallest to largest)")
     print(f"{'':28}" + "".join(f"{name:>24}" for name in WAYS.values()))
     for mission in options.missions:

@@ -10,6 +10,8 @@ chunk by chunk, so that memory does not grow with the number of flights.
 import argparse
 import time
 
+from records import TIMINGS, Cell, save
+
 import jentry
 
 
@@ -21,6 +23,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=11)
     parser.add_argument("--step", type=float, default=0.1)
+    parser.add_argument("--save", action="store_true", help=f"to {TIMINGS.name}")
     options = parser.parse_args()
     jentry.setup(workers=1)
 
@@ -92,6 +95,18 @@ def main() -> None:
             f"{name:26}{compile_seconds[name]:10.1f}{1e3 * median:11.1f}"
             f"{median / base:13.2f}"
         )
+    if options.save:
+        cells = []
+        for name, values in seconds.items():
+            median = float(np.median(values))
+            row = f"{name} of {FLIGHTS} flights"
+            cells += [
+                Cell(row, "median, ms", 1e3 * median, 0),
+                Cell(row, "least", 1e3 * min(values), 0),
+                Cell(row, "largest", 1e3 * max(values), 0),
+                Cell(row, "in units of the loss", median / float(base), 1),
+            ]
+        save(TIMINGS, "gradient", cells)
     forward = results["forward, 6 tangents"]
     worst = np.max(np.abs(results["reverse"][1] / forward - 1.0))
     print(f"reverse against forward: {worst:.1e} relative at worst")

@@ -29,6 +29,7 @@ from typing import NamedTuple
 
 import comparators
 import numpy as np
+from records import TIMINGS, Cell, processor, save
 
 
 ADDRESSES = {
@@ -294,17 +295,9 @@ def available_programs(space: bool = False) -> list[Program]:
 
 def machine() -> str:
     """Processor and versions, on one line each."""
-    name = platform.processor() or platform.machine()
-    if os.path.exists("/proc/cpuinfo"):
-        with open("/proc/cpuinfo") as file:
-            names = [
-                x.split(":")[1].strip() for x in file if x.startswith("model name")
-            ]
-        name = names[0] if names else name
     packages = "jax", "diffrax", "numba", "scipy", "numpy"
     versions = ", ".join(f"{p} {importlib.metadata.version(p)}" for p in packages)
-    cores = available_cores()
-    return f"{name}, {cores} cores\nPython {platform.python_version()}, {versions}"
+    return f"{processor()}\nPython {platform.python_version()}, {versions}"
 
 
 def check_errors(programs, errors) -> None:
@@ -331,6 +324,24 @@ def print_table(programs, speeds, starts, errors) -> None:
         print(f"{ratio:10.2f}x{errors[i]:10.2g}{starts[i]:10.1f}")
 
 
+def save_table(programs, speeds, errors) -> None:
+    """Write the table of the page `docs/how/speed.md`; speeds as in `print_table`."""
+    cells = []
+    for i, program in enumerate(programs):
+        fast = next(j for j, p in enumerate(programs) if p.cores == program.cores)
+        cores = f", {program.cores} cores" if program.cores > 1 else ""
+        row = f"{program.name}{cores}"
+        ratio = float(np.median(speeds[fast] / speeds[i]))
+        cells += [
+            Cell(row, "flights/s", float(np.median(speeds[i])), -1),
+            Cell(row, "slowest round", float(speeds[i].min()), -1),
+            Cell(row, "fastest round", float(speeds[i].max()), -1),
+            Cell(row, "jentry on as many cores is faster by", ratio, 2),
+            Cell(row, "error of the end, m", float(errors[i]), 3),
+        ]
+    save(TIMINGS, "monte-carlo", cells)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=1000, help="flights in a round")
@@ -341,6 +352,7 @@ def main() -> None:
     )
     parser.add_argument("--judged", type=int, default=16, help="flights for the error")
     parser.add_argument("--space", action="store_true", help="in three dimensions")
+    parser.add_argument("--save", action="store_true", help=f"to {TIMINGS.name}")
     options = parser.parse_args()
     os.environ["JAX_PLATFORMS"] = "cpu"
 
@@ -371,6 +383,8 @@ def main() -> None:
     where = "in space, " if options.space else ""
     print(f"{where}steps of {options.step} s, tolerance {options.tolerance:g}\n")
     print_table(programs, speeds, starts, errors)
+    if options.save:
+        save_table(programs, speeds, errors)
 
 
 if __name__ == "__main__":

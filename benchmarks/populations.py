@@ -4,7 +4,8 @@ Flies 16 sets of 500 runs of each law of the CAV-H mission, 16 of 1000 of the Ma
 and smaller ones of the other missions, where the predictor-corrector flies beside the laws
 of the papers: consecutive runs of one seed, which share no draw. Prints the mean of each
 statistic over the sets and its standard deviation from set to set: the tables of the
-README. Campaigns are stored below --out, and are resumed or read again from there.
+pages of the missions. Campaigns are stored below --out, and are resumed or read again from
+there.
 
     python benchmarks/populations.py cav-h
     python benchmarks/populations.py mars-range-tracking
@@ -13,15 +14,16 @@ README. Campaigns are stored below --out, and are resumed or read again from the
     python benchmarks/populations.py apollo-10
     python benchmarks/populations.py cav-h-glide
 
-`populations.csv` beside this file has each statistic of each set: `--save` writes it anew.
-Its columns are mission, what is flown of it, dispersions, heading, the statistic of the
-first 8 runs of the first set, and that of each set. The tests compare the README with
-it, and what they fly with its first sets or, where more would take long, with the
-first runs of them.
+`populations.csv` beside this file has each statistic of each set: `--save` writes it
+again. Its columns are mission, law with case and worlds, dispersions, heading, date, the
+statistic of the first 8 runs of the first set, and that of each set. The pages take their
+tables from it. The tests fly the first sets or, where these would take long, their first
+runs, and compare them with it.
 """
 
 import argparse
 import csv
+import datetime
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -347,12 +349,14 @@ SAVED = Path(__file__).with_suffix(".csv")
 
 
 class Statistic(NamedTuple):
-    """What is saved of one."""
+    """One statistic, as it is saved."""
 
     first_runs: float
-    """Of the first runs of the first set"""
+    """Its value for the first runs of the first set"""
     sets: np.ndarray
-    """Of each set"""
+    """Its value for each set, shape (sets,)"""
+    date: str
+    """Day on which the sets were flown, YYYY-MM-DD"""
 
 
 def save(mission: str, rows: dict[tuple[str, str, str], Statistic]) -> None:
@@ -363,7 +367,8 @@ def save(mission: str, rows: dict[tuple[str, str, str], Statistic]) -> None:
         with open(SAVED, newline="") as file:
             kept = [row for row in csv.reader(file) if tuple(row[:3]) not in flown]
     kept += [
-        [mission, *row, *(f"{x:.9g}" for x in (found.first_runs, *found.sets))]
+        [mission, *row, found.date]
+        + [f"{x:.9g}" for x in (found.first_runs, *found.sets)]
         for row, found in rows.items()
     ]
     with open(SAVED, "w", newline="") as file:
@@ -380,7 +385,7 @@ def statistics() -> dict[tuple[str, ...], Statistic]:
     """All that was saved: by mission, what is flown of it, dispersions and heading."""
     with open(SAVED, newline="") as file:
         return {
-            tuple(row[:4]): Statistic(float(row[4]), np.array(row[5:], float))
+            tuple(row[:4]): Statistic(float(row[5]), np.array(row[6:], float), row[4])
             for row in csv.reader(file)
         }
 
@@ -425,7 +430,7 @@ def main() -> None:
     mission = options.mission
     print(f"{mission}: {options.sets} sets, seed {options.seed}; mean over the sets")
     print("± standard deviation of a set; of maxima also median, largest")
-    rows, headings = {}, None
+    rows, headings, today = {}, None, datetime.date.today().isoformat()
     for choice, reading in ROWS[mission]:
         if options.only and choice not in options.only:
             continue
@@ -436,7 +441,7 @@ def main() -> None:
         first, sets = first_runs_of(results), sets_of(results, size)
         for heading, statistic in statistics_of(mission, choice).items():
             ours = population(statistic, sets)
-            found = Statistic(float(statistic(first)), ours.values)
+            found = Statistic(float(statistic(first)), ours.values, today)
             rows[choice, reading, heading] = found
             cells[heading] = f"{ours.mean:.3g} ± {ours.spread:.2g}"
             if "maximum" in heading:

@@ -9,11 +9,12 @@ many times more plain runs would do the same. Behind ± is one standard error.
     python benchmarks/sampling.py sx-2
 
 `sampling.csv` beside this file has each statistic of each campaign: `--save` writes it
-anew. The tests compare the README with it.
+again. The page `docs/how/batches.md` takes its table from it.
 """
 
 import argparse
 import csv
+import datetime
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -113,10 +114,14 @@ def save(rows: Rows) -> None:
     """Put the statistics of a mission into the file, each with its campaigns in a row."""
     missions = {row[0] for row in rows}
     kept = {row: x for row, x in saved().items() if row[0] not in missions}
+    dates = {
+        mission: date for mission, date in saved_on().items() if mission not in missions
+    }
     with open(SAVED, "w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         for row, values in (kept | rows).items():
-            writer.writerow([*row, *(f"{value:.12g}" for value in values)])
+            date = dates.get(row[0], datetime.date.today().isoformat())
+            writer.writerow([*row, date, *(f"{value:.12g}" for value in values)])
 
 
 def saved() -> Rows:
@@ -125,9 +130,17 @@ def saved() -> Rows:
         return {}
     with open(SAVED, newline="") as file:
         return {
-            (row[0], row[1], row[2], row[3]): np.array(row[4:], float)
+            (row[0], row[1], row[2], row[3]): np.array(row[5:], float)
             for row in csv.reader(file)
         }
+
+
+def saved_on() -> dict[str, str]:
+    """Day on which the campaigns of each mission were flown, YYYY-MM-DD."""
+    if not SAVED.exists():
+        return {}
+    with open(SAVED, newline="") as file:
+        return {row[0]: row[4] for row in csv.reader(file)}
 
 
 def with_error(value: float, error: float) -> str:

@@ -10,12 +10,13 @@ flow sensors with errors: by the direction of the flow alone, or by its speed as
 The flight ends at 15 km. Farther down the capsule falls so steeply that a head wind takes
 it through the vertical, where the state has no heading: predictions end there, and flights.
 
-`wind.csv` beside this file has each set; the tests compare the README with it.
+`wind.csv` beside this file has each set. The page of the mission has its table from it.
 """
 
 import argparse
 import csv
 import dataclasses
+import datetime
 from pathlib import Path
 
 import equinox as eqx
@@ -179,9 +180,15 @@ def saved() -> dict[str, np.ndarray]:
     with SAVED.open() as file:
         lines = [line for line in csv.reader(file)][1:]
     return {
-        row: np.array([line[2:] for line in lines if line[0] == row], float)
+        row: np.array([line[3:] for line in lines if line[0] == row], float)
         for row in dict.fromkeys(line[0] for line in lines)
     }
+
+
+def saved_on() -> str:
+    """Day on which the sets were flown, YYYY-MM-DD."""
+    with SAVED.open() as file:
+        return next(line[2] for line in list(csv.reader(file))[1:])
 
 
 def table_of(values: np.ndarray) -> list[float]:
@@ -197,15 +204,16 @@ def table_of(values: np.ndarray) -> list[float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--save", action="store_true", help="write wind.csv anew")
+    parser.add_argument("--save", action="store_true", help="to wind.csv")
     arguments = parser.parse_args()
     jentry.setup()
-    found = []
+    found, today = [], datetime.date.today().isoformat()
     for name, made in ROWS.items():
         scenario, dispersions = made()
         sets = [flown(scenario, dispersions, seed) for seed in SEEDS]
         found += [
-            [name, seed, *map(repr, one)] for seed, one in zip(SEEDS, sets, strict=True)
+            [name, seed, today, *map(repr, one)]
+            for seed, one in zip(SEEDS, sets, strict=True)
         ]
         print(
             f"{name:30}", *(f"{x:9.3f}" for x in table_of(np.array(sets))), flush=True
@@ -213,7 +221,7 @@ def main() -> None:
     if arguments.save:
         with SAVED.open("w", newline="") as file:
             csv.writer(file, lineterminator="\n").writerows(
-                [["row", "seed", *COLUMNS], *found]
+                [["row", "seed", "date", *COLUMNS], *found]
             )
 
 

@@ -1,4 +1,4 @@
-"""What `jentry` offers at its top, all of it imported."""
+"""The public names of `jentry`, all imported."""
 
 from ._setup import setup as setup
 from ._warnings import ResultWarning as ResultWarning
@@ -37,6 +37,8 @@ from .campaign import (
     open_campaign as open_campaign,
     replace as replace,
     run_campaign as run_campaign,
+    write_trajectories as write_trajectories,
+    write_trajectory as write_trajectory,
 )
 from .fields import (
     Count as Count,

@@ -1,4 +1,4 @@
-"""Floor 8: sensitivities, loops linearized, covariances, and what no law can beat."""
+"""Floor 8: sensitivities, linearized loops, covariances and the clairvoyant floor."""
 
 from .clairvoyant import clairvoyant_floor as clairvoyant_floor
 from .covariance import (

@@ -1,4 +1,4 @@
-"""What no guidance law can beat: the best bank profile of each draw, known beforehand."""
+"""Clairvoyant floor: the misses with the optimal bank profile for each known draw."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -37,23 +37,25 @@ def clairvoyant_floor(
     solver: AbstractSolver = FixedStep(),
     most_steps: int = 60,
 ) -> tuple[Any, np.ndarray]:
-    """Outputs of each draw with the bank profile that is best for it.
+    """Outputs of each draw with the bank profile that is optimal for this draw.
 
-    The law of the scenario gives way to cos(bank) as a polynomial of the velocity, of
-    which the coefficients are fitted to each draw by least squares through the flight:
-    what a law with perfect foresight and such a profile could reach. The true floor may
-    be lower still: this is as good as the profile is rich, and the search, which may end
-    early for some draws. For flights in their plane.
+    A polynomial of the velocity for cos(bank) replaces the law of the scenario. Its
+    coefficients are fitted to each draw by least squares with simulated flights. The result
+    is what a law with perfect foresight and such a profile could reach. The true floor may
+    be lower: the profile is limited, and the search may end early for some draws. Flights
+    must be in a vertical plane.
 
     **Arguments:**
 
-    - `loss`: a `MeanSquare`; its residuals are made small, draw by draw.
-    - `end_velocity`: about where the flight ends, m/s; the polynomial is over the way
-      from there to the initial velocity.
-    - `coefficients`: of the polynomial.
-    - `most_steps`: of the Levenberg-Marquardt method.
+    - `loss`: a `MeanSquare`; its residuals are minimised for each draw.
+    - `end_velocity`: approximate velocity at the end of the flight, m/s. The polynomial
+      covers the velocities from there to the initial velocity.
+    - `coefficients`: number of coefficients of the polynomial.
+    - `most_steps`: largest number of steps of the Levenberg-Marquardt method.
 
     **Returns:** the outputs, each of shape (runs, ...), and the coefficients, (runs, n).
+
+    **Raises:** `ValueError` for a scenario with crossrange.
     """
     scenario = checked(scenario)
     if scenario.dynamics.has_crossrange:
@@ -70,12 +72,12 @@ def clairvoyant_floor(
     law = BankProfile(profile)
     open_loop = eqx.tree_at(lambda s: s.guidance, scenario, law)
     shared = open_loop, loss, outputs, solver, most_steps, coefficients
-    # On one device: the solver cannot be compiled within what divides the work.
+    # On one device: the solver cannot be compiled for work that is divided over devices.
     return over_runs(_search, shared, inputs, one_device=True)
 
 
 def _search(shared, inputs):
-    """Of one draw: what the best profile gives, and its coefficients."""
+    """Outputs of one draw with its optimal profile, and the coefficients of the profile."""
     scenario, loss, outputs, solver, most_steps, coefficients = shared
     method = optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-6)
     first = jnp.zeros(coefficients).at[0].set(0.5)

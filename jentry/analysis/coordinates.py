@@ -1,4 +1,4 @@
-"""Coordinates of deviations: at equal index, in errors of a law, without idle ones."""
+"""Coordinates of deviations: at equal index, in errors of a law, without unused ones."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ _SINGULAR = 1e10
 
 
 def lift(gradient: Array | np.ndarray, out: int) -> np.ndarray:
-    """From deviations at equal index to all deviations, (points, n, n - 1)."""
+    """Matrix from deviations at equal index to all deviations, (points, n, n - 1)."""
     gradient = np.asarray(gradient)
     points, n = gradient.shape
     lifted = np.tile(np.eye(n), (points, 1, 1))
@@ -32,18 +32,19 @@ def in_errors(
     out: int,
     sampled: bool,
 ) -> tuple[np.ndarray, list[str]]:
-    """The same deviations with those of the motion counted in what the law tracks.
+    """Transform the deviations of the motion into the errors that the law tracks.
 
-    The errors depend on the motion in a way that changes along the flight, which is a part
-    of their rates. As they are if the errors are not as many numbers as the parts of the
-    motion that they depend on, or do not tell these apart.
+    The relation between errors and motion changes along the flight, and its rate is part of
+    the rates of the errors. The matrices do not change if the number of errors differs from
+    the number of coordinates of the motion that they depend on, or if the errors do not
+    determine these coordinates.
 
     **Arguments:**
 
-    - `names`, `kept`: of the rows and columns, and their places in the deviations at equal
-        index.
+    - `names`: names of the rows and columns. The next argument has their places in the
+        deviations at equal index.
     - `out`: place of the coordinate that is eliminated.
-    - `sampled`: whether the matrices are of a cycle, or of rates.
+    - `sampled`: whether the matrices are maps of one guidance cycle, or else rates.
     """
     motion = np.isin(names, list(EntryState.__dataclass_fields__))
     equal = lift(found.gradient, out)[..., kept]
@@ -82,7 +83,7 @@ def _lift_rate(found: LoopDerivatives, out: int) -> np.ndarray:
 
 
 def _is_singular(rows: np.ndarray) -> bool:
-    """Whether at some point the errors do not tell the motion, in any units."""
+    """Whether the errors do not determine the motion at some point, in any units."""
     for axis in (2, 1, 2, 1):
         size = np.max(np.abs(rows), axis=axis, keepdims=True)
         if not np.all(size > 0.0):
@@ -94,9 +95,10 @@ def _is_singular(rows: np.ndarray) -> bool:
 def without(
     matrices: np.ndarray, alone: np.ndarray, kept: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places that are left, and those whose column is exactly as if they were alone.
+    """Places of the remaining coordinates, and places of the removed coordinates.
 
-    What is left may not depend on them: the matrices are block triangular.
+    A coordinate is removed if its column equals that of `alone` exactly. The remaining
+    coordinates do not depend on it: the matrices are block triangular.
     """
     gone: list[int] = []
     while True:

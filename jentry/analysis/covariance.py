@@ -1,9 +1,9 @@
-"""Standard deviations of the misses from one flight and its derivatives.
+"""Linear covariance analysis: standard deviations of outputs from derivatives of a flight.
 
-Linear covariance analysis: the outputs are linear in the draws, so their standard
-deviations follow from the Jacobian. A flight that ends at the first of several conditions
-is linear for each of them, and bent where they change places: a nominal flight that meets
-two at once, as one that is planned for its target does, is on that bend.
+The outputs are assumed to be linear in the draws, so that their standard deviations follow
+from the Jacobian. A flight that ends at the first of several end conditions is linear for
+each condition, with a corner where two conditions are met at once. A nominal flight that is
+planned for its target meets two conditions at once, and so lies on such a corner.
 """
 
 import dataclasses
@@ -36,59 +36,60 @@ from .linear_models import (
 
 
 _SAMPLED = 100_000
-"""Draws that are put through the linear models; no flights"""
+"""Number of draws for which the linear models are evaluated, without flights"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Spread:
-    """Mean and standard deviation of one output, predicted and flown."""
+    """Mean and standard deviation of one output, by linear models and by Monte Carlo."""
 
     nominal: float
-    """Value of the nominal flight, at the mean of all draws"""
+    """Value of the nominal flight, at the mean of all dispersions"""
     mean: float
     """Predicted mean; `standard_deviation` is predicted as well"""
     standard_deviation: float
     flown_mean: float
-    """Mean of the Monte Carlo; it, `flown_standard_deviation` and `ratio` are NaN if none
-    was flown"""
+    """Mean of the Monte Carlo. `flown_mean`, `flown_standard_deviation` and `ratio` are NaN
+    without a Monte Carlo"""
     flown_standard_deviation: float
     ratio: float
-    """Predicted standard deviation over the flown one, for the same draws: what is left
-    is not the luck of the draws"""
+    """Predicted standard deviation over that of the Monte Carlo, for the same draws, so
+    that its difference from one is not a sampling error"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Effect:
-    """What one standard deviation of one dispersion does to one output."""
+    """Effect of one standard deviation of one dispersion on one output."""
 
     linear: float
-    """Half of the difference from one below to one above, as predicted"""
+    """Predicted effect: half of the difference of the output between one standard deviation
+    above and one below the mean"""
     error: float
     """Standard error of `linear`, the largest of all end conditions; zero for exact
     derivatives"""
     flown: float
-    """Half of the difference from one below to one above, as flown"""
+    """Effect in two flights: half of the difference of their outputs"""
     bend: float
-    """How far the mean of the two is from the nominal, flown: what is not linear"""
+    """Nonlinearity: the mean output of these two flights minus the nominal output"""
 
 
 @dataclasses.dataclass(frozen=True)
 class LinearCovariance:
-    """Predicted spread of the outputs, and how linear the flight is."""
+    """Predicted means and standard deviations of outputs, and tests of linearity."""
 
     models: dict[str, LinearModel]
-    """Linear models by end condition, of those that end flights of these dispersions"""
+    """Linear models for the end conditions that end dispersed flights, by end condition"""
     spreads: dict[str, Spread]
-    """Spreads by output"""
+    """Means and standard deviations by output"""
     effects: dict[str, dict[str, Effect]]
     """Effects by output and dispersion"""
     runs: int
-    """Finite flights of the Monte Carlo beside it"""
+    """Number of finite flights of the Monte Carlo"""
     failed: int
-    """Flights of that Monte Carlo that are not finite"""
+    """Number of flights of the Monte Carlo that are not finite"""
     without_model: dict[str, float]
-    """Share of the flights by end conditions that the nominal flight does not meet, and
-    of which nothing is predicted"""
+    """Share of the flights that end by a condition without a linear model, by end
+    condition. The nominal flight does not meet such a condition"""
 
 
 @needs_float64
@@ -102,19 +103,20 @@ def linear_covariance(
     solver: AbstractSolver = FixedStep(),
     mode: str | None = None,
 ) -> LinearCovariance:
-    """Predict the standard deviations of outputs, with a Monte Carlo beside it on request.
+    """Predict the standard deviations of outputs, with an optional Monte Carlo to compare.
 
-    Each dispersion enters by its mean and standard deviation, and by how its draws go
-    with those of the others. One more batch, a standard deviation above and below for
-    each, shows how linear the flight is and which conditions end it.
+    The prediction uses the mean and standard deviation of each dispersion, and the joint
+    distribution of their draws. Further flights, one standard deviation above and below the
+    mean of each dispersion, show how linear the flight is and which conditions end it.
 
     **Arguments:**
 
-    - `outputs`: a function of scenario and flight, such as `misses`, to numbers.
-    - `key`, `runs`: of the Monte Carlo; none is flown if `runs` is 0.
-    - `mode`: "exact", if not given: derivatives of the nominal flight, in forward mode. Or
-        "difference": mean slopes over two standard deviations, for flights that jump, see
-        `linear_models`; they cost 128 flights for each dispersion and end condition.
+    - `outputs`: function of scenario and flight that returns numbers, such as `misses`.
+    - `key`, `runs`: random key and size of the Monte Carlo; none is flown if `runs` is 0.
+    - `mode`: "exact" (the default, also None) uses the derivatives of the nominal flight,
+        in forward mode. "difference" uses mean slopes over two standard deviations, for
+        flights whose outputs jump, see `linear_models`; it costs 128 flights for each
+        dispersion and end condition.
 
     **Raises:** `ValueError` as `monte_carlo` does, and for a nominal flight that is not
     finite.
@@ -211,7 +213,7 @@ def linear_covariance(
 
 
 def _along_axes(pairs: Pairs) -> list[dict[str, float]]:
-    """The mean draws, then one standard deviation above and below for each dispersion."""
+    """The mean of all draws, then one standard deviation above and below for each."""
     moments = {
         name: tuple(float(x) for x in d.distribution.moments()) for name, d in pairs
     }
@@ -227,7 +229,7 @@ def _standard(pairs: Pairs, draws: Draws) -> dict[str, np.ndarray]:
     standard = {}
     for name, dispersion in pairs:
         mean, deviation = (float(x) for x in dispersion.distribution.moments())
-        # Of a constant all draws are its mean.
+        # All draws of a constant equal its mean.
         away = np.asarray(draws[name]) - mean
         standard[name] = away / deviation if deviation > 0.0 else 0.0 * away
     return standard
@@ -236,7 +238,7 @@ def _standard(pairs: Pairs, draws: Draws) -> dict[str, np.ndarray]:
 def _through(
     models: dict[str, LinearModel], standard: Mapping[str, Float[np.ndarray, " n"]]
 ) -> dict[str, np.ndarray]:
-    """Outputs for draws in standard deviations from their mean: by the first to end."""
+    """Outputs for draws in standard deviations, by the model that ends the flight first."""
 
     def linear(value, slope):
         return value + sum(slope[name] * x for name, x in standard.items())

@@ -1,4 +1,4 @@
-"""How well a closed loop is damped along its flight, as a function of its gains."""
+"""Damping of a closed loop along its flight, as a function of its gains."""
 
 from typing import Any
 
@@ -21,21 +21,21 @@ from .local_derivatives import derivatives_at
 
 
 _SIMPLE = 1e-12
-"""Cosine between the left and the right eigenvector: below, an eigenvalue is a multiple
-one and has no derivative"""
+"""Cosine between the left and the right eigenvector, below which an eigenvalue counts as a
+multiple one, which has no derivative"""
 
 
 class Damping(eqx.Module):
     """Damping ratios of the modes of a closed loop, at points of a flight.
 
-    The modes are those of `linearize`, but always counted in the motion: they differ where
-    that counts in the errors that a law feeds back. They are differentiable, once, in the
-    gains of the law and in all other numbers of the scenario. The points stay where the
-    loop was flown that this was made of: with other gains the vehicle is taken to pass
-    there as well. NaN where coordinates depend on one another that did not do so there, as
-    the integral of a gain that was zero.
+    The modes are those of `linearize`, but always in coordinates of the motion; `linearize`
+    may use the errors that a law feeds back instead, which gives other modes. The damping
+    ratios can be differentiated once, in the gains of the law and in all other numbers of
+    the scenario. The points are those of the flight from which this object was made, also
+    for a scenario with other gains. The ratios are NaN if coordinates depend on each other
+    that did not in that flight, such as an integral whose gain was zero.
 
-    Take one scenario at a time, and no `vmap` over several: see `eigenvalues`.
+    Use one scenario at a time, and no `vmap` over several: see `eigenvalues`.
 
         damping = Damping.of(scenario, faster_than=0.1)
         damping(scenario).min()
@@ -46,11 +46,12 @@ class Damping(eqx.Module):
     lanes: Lane
     out: int = eqx.field(static=True)
     blocks: tuple[tuple[int, ...], ...] = eqx.field(static=True)
-    """Places of the coordinates, without the eliminated one, that depend on one another"""
+    """Blocks of coordinates that depend on each other, as places without the eliminated
+    coordinate"""
     unlinked: Bool[Array, "n n"]
-    """Dependences that would make two blocks one"""
+    """Dependences that would merge two blocks"""
     faster_than: float = eqx.field(static=True)
-    """Magnitude of an eigenvalue from which on it counts, per unit of the index"""
+    """Magnitude above which an eigenvalue counts, per unit of the index"""
 
     @classmethod
     @needs_float64
@@ -63,13 +64,14 @@ class Damping(eqx.Module):
         faster_than: float = 0.0,
         solver: AbstractSolver = FixedStep(),
     ) -> "Damping":
-        """Fly a scenario once, for the points and for what depends on what.
+        """Fly a scenario once, for the points and the dependences of the coordinates.
 
         **Arguments:**
 
         - `index`, `points`, `solver`: as for `linearize`.
-        - `faster_than`: slower modes do not count. Frozen, what hardly changes along a
-            whole flight looks undamped, such as the heading and the phugoid.
+        - `faster_than`: modes with a smaller eigenvalue do not count. In a frozen loop,
+            quantities that hardly change along the whole flight look undamped, such as the
+            heading and the phugoid.
 
         **Raises:** `ValueError` as `linearize`.
         """
@@ -77,7 +79,7 @@ class Damping(eqx.Module):
             raise ValueError(f"faster_than is {faster_than}: it must not be negative")
         _, flown, _, out, matrices = at_equal_index(scenario, index, points, solver)
         linked = np.any(matrices != 0.0, axis=0)
-        # Whether i depends on j, by whatever stands between: in steps of twice the length.
+        # Whether i depends on j, directly or indirectly: path lengths double in each round.
         reached = linked | np.eye(len(linked), dtype=bool)
         for _ in range(len(linked).bit_length()):
             reached = reached @ reached
@@ -94,21 +96,21 @@ class Damping(eqx.Module):
         )
 
     def __call__(self, scenario: Scenario) -> Float[Array, "points modes"]:
-        """Damping ratios, from 1, aperiodic, to -1; 1 for a mode that does not count."""
+        """Damping ratios from 1 (aperiodic) to -1; 1 for a mode that does not count."""
         rates, deadbeat = self.eigenvalues(scenario)
         size = jnp.abs(rates)
-        # What is not a number is neither, and stays so.
+        # NaN is neither deadbeat nor slow, and stays NaN.
         passed_over = deadbeat | (size <= self.faster_than)
         ratio = -jnp.real(rates) / jnp.where(passed_over, 1.0, size)
         return jnp.where(passed_over, 1.0, ratio)
 
     @property
     def points(self) -> int:
-        """How many."""
+        """Number of points."""
         return jnp.shape(self.lanes.flown)[0]
 
     def described(self) -> dict[str, Any]:
-        """What it is, without the numbers of the flight."""
+        """Description of this object, without the numbers of the flight."""
         return {
             "index": type(self.index).__name__,
             "points": self.points,
@@ -116,15 +118,15 @@ class Damping(eqx.Module):
         }
 
     def least(self, scenario: Scenario) -> Scalar:
-        """The smallest of all modes and points."""
+        """The smallest damping ratio of all modes and points."""
         return jnp.min(self(scenario))
 
     def eigenvalues(
         self, scenario: Scenario
     ) -> tuple[Complex[Array, "points modes"], Bool[Array, "points modes"]]:
-        """Per unit of the index that has passed, and which of them are deadbeat.
+        """Eigenvalues per unit of the passed index, and which of them are deadbeat.
 
-        A batch of scenarios may wait for ever on a machine of few cores.
+        With `vmap` over scenarios, the program may deadlock on a machine with few cores.
         """
         sampled = isinstance(scenario.guidance, AbstractSampledLaw)
         found = derivatives_at(scenario, self.index, self.plan, self.lanes)
@@ -136,7 +138,7 @@ class Damping(eqx.Module):
         for block in self.blocks:
             rows = np.array(block)
             # One by one: for a batch of matrices jaxlib waits, in a thread of its pool,
-            # for tasks in the same pool. Two such programs at once wait for ever.
+            # for tasks in the same pool. Two such programs at once deadlock.
             parts.append(lax.map(eigenvalues_of, matrices[:, rows[:, None], rows]))
         found_values = jnp.concatenate(parts, axis=1)
         if not sampled:
@@ -147,7 +149,7 @@ class Damping(eqx.Module):
 
 
 def _at_equal_index(gradient: Float[Array, "points n"], out: int) -> Array:
-    """From deviations at equal index to all of them, as `coordinates.lift`, in JAX."""
+    """Matrix from deviations at equal index to all deviations, as `coordinates.lift`."""
     n = gradient.shape[-1]
     others = np.delete(np.arange(n), out)
     lifted = jnp.broadcast_to(jnp.eye(n)[:, others], (len(gradient), n, n - 1))
@@ -156,11 +158,11 @@ def _at_equal_index(gradient: Float[Array, "points n"], out: int) -> Array:
 
 
 def eigenvalues_of(matrix: Float[Array, "k k"]) -> Complex[Array, " k"]:
-    """Eigenvalues, differentiable once wherever they are simple.
+    """Eigenvalues that can be differentiated once where they are simple.
 
-    Of a multiple one the slope is one of those that it may have, or zero.
-
-    JAX's own derivative of them is not finite as soon as one of them is a multiple one.
+    The derivative of a multiple eigenvalue is one of its possible slopes, or zero. (With
+    the derivative of JAX itself, one multiple eigenvalue makes all derivatives infinite or
+    NaN.)
     """
     frozen = lax.stop_gradient(matrix)
     values, left, right = lax.linalg.eig(

@@ -1,8 +1,8 @@
-"""The closed loop of any law, linearized along its flight: eigenvalues, and zeros.
+"""The closed loop of any law, linearized along its flight: eigenvalues and zeros.
 
-At a point of the flight the linear system is taken as if it stayed as it is there: frozen.
-That is a guide to what gains do and no proof. Where the system changes as fast as its
-errors die out, its eigenvalues depend on the coordinates that errors are counted in.
+At a point of the flight the linear system is assumed to be constant: frozen. The
+eigenvalues indicate the effect of gains, but prove no stability. Where the system changes
+as fast as its errors decay, the eigenvalues depend on the coordinates of the errors.
 """
 
 import dataclasses
@@ -31,11 +31,12 @@ from .zeros import transmission_zeros
 
 
 DEADBEAT = 1e-7
-"""Multiplier that is zero: rounding makes the square root of its own of a double zero"""
+"""Magnitude below which a multiplier counts as zero. Rounding turns a double zero into the
+square root of the rounding error"""
 
 
 class Worst(NamedTuple):
-    """A number of an eigenvalue, and the point of the flight where it is."""
+    """An extreme value of an eigenvalue's property, and the point where it occurs."""
 
     value: float
     eigenvalue: complex
@@ -49,8 +50,8 @@ class Worst(NamedTuple):
 class FrozenLoop:
     """A closed loop that is linearized at points of its flight.
 
-    All rates are per unit of the index that has *passed*: with a negative real part
-    errors die out, whether the index rises or falls along the flight. Times `span` they
+    All rates are per unit of the index that has *passed*: with a negative real part errors
+    decay, whether the index rises or falls along the flight. Multiplied by `span`, rates
     are per whole flight.
     """
 
@@ -63,44 +64,46 @@ class FrozenLoop:
     time: Float[np.ndarray, " points"]
     """s since the start"""
     span: float
-    """How far the index goes from the start of the flight to its end"""
+    """Change of the index from the start of the flight to its end, as a magnitude"""
     coordinates: tuple[str, ...]
-    """What deviates, at equal index, in SI units: time, motion, attitude, memory, held"""
+    """Names of the deviations at equal index, in SI units: time, motion, attitude, memory,
+    held commands"""
     eliminated: str
     """The coordinate whose deviation follows from the others, since the index is equal"""
     ignorable: tuple[str, ...]
-    """Coordinates that are left out since nothing depends on them. Their deviations stay
-    or follow the others: an eigenvalue of zero each"""
+    """Coordinates that are left out because no other coordinate depends on them. Each has
+    an eigenvalue of zero"""
     forgotten: tuple[str, ...]
-    """Coordinates that are left out since each decision replaces them: deadbeat"""
+    """Coordinates that are left out because each decision replaces them: deadbeat"""
     matrices: Float[np.ndarray, "points n n"]
-    """Rates of the deviations by deviations, per unit of the index; for a law with a
-    guidance cycle the deviations after one cycle by those before its decision"""
+    """Derivatives of the rates of the deviations, per unit of the index, with respect to
+    the deviations. For a law with a guidance cycle: derivatives of the deviations after one
+    cycle with respect to those before its decision"""
     multipliers: Complex[np.ndarray, "points n"] | None
     """Eigenvalues of the map of one cycle; None for a continuous law"""
     eigenvalues: Complex[np.ndarray, "points n"]
-    """Per unit of the index. With a guidance cycle they are the logarithms of the
-    multipliers over the length of the cycle, and minus infinity for a deadbeat one. Each
-    column follows one of them from point to point"""
+    """Eigenvalues per unit of the index. With a guidance cycle they are the logarithms of
+    the multipliers over the length of the cycle, and minus infinity for a deadbeat one.
+    Each column follows one eigenvalue from point to point"""
     zeros: Complex[np.ndarray, "points zeros"] | None
-    """Transmission zeros of the vehicle from the controls that its law tracks with to the
-    outputs that it tracks, per unit of the index; NaN where there are fewer than elsewhere.
-    High gains drive eigenvalues into them. None: see `without_zeros`"""
+    """Transmission zeros of the vehicle, per unit of the index, from the controls that the
+    law uses to the outputs that it tracks; NaN at points with fewer zeros. High gains drive
+    eigenvalues into them. None if there are no zeros, see `without_zeros`"""
     without_zeros: str
-    """Why there are no zeros; empty where there are"""
+    """Why there are no zeros; empty if there are zeros"""
     ended_by: str
     """Name of the end condition of the flight"""
 
     @property
     def per_span(self) -> Complex[np.ndarray, "points n"]:
-        """The eigenvalues per span of the index: a deadbeat one stays minus infinity."""
+        """Eigenvalues per span of the index; minus infinity for a deadbeat eigenvalue."""
         deadbeat = np.isinf(self.eigenvalues)
         scaled = np.where(deadbeat, 0.0, self.eigenvalues) * self.span
         return np.where(deadbeat, -np.inf, scaled)
 
     @property
     def damping(self) -> Float[np.ndarray, "points n"]:
-        """Damping ratios of the eigenvalues: from 1, aperiodic, to -1, divergent so."""
+        """Damping ratios of the eigenvalues, from 1 (aperiodic) to -1 (diverging)."""
         size = np.abs(self.eigenvalues)
         finite = np.isfinite(size) & (size > 0.0)
         ratio = -np.real(self.eigenvalues) / np.where(finite, size, 1.0)
@@ -112,10 +115,10 @@ class FrozenLoop:
         return self._worst(-self.damping, self.damping)
 
     def least_damping_of(self, faster_than: float) -> Worst:
-        """Likewise of the modes with eigenvalues that are larger, per unit of the index.
+        """The smallest damping ratio of modes with larger eigenvalues than `faster_than`.
 
-        What hardly changes along a whole flight, such as the heading, looks undamped. NaN
-        where no mode is as fast.
+        `faster_than` is per unit of the index. Quantities that hardly change along the
+        whole flight, such as the heading, look undamped. NaN if no mode is as fast.
         """
         counts = np.abs(self.eigenvalues) > faster_than
         if not counts.any():
@@ -170,28 +173,31 @@ def linearize(
 ) -> FrozenLoop:
     """Fly a scenario and linearize its closed loop at points of the flight.
 
-    Deviations are counted at equal index, as a law sees them that reads its reference at
-    it: at equal energy a velocity error is an altitude error. That leaves out the one
-    coordinate in which the index is steepest, and the eigenvalue of zero of a flight that
-    is merely ahead. Motion, attitude and continuous memory of the law are linearized, with
-    limits as they are met; integers are not differentiated. All derivatives are exact.
+    Deviations are taken at equal index, as for a law that evaluates its reference at the
+    index: at equal energy a velocity error is an altitude error. This eliminates the
+    coordinate in which the index is steepest, and the eigenvalue of zero that belongs to a
+    shift along the flight. Motion, attitude and continuous memory of the law are
+    linearized, including active limits; integers are not differentiated. All derivatives
+    are exact.
 
-    Where the law says what it tracks, and that tells the motion, deviations of the motion
-    are counted in the errors that the law feeds back: e1, e1', ... In these the eigenvalues
-    that it was designed for appear, which altitude and path angle would hide.
+    If the law declares the errors that it tracks, and these determine the motion, the
+    errors that the law feeds back (e1, e1', ...) replace the deviations of the motion. In
+    these coordinates the eigenvalues appear for which the law was designed; in altitude and
+    flight-path angle they would not.
 
-    A continuous law gives the matrix of the rates. A law with a guidance cycle gives the
-    map of one cycle as it is flown, with its decision, attitude and the steps of the
-    solver: deviations at equal index before it, to those after it, along the flow.
+    For a continuous law the matrix is that of the rates. For a law with a guidance cycle it
+    is the map of one cycle, including the decision, the attitude and the steps of the
+    solver. The map takes deviations at equal index before the cycle to deviations at equal
+    index after it, along the flow.
 
     **Arguments:**
 
-    - `index`: what the errors are compared at; time if not given.
-    - `points`: how many, evenly spaced over the index from the start to the end; each at
-        the nearest step of the solver, or start of a guidance cycle.
+    - `index`: index at which deviations are compared; time by default.
+    - `points`: number of points, evenly spaced over the index from the start to the end.
+        Each is moved to the nearest step of the solver, or start of a guidance cycle.
 
     **Raises:** `ValueError` for a flight without an end or without a whole cycle, for an
-    index that stands still or turns along it, for fewer steps than points, and where a
+    index that is not strictly monotonic along it, for fewer steps than points, and where a
     derivative is not finite.
 
         loop = linearize(scenario, EnergyIndex())
@@ -240,10 +246,12 @@ def linearize(
 def at_equal_index(
     scenario: Scenario, index: AbstractIndex, points: int, solver: AbstractSolver
 ) -> tuple[Scenario, FlownPoints, LoopDerivatives, int, np.ndarray]:
-    """The scenario as checked, the points of its flight and the derivatives there.
+    """Linearize a closed loop at equal index, in coordinates of the motion.
 
-    Then the place of the coordinate that is eliminated, and the matrices without it. Raises
-    `ValueError` as `linearize`.
+    **Returns:** the checked scenario, the points of its flight, the derivatives there, the
+    place of the eliminated coordinate, and the matrices without this coordinate.
+
+    **Raises:** `ValueError` as `linearize`.
     """
     scenario = checked(scenario)
     flown = fly_points(scenario, index, points, solver)
@@ -264,24 +272,24 @@ def _require_finite(found: LoopDerivatives, flown: FlownPoints) -> None:
     if lost.size:
         raise ValueError(
             f"the derivative of the closed loop {flown.time[lost[0]]:g} s after the start "
-            "is not finite: the law may have none there, as a root has not at zero"
+            "is not finite: the law may have none there, like a square root at zero"
         )
 
 
 def _steepest(found: LoopDerivatives) -> int:
-    """The coordinate that has most of the rate of the index, where it has least of it."""
+    """Place of the coordinate whose smallest share of the rate of the index is largest."""
     shares = np.abs(found.shares)
     least = np.min(shares / np.sum(shares, axis=1, keepdims=True), axis=0)
     if not np.max(least) > 0.0:
         raise ValueError(
-            "no coordinate moves the index all along the flight: its deviation at equal "
-            "index cannot be told; take another index, such as TimeIndex()"
+            "no coordinate changes the index along the whole flight, so that none can be "
+            "eliminated at equal index; take another index, such as TimeIndex()"
         )
     return int(np.argmax(least))
 
 
 def _followed(eigenvalues: np.ndarray) -> np.ndarray:
-    """Each in the column of the one that is closest to it at the point before."""
+    """Order eigenvalues so that each column follows the closest one from point to point."""
     found = [np.sort_complex(eigenvalues[0])]
     for new in eigenvalues[1:]:
         away = np.abs(found[-1][:, None] - new[None, :])

@@ -1,15 +1,15 @@
-"""Linear models of a flight in its draws: from its derivatives, or from mean differences.
+"""Linear models of a flight in its draws: from exact derivatives, or from mean differences.
 
-A law that decides in cycles makes a sawtooth of what it leaves at the end: the phase of
-the last cycle moves with the draws, and the exact derivative is that of one tooth, which
-may be steeper than the whole is by orders of magnitude. A mean slope is the difference
-from one standard deviation below to one above, over two, in the mean of flights in which
-all else is drawn,
+With a guidance cycle the errors at the end are a sawtooth function of the draws, because
+the phase of the last cycle depends on them. The exact derivative is that of one tooth, and
+may exceed the slope of the whole function by orders of magnitude. A mean slope is half the
+difference between one standard deviation above and one below the mean, averaged over
+flights in which all other inputs are drawn,
 
     E[f(+1, z) - f(-1, z)] / 2  =  the mean of df/dz1 over -1 < z1 < 1 and over z,
 
-jumps included; it has a standard error. The teeth are no part of it: a spread that comes
-of them is seen in a Monte Carlo alone.
+with jumps included. It has a standard error. It does not contain the teeth: only a Monte
+Carlo shows the dispersion that they cause.
 """
 
 import dataclasses
@@ -38,10 +38,10 @@ Draws = Mapping[str, Any]
 
 @dataclasses.dataclass(frozen=True)
 class LinearModel:
-    """Time and outputs of the flight that ends by one condition, about the mean draws."""
+    """Linear model of time and outputs of flights that end by one condition."""
 
     time: float
-    """s"""
+    """Time at the end with the mean draws, s"""
     time_slope: dict[str, float]
     """Change of the time for one standard deviation, by dispersion, s"""
     values: dict[str, float]
@@ -52,7 +52,7 @@ class LinearModel:
 
 
 Pairs = tuple[tuple[str, Dispersion], ...]
-"""Dispersions in their order, which a dictionary loses under `jit`"""
+"""Dispersions with their names in order; a dictionary loses its order under `jit`"""
 
 
 @kept
@@ -61,7 +61,7 @@ def draw_many(pairs: Pairs, key: Key[Array, ""], runs: Array) -> Draws:
 
 
 def fly_draws(scenario, pairs: Pairs, draws: Draws, outputs, solver):
-    """Outputs, time, code of the end condition and whether finite, for each draw."""
+    """Outputs, time, code of the end condition, and whether it has an end, by draw."""
     return over_runs(_fly_draw, (scenario, pairs, outputs, solver), dict(draws))
 
 
@@ -86,7 +86,7 @@ def columns_of(values: Any) -> dict[str, np.ndarray]:
 
 
 def ending_by(scenario: Scenario, name: str) -> Scenario:
-    """The scenario with one of its end conditions alone."""
+    """The scenario with only one of its end conditions."""
     termination = scenario.termination
     conditions = {n: c for n, c in termination.conditions.items() if n == name}
     alone = dataclasses.replace(termination, conditions=conditions)
@@ -96,9 +96,9 @@ def ending_by(scenario: Scenario, name: str) -> Scenario:
 def mean_model(
     alone: Scenario, pairs: Pairs, outputs: Outputs, solver, key
 ) -> LinearModel | None:
-    """Linear model by differences over two standard deviations, in the mean of other draws.
+    """Linear model by differences over two standard deviations, averaged over other draws.
 
-    None if fewer than two pairs of flights are ended by the condition.
+    None if for some dispersion the condition ends both flights of fewer than two pairs.
     """
     drawn = draw_many(pairs, key, jnp.arange(LANES))
     points, moving = [], []
@@ -144,7 +144,10 @@ def mean_model(
 def linear_model(
     alone: Scenario, pairs: Pairs, outputs: Outputs, solver, name: str
 ) -> LinearModel | None:
-    """Linear model of the flight that one condition ends; none if it never meets it."""
+    """Linear model from exact derivatives; None if the nominal flight never meets the end.
+
+    The flight ends by one condition only.
+    """
     slopes, values, outcome, ended_by = _linearize(alone, pairs, outputs, solver)
     met = alone.termination.names[int(ended_by)] == name
     if not met or not has_end(int(outcome)):

@@ -32,7 +32,7 @@ QUICKLY = {
     "xla_backend_optimization_level": 0,
     "xla_llvm_disable_expensive_passes": True,
 }
-"""Options of XLA for what is computed at a few points only: compiling is all its time"""
+"""Options of XLA for programs that run at few points, where compilation dominates"""
 
 
 class FlownPoints(NamedTuple):
@@ -40,22 +40,22 @@ class FlownPoints(NamedTuple):
 
     plan: Plan
     lanes: Lane
-    """Stacked; each at the start of a step, or of a guidance cycle before its decision"""
+    """Stacked lanes, each at the start of a step, or of a cycle before its decision"""
     index: Float[np.ndarray, " points"]
     time: Float[np.ndarray, " points"]
     """s since the start"""
     span: float
-    """How far the index goes from the start of the flight to its end"""
+    """Change of the index from the start of the flight to its end, as a magnitude"""
     ended_by: str
     coordinates: tuple[str, ...]
-    """Names of the numbers of a lane that are differentiated: the time, then what moves,
-    then what a sampled law holds"""
+    """Names of the numbers of a lane that are differentiated: the time, the moving states,
+    and the values that a sampled law holds"""
 
 
 def fly_points(
     scenario: Scenario, index: AbstractIndex, points: int, solver: AbstractSolver
 ) -> FlownPoints:
-    """Fly a scenario, and keep points of the flight; see `linearize` for its errors."""
+    """Fly a scenario and store points of the flight; see `linearize` for its errors."""
     if points < 1:
         raise ValueError(f"points is {points}: it must be 1 or more")
     sampled = isinstance(scenario.law, AbstractSampledLaw)
@@ -68,7 +68,7 @@ def fly_points(
             f"the flight {Outcome(int(outcome)).message}: it has no linearization; fly it "
             "with a history and see where it fails"
         )
-    # The cycle that holds the end is not flown to its own.
+    # The cycle in which the flight ends is not complete.
     whole = int(flying) - sampled
     if whole < 1:
         raise ValueError(
@@ -82,7 +82,7 @@ def fly_points(
     if wrong.size:
         raise ValueError(
             f"{type(index).__name__} stands still or turns {time[wrong[0]]:g} s after the "
-            "start: deviations are compared at equal index, which must rise or fall "
+            "start: deviations are taken at equal index, which must rise or fall "
             "throughout, as TimeIndex does"
         )
     wanted = np.linspace(passed[0], passed[-2], points)
@@ -91,7 +91,7 @@ def fly_points(
     if np.unique(chosen).size < points:
         raise ValueError(
             f"points is {points}: the {whole} steps, or guidance cycles, of the flight are "
-            "too few for so many; ask for fewer"
+            "too few for so many; use fewer points"
         )
     lanes = jax.tree.map(lambda x: x[chosen], lanes)
     span = float(abs(passed[-1] - passed[0]))
@@ -120,7 +120,7 @@ def _flown(
 
 
 def _carried(lane: Lane):
-    """What deviates of a lane: a triple of trees."""
+    """The numbers of a lane that can deviate: a triple of trees."""
     return eqx.filter((lane.flown, lane.moving, lane.held), eqx.is_inexact_array)
 
 
@@ -129,7 +129,7 @@ def _flat(lane: Lane) -> Vector:
 
 
 def _coordinates(lanes: Lane) -> tuple[str, ...]:
-    """Names in the order of `_flat`, of stacked lanes."""
+    """Names of the numbers of stacked lanes, in the order of `_flat`."""
     _, moving, held = _carried(lanes)
     named = {a.removeprefix("state."): x for a, x in leaves_by_address(moving).items()}
     named |= {f"held.{a}".rstrip("."): x for a, x in leaves_by_address(held).items()}
@@ -141,23 +141,23 @@ def _coordinates(lanes: Lane) -> tuple[str, ...]:
 
 
 class LoopDerivatives(eqx.Module):
-    """Derivatives of a closed loop at points, over all that deviates."""
+    """Derivatives of a closed loop at points, with respect to all coordinates."""
 
     gradient: Float[Array, "*points n"]
-    """Of the index"""
+    """Derivatives of the index"""
     shares: Float[Array, "*points n"]
-    """Parts of the rate of the index that the rates of the coordinates make"""
+    """Contributions of the coordinates to the rate of the index"""
     derivative: Float[Array, "*points n n"]
-    """Of the rates per unit of the index that passes; for a law with a guidance cycle of
-    one cycle, up to the same index"""
+    """Derivatives of the rates per unit of the passed index. For a law with a guidance
+    cycle: derivatives of the map of one cycle, up to equal index"""
     way: Float[Array, "*points"]
-    """How far the index goes in the cycle"""
+    """Change of the index in the cycle, as a magnitude; 1 without cycles"""
     errors: Float[Array, "*points k n"]
-    """Of the errors that the law feeds back"""
+    """Derivatives of the errors that the law feeds back"""
     gradient_then: Float[Array, "*points n"]
-    """The gradient after the cycle; without cycles its rate per unit of the index"""
+    """`gradient` after the cycle; without cycles, its rate per unit of the index"""
     errors_then: Float[Array, "*points k n"]
-    """Likewise for the errors"""
+    """`errors` after the cycle; without cycles, their rate per unit of the index"""
 
 
 @functools.partial(kept, compiler_options=QUICKLY)
@@ -171,7 +171,7 @@ def loop_derivatives(
 def derivatives_at(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> LoopDerivatives:
-    """`loop_derivatives` within another program, which may differentiate them."""
+    """`loop_derivatives` for use in another program, which may differentiate the result."""
 
     def put(flat: Vector, lane: Lane) -> Lane:
         _, unravel = ravel_pytree(_carried(lane))
@@ -225,7 +225,7 @@ def derivatives_at(
                 gradient, gradient * rate, derivative, way, error, *then
             )
         pushed, after = jax.jacfwd(cycle, has_aux=True)(flat, lane)
-        # Who arrives ahead is brought back along the flow, to the same index.
+        # A deviation that arrives ahead is moved back along the flow, to equal index.
         there, rate = slope(after), flow(after)
         ahead = (there @ pushed) / (there @ rate)
         derivative = pushed - rate[:, None] * ahead[None, :]
@@ -238,25 +238,25 @@ def derivatives_at(
 
 
 class PlantDerivatives(eqx.Module):
-    """Derivatives of the motion under the flown controls, at points: at equal time."""
+    """Derivatives of the motion at points, at equal time, with the flown controls."""
 
     gradient: Float[Array, "*points n"]
-    """Of the index, over the state"""
+    """Derivatives of the index with respect to the state"""
     a: Float[Array, "*points n n"]
-    """Of the rates per unit of the index that passes, over the state"""
+    """Derivatives of the rates per unit of the passed index with respect to the state"""
     b: Float[Array, "*points n 2"]
-    """Of these rates, over angle of attack and bank"""
+    """Derivatives of these rates with respect to angle of attack and bank"""
     c: Float[Array, "*points m n"]
-    """Of the errors of the outputs that the law tracks, over the state"""
+    """Derivatives of the errors of the tracked outputs with respect to the state"""
     d: Float[Array, "*points m 2"]
-    """Of these errors, over angle of attack and bank"""
+    """Derivatives of these errors with respect to angle of attack and bank"""
 
 
 @functools.partial(kept, compiler_options=QUICKLY)
 def plant_derivatives(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> PlantDerivatives:
-    """Derivatives of the vehicle, from its controls to the outputs its law tracks."""
+    """Derivatives of the vehicle, from its controls to the outputs that its law tracks."""
     planet, vehicle, law = scenario.planet, scenario.vehicle, scenario.law
 
     def at(lane: Lane) -> PlantDerivatives:
@@ -302,7 +302,7 @@ def plant_derivatives(
 
 
 def what_is_tracked(scenario: Scenario, lanes: Lane) -> Tracked | None:
-    """What the law says that it tracks, without the values."""
+    """Structure of the errors that the law declares to track, without their values."""
 
     def tracked(lanes: Lane) -> Tracked | None:
         lane = jax.tree.map(lambda x: x[0], lanes)

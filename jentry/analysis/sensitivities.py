@@ -1,4 +1,4 @@
-"""Exact derivatives of what a flight gives, with respect to any of its numbers."""
+"""Exact derivatives of the outputs of a flight with respect to numbers of its scenario."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -25,13 +25,13 @@ class Sensitivity:
     """Outputs of one flight, and their Jacobian."""
 
     values: dict[str, np.ndarray]
-    """Outputs of the flight by their names"""
+    """Outputs of the flight by name"""
     jacobian: dict[str, dict[str, np.ndarray]]
-    """Derivatives by output and address, each of the shape of the output and then that of
-    the leaf"""
+    """Derivatives by output and address. Their shape is that of the output followed by that
+    of the leaf"""
     ended_by: str
-    """Name of the end condition, which the derivatives take to stay the one that ends
-    the flight"""
+    """Name of the end condition. The derivatives assume that the same condition ends the
+    flight"""
 
 
 @needs_float64
@@ -47,23 +47,25 @@ def sensitivity(
 ) -> Sensitivity:
     """Jacobian of flight outputs with respect to leaves of the scenario.
 
-    Exact for the flight as it is computed, its end included: commands that are clipped
-    stay clipped, decisions that were taken stay taken. So it is the slope between the jumps
-    of a law that decides in cycles: where the phase of the last cycle makes a sawtooth of
-    an output, as with the altitude and the path angle that `cav-h` arrives with, it is that
-    of one tooth, and no guide to a change across several. At a corner, as of two
-    end conditions that are met at once, it is that of one side, `ended_by`. How an output
-    changes in the mean tells `linear_covariance(..., mode="difference")`. A target
-    that is a place stays where it is when the start moves; one that is a range moves along.
+    The Jacobian is exact for the computed flight, including its end. Clipped commands stay
+    clipped, and decisions do not change. For a law with a guidance cycle it is therefore
+    the slope between two jumps. Where the phase of the last cycle makes an output a
+    sawtooth function, as for the final altitude and flight-path angle of `cav-h`, it is the
+    slope of one tooth, and does not predict changes across several teeth. Where two end
+    conditions are met at once, it is the slope on the side of `ended_by`. For the mean
+    change of an output use `linear_covariance(..., mode="difference")`. If the initial
+    state changes, a target that is a place stays fixed, and a target that is a range moves
+    with it.
 
     **Arguments:**
 
-    - `outputs`: a function of scenario and flight, such as `misses`; of any structure.
-    - `wrt`: lens to the leaves, of any shape; the initial state if not given.
-    - `history`: interval (s) of the flight's history, if the outputs look at it.
-    - `mode`: "forward" or "reverse"; by the number of leaves if not given.
-    - `inputs`: in place of `wrt`, values of leaves by address, such as those of one run of
-      a campaign: the derivatives are with respect to these, at these.
+    - `outputs`: function of scenario and flight, such as `misses`, that returns numbers in
+      any structure.
+    - `wrt`: lens to the leaves, of any shape; None for the initial state.
+    - `history`: interval (s) of the history of the flight, if the outputs use it.
+    - `mode`: "forward" or "reverse"; None chooses by the number of leaves.
+    - `inputs`: instead of `wrt`, values of leaves by address, such as those of one run of a
+      campaign. The derivatives are with respect to these leaves, at these values.
 
     **Raises:** `ValueError` for a lens that reaches no leaf, a leaf without effect, and a
     flight or a derivative that is not finite.
@@ -110,7 +112,7 @@ def sensitivity(
             if not np.all(np.isfinite(slope)):
                 raise ValueError(
                     f"the derivative of {named(name)} to {address} is not finite: the "
-                    "output may have none there, as a distance has not at zero"
+                    "output may have none there, like a distance at zero"
                 )
     return Sensitivity(
         values={named(n): np.asarray(value) for n, value in by_output.items()},
@@ -123,7 +125,7 @@ def sensitivity(
 
 
 def named(address: str) -> str:
-    """Outputs by name; one number without a name of its own is called "output"."""
+    """Name of an output from its address; a single number without a name is "output"."""
     return address or "output"
 
 

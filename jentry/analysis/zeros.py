@@ -1,14 +1,14 @@
-"""Transmission zeros of a linear system: what no feedback can move."""
+"""Transmission zeros of a linear system, which no feedback can move."""
 
 import numpy as np
 from jaxtyping import Complex
 
 
 _RANK = 1e-9
-"""Of rows that are scaled to one: below it an input has no effect on an output"""
+"""Singular value, for rows of size one, below which an input has no effect on an output"""
 
 _BALANCING = 20
-"""Rounds; each brings the rows and columns closer to equal size"""
+"""Number of rounds of balancing, each of which makes rows and columns more equal in size"""
 
 
 def transmission_zeros(
@@ -16,18 +16,21 @@ def transmission_zeros(
 ) -> Complex[np.ndarray, " zeros"] | None:
     """Finite zeros of x' = a x + b u, y = c x + d u, with as many outputs as inputs.
 
-    The numbers s at which the matrix of Rosenbrock, [[a - s I, b], [c, d]], is singular.
-    They are the eigenvalues of the motion that is left when the inputs hold all outputs at
-    zero. High gains drive the eigenvalues of a closed loop into them: with a positive real
-    part it then diverges. States that no output depends on count as zeros too.
+    The zeros are the numbers s at which the Rosenbrock matrix, [[a - s I, b], [c, d]], is
+    singular. They are the eigenvalues of the motion that remains when the inputs hold all
+    outputs at zero. High gains drive the eigenvalues of a closed loop into the zeros; if a
+    zero has a positive real part, the loop then diverges. States on which no output depends
+    count as zeros too.
 
-    Each output is differentiated until the inputs appear, which leaves no infinite zeros
-    to be told from large ones: A. Emami-Naeini and P. Van Dooren, "Computation of Zeros of
-    Linear Multivariable Systems", Automatica 18(4), 1982. None if the matrix is singular at
-    all s: two inputs do the same, or an input does nothing.
+    Each output is differentiated until the inputs appear, so that there are no infinite
+    zeros to separate from large ones: A. Emami-Naeini and P. Van Dooren, "Computation of
+    Zeros of Linear Multivariable Systems", Automatica 18(4), 1982.
 
-    **Raises:** `ValueError` for matrices that do not fit together, are not finite or have
-    another number of outputs than of inputs.
+    **Returns:** the zeros. None if the matrix is singular at all s: two inputs have the
+    same effect, or an input has no effect.
+
+    **Raises:** `ValueError` for matrices that do not fit together or are not finite, and if
+    the numbers of outputs and inputs differ.
     """
     n, m = np.shape(b)
     shapes = [np.shape(x) for x in (a, c, d)]
@@ -55,8 +58,8 @@ def transmission_zeros(
         silent = c[rank:]
         if np.linalg.matrix_rank(silent, _RANK) < len(silent):
             return None
-        # Held at zero, they leave the states of their null space; their rates, which are
-        # those of the other states, are the next outputs.
+        # If these are held at zero, the states in their null space remain. Their rates,
+        # which are those of the other states, are the next outputs.
         _, _, right = np.linalg.svd(silent)
         fixed, free = right[: len(silent)], right[len(silent) :]
         c = np.vstack([c[:rank], fixed @ a]) @ free.T
@@ -69,11 +72,11 @@ def _parts(system: np.ndarray, n: int) -> tuple[np.ndarray, ...]:
 
 
 def _balanced(system: np.ndarray, n: int) -> np.ndarray:
-    """The same system in other units of states, inputs and outputs, with equal numbers.
+    """The system in units of states, inputs and outputs that balance its numbers.
 
-    The unit of a state divides its row and multiplies its column: it is such that both are
-    of equal size, E. E. Osborne, "On Pre-Conditioning of Matrices", Journal of the ACM
-    7(4), 1960. The units of outputs and inputs make their rows and columns of size one.
+    The unit of a state divides its row and multiplies its column. It is chosen so that both
+    have equal size: E. E. Osborne, "On Pre-Conditioning of Matrices", Journal of the ACM
+    7(4), 1960. The units of outputs and inputs give their rows and columns size one.
     """
     system = np.array(system, float)
     for _ in range(_BALANCING):
@@ -85,7 +88,7 @@ def _balanced(system: np.ndarray, n: int) -> np.ndarray:
                 unit = np.sqrt(row / column)
                 system[i] /= unit
                 system[:, i] *= unit
-            elif i >= n:  # an output is a row of its own and an input a column
+            elif i >= n:  # an output has its own row, and an input its own column
                 row = np.linalg.norm(system[i])
                 system[i] /= row if row > 0.0 else 1.0
                 column = np.linalg.norm(system[:, i])

@@ -1,4 +1,4 @@
-"""Floor 6: dispersions, Monte Carlo, storage."""
+"""Floor 6: dispersions, Monte Carlo campaigns and their storage."""
 
 from .campaign import Campaign as Campaign, monte_carlo as monte_carlo
 from .cluster import Cluster as Cluster
@@ -31,3 +31,7 @@ from .samplers import (
     Sobol as Sobol,
 )
 from .store import open_campaign as open_campaign, run_campaign as run_campaign
+from .trajectory_files import (
+    write_trajectories as write_trajectories,
+    write_trajectory as write_trajectory,
+)

@@ -10,5 +10,5 @@ with leaving_at_once():
 
 
 def process() -> NoReturn:
-    """The process of the command."""
+    """Run the command as a process of its own."""
     as_process(main)

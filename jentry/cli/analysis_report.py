@@ -1,4 +1,4 @@
-"""What `jentry sensitivity` prints: derivatives, and spreads beside flown ones."""
+"""Tables of `jentry sensitivity`: derivatives; predicted and flown spreads."""
 
 from typing import Any
 
@@ -17,15 +17,15 @@ from .tables import new_console, new_table, print_under
 _UNITS = units_of(Misses)
 
 _SIDE_BY_SIDE = 3
-"""Misses whose effects fit beside one another"""
+"""Number of misses whose effects fit side by side"""
 
 
 _HOLDS_WITHIN = 0.1
-"""Of the flown standard deviation"""
+"""Share of the flown standard deviation within which a prediction holds"""
 
 
 def print_sensitivity(scenario: Scenario, found: Sensitivity) -> None:
-    """The Jacobian, in SI units."""
+    """Print the Jacobian in SI units."""
     outputs = [name for name in found.values if _is_shown(scenario, name)]
     table = new_table("d(output) / d(leaf), SI", "unit", *outputs)
     for address in next(iter(found.jacobian.values())):
@@ -45,7 +45,7 @@ def _is_shown(scenario: Scenario, output: str) -> bool:
 def print_covariance(
     scenario: Scenario, analysis: LinearCovariance, factor: float
 ) -> None:
-    """Predicted beside flown spreads, and how linear each dispersion is."""
+    """Print predicted and flown spreads, and how linear each dispersion acts."""
     console = new_console()
     outputs = [name for name in analysis.spreads if _is_shown(scenario, name)]
     table = new_table(
@@ -82,7 +82,7 @@ def print_covariance(
         console.print(f"runs not finite or without an end, left out: {analysis.failed}")
     for name, share in analysis.without_model.items():
         console.print(
-            f"NOTHING is predicted of the flights that end by {name}, {share:.1%}: the "
+            f"NOTHING is predicted for the flights that end by {name}, {share:.1%}: the "
             "nominal flight does not meet it"
         )
     for few in (

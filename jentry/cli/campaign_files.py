@@ -1,4 +1,4 @@
-"""What is written beside the runs of a campaign: summary, page, figures, acceptance."""
+"""Files beside the runs of a campaign: summary, page, figures, acceptance."""
 
 import json
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ _DIGEST = "campaign_digest"
 JSON, CSV, PAGE = "summary.json", "summary.csv", "report.html"
 
 ACCEPTANCE = "until-decided.json"
-"""File that says that runs were added until requirements were decided"""
+"""File of a campaign whose runs were added until requirements were decided"""
 
 
 def write_summary(folder: Path, summary: Summary) -> None:
@@ -37,7 +37,7 @@ def write_summary(folder: Path, summary: Summary) -> None:
 def write_page(
     folder: Path, title: str, summary: Summary, drawn: Sequence[Path]
 ) -> Path:
-    """Write `report.html`, with the figures that have been drawn of the same runs."""
+    """Write `report.html` with those of the drawn figures that are png files."""
     images = sorted(path for path in drawn if path.suffix == ".png")
     figures = {path.stem: path.read_bytes() for path in images}
     write_whole(folder / PAGE, page_of(title, summary, figures).encode())
@@ -52,8 +52,8 @@ def write_figures(
     flown: "xarray.Dataset | None",
     formats: Sequence[str],
 ) -> list[Path]:
-    """Draw the figures, and remove those of another time that are not among them."""
-    # Always as png too, of which the page is made.
+    """Draw the figures, and remove older figures that are not among them."""
+    # Always as png too: the page contains png figures.
     kinds = dict.fromkeys((*formats, "png"))
     paths = draw_figures(folder, mission, scenario, results, flown, list(kinds))
     for kind in FORMATS:
@@ -66,9 +66,9 @@ def write_figures(
 def note_until_decided(
     folder: Path, requirements: Sequence[Requirement], campaign: str
 ) -> None:
-    """Keep in a campaign's folder what decided how many runs it has.
+    """Store the requirements that decided how many runs a campaign has.
 
-    With the digest of the campaign, of which alone it is true.
+    The file has the digest of the campaign, since it holds for no other.
     """
     contents = {
         "requirements": [requirement.text for requirement in requirements],
@@ -78,9 +78,11 @@ def note_until_decided(
 
 
 def decided_by(folder: Path, campaign: str) -> list[Requirement] | None:
-    """What decided how many runs the campaign of a digest has; None where nothing did.
+    """Requirements that decided how many runs a campaign has; None if there are none.
 
-    Raises `CampaignError` for a file that cannot be read.
+    `campaign` is its digest.
+
+    **Raises:** `CampaignError` for a file that cannot be read.
     """
     path = folder / ACCEPTANCE
     if not path.exists():

@@ -1,4 +1,4 @@
-"""What the commands print of a campaign."""
+"""Tables and lines that the commands print about a campaign."""
 
 from collections.abc import Iterator, Sequence
 
@@ -22,7 +22,7 @@ from .tables import in_digits, new_console, new_table, print_in_pieces, print_un
 
 
 SETS = 16
-"""Of the size of the paper's, at least, beside a published value"""
+"""Least number of sets, each of the paper's size, to compare with a published value"""
 
 
 def print_campaign(
@@ -32,10 +32,10 @@ def print_campaign(
     summary: Summary | None = None,
     full: bool = False,
 ) -> None:
-    """A summary of the runs, whole if `full`, and the published values beside ours.
+    """Print a summary of the runs, all of it if `full`, and compare published values.
 
-    These are shown where the campaign is as published and has enough sets of their size;
-    else it is said what they are of.
+    Published values are compared if the campaign is as published and has enough sets of
+    the published size. Otherwise a line describes the published campaign.
     """
     summary = summarize(results) if summary is None else summary
     print_summary(mission.name, summary, aims_of(mission), full)
@@ -50,15 +50,15 @@ def print_campaign(
         )
     elif results.sizes["run"] < SETS * size:
         console.print(
-            f"published values are of {size} runs, and other {size} have other "
-            f"statistics: --runs {SETS * size} compares them with {SETS} sets"
+            f"published values are of {size} runs, and statistics vary from one set of "
+            f"{size} runs to another: --runs {SETS * size} compares them with {SETS} sets"
         )
     else:
         _print_published(console, mission, results)
 
 
 def aims_of(mission: Mission) -> list[str]:
-    """Names in results of what a mission is tuned for beside its misses."""
+    """Names in results of the peaks that a mission is tuned for besides its misses."""
     names = (scale.partition("=")[0].strip() for scale in mission.tuned_for)
     return [peak_of(name) for name in names]
 
@@ -66,10 +66,11 @@ def aims_of(mission: Mission) -> list[str]:
 def print_summary(
     name: str, summary: Summary, aims: Sequence[str] = (), full: bool = False
 ) -> None:
-    """Outcomes, caveats, what is aimed at and limited, acceptance.
+    """Print outcomes, caveats, errors and limited quantities, and acceptance.
 
-    If `full` all statistics with their intervals, limits and circular errors. `aims` are
-    peaks that count beside misses and limits.
+    With `full`, print all statistics with their intervals, all limits, and circular
+    errors. `aims` are further peaks in the short table, beside errors and limited
+    quantities.
     """
     console = new_console()
     _print_solver(console, summary)
@@ -94,7 +95,7 @@ def print_summary(
 
 
 def _print_solver(console: Console, summary: Summary) -> None:
-    """Steps that are not the mission's own, which change its numbers."""
+    """Print a solver that is not the mission's own: it changes the numbers."""
     solver = summary.campaign.get("solver")
     if solver not in (None, repr(FixedStep())):
         console.print(f"flown with {solver}, not with the mission's own steps")
@@ -103,7 +104,7 @@ def _print_solver(console: Console, summary: Summary) -> None:
 def told_first(summary: Summary, kept_limits: bool = True) -> Iterator[str]:
     """Lines about how the runs ended, how many exceed a limit, and caveats.
 
-    Limits that no flight exceeds have a line with `kept_limits` alone.
+    A limit that no flight exceeds has a line only with `kept_limits`.
     """
     for outcome, (runs, left_out) in summary.outcomes.items():
         line = f"{runs} of {summary.runs} runs {outcome.message}"
@@ -123,17 +124,17 @@ def told_first(summary: Summary, kept_limits: bool = True) -> Iterator[str]:
 
 
 _STILL = 1e-6
-"""SI unit; what differs by less from run to run cannot vary, as the crossrange of a
-flight in a plane"""
+"""SI unit; a quantity with a smaller range over the runs counts as constant, such as the
+crossrange of a flight in a plane"""
 
 _SHOWN = 50.0, 95.0, 99.0
-"""Percentiles of the short table, if no others are asked for"""
+"""Percentiles of the short table, if no others are requested"""
 
 
 def _print_aims(
     console: Console, name: str, summary: Summary, aims: Sequence[str]
 ) -> None:
-    """One table of what flights aim at and what they are kept below, 100 columns wide."""
+    """Print one table of errors and limited quantities, 100 columns wide."""
     signed = {each.name: each for each in summary.statistics if not each.magnitude}
     sizes = {each.name: each for each in summary.statistics if each.magnitude}
     limits = {limit.name: limit.beyond for limit in summary.limits}
@@ -181,7 +182,7 @@ def _print_aims(
 
 
 def _short(number: float) -> str:
-    """In three or four digits, and not more than eight characters of a usual number."""
+    """A number in three or four digits, in at most eight characters if it is usual."""
     size = abs(number)
     if np.isnan(number):
         return "-"
@@ -267,7 +268,7 @@ def _print_verdicts(console: Console, verdicts: list[Verdict]) -> None:
             f"< {verdict.bound:.3g}",
         )
     how = (
-        "sequential, at whatever number of runs one looks"
+        "sequential, valid at whatever number of runs it is evaluated"
         if verdicts[0].sequential
         else "by order statistics, for a number of runs that was chosen beforehand"
     )
@@ -286,14 +287,14 @@ def _print_verdicts(console: Console, verdicts: list[Verdict]) -> None:
 
 
 def _more(verdict: Verdict) -> str:
-    """How many more runs it takes."""
+    """Text about how many more runs a decision takes."""
     if verdict.more_runs is None:
-        return "no number of runs that can be told would pass"
+        return "no number of runs that can be computed would pass"
     line = f"passes with {verdict.more_runs} more runs if none of them fails"
     if verdict.failures:
         at_rate = verdict.more_runs_at_this_rate
         line += (
-            "; at this rate of failures never"
+            "; never at this rate of failures"
             if at_rate is None
             else f", with {at_rate} more at this rate of failures"
         )
@@ -320,6 +321,6 @@ def _print_published(console: Console, mission: Mission, results) -> None:
     title = f"{len(sets)} sets of {size} runs against {mission.published_note}"
     print_under(console, title, table)
     console.print(
-        "deviations: how many of the standard deviations of a set the published value "
-        "lies above the mean of the sets"
+        "deviations: published value minus the mean of the sets, in standard deviations "
+        "of a set"
     )

@@ -1,4 +1,4 @@
-"""`jentry compare`: campaigns beside one another, on the same draws."""
+"""`jentry compare`: several campaigns, compared on the same draws."""
 
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +11,7 @@ from .options import (
     ClusterAt,
     Dispersions,
     Fast,
+    Json,
     Quiet,
     Set,
     Step,
@@ -18,6 +19,7 @@ from .options import (
     World,
     app,
     flying_at,
+    import_meanwhile,
     set_up,
 )
 
@@ -27,14 +29,14 @@ def command(
     what: Annotated[
         list[str],
         typer.Argument(
-            help="Folders of two or more stored campaigns; or a mission, of which laws "
-            "or configurations are flown on the same draws."
+            help="Folders of two or more stored campaigns; or a mission, whose laws or "
+            "configurations are flown on the same draws."
         ),
     ],
     law: Annotated[
         list[str] | None,
         typer.Option(
-            help="Guidance law of the mission that is flown. Repeated; `all` for all."
+            help="Guidance law of the mission to fly. May be repeated; `all` for all."
         ),
     ] = None,
     case: Case = None,
@@ -44,20 +46,20 @@ def command(
         typer.Option(
             exists=True,
             dir_okay=False,
-            help="Configuration of the mission that is flown, such as tuned gains. "
-            "Repeated.",
+            help="Configuration of the mission to fly, such as tuned gains. May be "
+            "repeated.",
         ),
     ] = None,
     runs: Annotated[
         int | None,
         typer.Option(
-            help="Of each that is flown, 1000 if not given; the first so many of stored "
-            "campaigns, all if not given."
+            help="Runs of each campaign: flown, 1000 if not given; or the first runs of "
+            "stored campaigns, all if not given."
         ),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(help="Of the draws, the same for all; 0 if not given."),
+        typer.Option(help="Seed of the draws, common to all; 0 if not given."),
     ] = None,
     dispersions: Dispersions = None,
     set_: Set = None,
@@ -65,46 +67,45 @@ def command(
     outputs: Annotated[
         str | None,
         typer.Option(
-            help="What is compared, with commas, such as downrange_error,peak_heat_rate; "
-            "in the table miss distance and errors if not given, and all outputs in the "
-            "differences."
+            help="Outputs to compare, separated by commas, such as "
+            "downrange_error,peak_heat_rate. If not given, the table has the miss distance "
+            "and the errors, and the differences have all outputs."
         ),
     ] = None,
     percentiles: Annotated[
         str | None,
         typer.Option(
-            help="Percentiles of the table, with commas; 50, 95 and 99 if not given."
+            help="Percentiles of the table, separated by commas; 50, 95 and 99 if not "
+            "given."
         ),
     ] = None,
     all_pairs: Annotated[
         bool,
         typer.Option(
             "--all-pairs",
-            help="Differences of each from each, not from the first alone.",
+            help="Differences between all pairs, not only from the first.",
         ),
     ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
             file_okay=False,
-            help="Folder of what is flown, of the numbers and of the figure; "
-            "results/MISSION-compared if not given, and no files of stored campaigns.",
+            help="Folder for the flown campaigns, the numbers and the figure. If not "
+            "given: results/MISSION-compared, and no files for stored campaigns.",
         ),
     ] = None,
-    json: Annotated[
-        bool,
-        typer.Option("--json", help="Print all of it as JSON, and nothing else."),
-    ] = False,
+    json: Json = False,
     quiet: Quiet = False,
     workers: Workers = None,
     cluster: ClusterAt = None,
     fast: Fast = False,
 ) -> None:
-    """Compare campaigns run by run: what one law or gain set changes.
+    """Compare campaigns run by run: the effect of another law or of other gains.
 
-    One table has a row for each; the differences are those from the first.
+    One table has a row for each campaign; the differences are those from the first.
     """
     set_up(workers, fast)
+    import_meanwhile("scipy.stats")
     from ..campaign.store import open_campaign
     from ..statistics.alternatives import PERCENTILES, alternatives_of
     from .compare_report import (
@@ -113,12 +114,12 @@ def command(
         stored_entries,
         write_files,
     )
-    from .report_choices import chosen_percentiles, refuse_both
+    from .report_choices import chosen_percentiles, refuse_both, require_runs
 
     refuse_both(json, quiet)
     percentages = chosen_percentiles(percentiles, PERCENTILES)
     names = None
-    if outputs is not None:  # as the table has them, or as they are called in results
+    if outputs is not None:  # names of the table or of the results
         names = [
             name.strip().strip("|").replace(" ", "_") for name in outputs.split(",")
         ]
@@ -158,12 +159,9 @@ def command(
         name: open_campaign(path, limit) for name, (path, limit) in entries.items()
     }
     for name, results in campaigns.items():
-        if runs is not None and results.sizes["run"] < runs:
-            raise ValueError(
-                f"--runs is {runs}, and {name} has {results.sizes['run']}: give no more"
-            )
+        require_runs(runs, results.sizes["run"], name)
     found = alternatives_of(campaigns, names, percentages, all_pairs=all_pairs)
-    # Before anything is printed, which somebody may cut off.
+    # Written before anything is printed: whoever reads the output may close it.
     paths = [] if folder is None else write_files(folder, campaigns, found)
     if json:
         typer.echo(found.as_json(), nl=False)

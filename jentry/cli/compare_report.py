@@ -1,4 +1,4 @@
-"""What `jentry compare` flies, prints and draws."""
+"""Flights, tables and files of `jentry compare`."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -20,6 +20,7 @@ from ..statistics.intervals import CONFIDENCE, Interval
 from .options import (
     chosen_scenario,
     dispersion_table,
+    folder_of_results,
     refuse_set_in_vain,
 )
 from .progress import reported
@@ -31,11 +32,11 @@ if TYPE_CHECKING:
 
 
 Entries = dict[str, tuple[Path, int | None]]
-"""Folder of each campaign and how many of its runs count, by what it is called"""
+"""By the name of a campaign: its folder, and how many of its runs count, None for all"""
 
 
 def stored_entries(folders: Sequence[str], runs: int | None = None) -> Entries:
-    """Stored campaigns by the names of their folders, all runs or the first of them."""
+    """Stored campaigns by the names of their folders; their first `runs`, or all."""
     if len(folders) < 2:
         raise ValueError("a comparison takes two campaigns or more: give their folders")
     paths = [Path(folder) for folder in folders]
@@ -62,9 +63,9 @@ def fly_entries(
     outputs: Sequence[str] | None,
     look: Callable[[], None],
 ) -> tuple[Entries, Path]:
-    """Fly laws and configurations of a mission on the same draws, each in a folder.
+    """Fly laws and configurations of a mission on the same draws, each into a folder.
 
-    `where` are the case and the worlds of all of them.
+    `where` is the case and the worlds, common to all.
     """
     if "all" in laws:
         laws = [*find_mission(mission).laws]
@@ -83,7 +84,7 @@ def fly_entries(
         raise ValueError(f"{', '.join(names)}: two have the same name; rename a file")
     prepared = []
     for name, law, config in choices:
-        # All of them before the first is flown.
+        # Prepare all before the first is flown: errors come at once.
         try:
             chosen, scenario, overrides = chosen_scenario(
                 mission, (law, *where), config, assignments
@@ -99,7 +100,7 @@ def fly_entries(
         for output in outputs or ():
             if output not in known:
                 raise ValueError(no_output(name, output, known))
-    folder = out or Path("results") / f"{prepared[0][1].name}-compared"
+    folder = folder_of_results(out, f"{prepared[0][1].name}-compared")
     solver = FixedStep(step)
     for name, _, scenario, table, labels in prepared:
         with reported(runs, quiet) as told:
@@ -120,18 +121,18 @@ def fly_entries(
                     **labels,
                 )
             except ValueError as error:
-                raise ValueError(f"{name} does not fit: {error}") from None
+                raise ValueError(f"{name} cannot be flown: {error}") from None
     return {name: (folder / name, runs) for name in names}, folder
 
 
 def print_alternatives(found: Alternatives) -> None:
-    """One table with a row for each campaign, how they failed, and the differences."""
+    """Print a table with a row for each campaign, the failures, and the differences."""
     _print_rows(found)
     for (one, other), comparison in found.differences.items():
         _print_comparison(one, other, comparison)
     console = new_console()
     for (one, other), why in found.untold.items():
-        console.print(f"{other} less {one} is not told: {why}")
+        console.print(f"{other} less {one} is not known: {why}")
 
 
 def _print_rows(found: Alternatives) -> None:
@@ -169,9 +170,9 @@ def _print_rows(found: Alternatives) -> None:
     lost = [f"{row.not_finite} of {row.name}" for row in found.rows if row.not_finite]
     if lost:
         console.print(
-            f"not finite, or without an end: {', '.join(lost)}; in the percentiles they "
-            f"count as larger than any number, and {_LOST!r} is a percentile among them; "
-            "maxima are of the others"
+            f"not finite, or without an end: {', '.join(lost)}. Percentiles count them as "
+            f"larger than any number, and show {_LOST!r} where one of them is the "
+            "percentile. Maxima are of the other runs"
         )
 
 
@@ -179,7 +180,7 @@ _LOST = "no end"
 
 
 def _print_comparison(first: str, second: str, found: Comparison) -> None:
-    """The differences of the second from the first, with their intervals."""
+    """Print the second campaign minus the first, with intervals."""
     console = new_console()
     heads = [
         *("", "unit", f"mean, {first}", f"mean, {second}", "difference"),
@@ -207,22 +208,21 @@ def _print_comparison(first: str, second: str, found: Comparison) -> None:
     title = f"{second} less {first}: {kind}, since {found.why}"
     print_in_pieces(console, title, heads, rows, repeated=2)
     console.print(
-        f"in brackets: intervals of {CONFIDENCE:.0%}, by bootstrap; those without zero "
-        "tell a difference; - with too few runs. Of equal values half are smaller"
+        f"in brackets: intervals of {CONFIDENCE:.0%}, by bootstrap; an interval without "
+        "zero shows a difference; - with too few runs. Half of equal values count as "
+        "smaller"
     )
     if found.beyond:
-        console.print(
-            f"{found.beyond} runs that one of them alone has are not compared"
-        )
+        console.print(f"{found.beyond} runs that only one of them has are not compared")
     if found.spread:
         console.print(
-            "runs that a sampler spreads evenly repeat themselves better than these "
+            "a sampler spreads the runs evenly: statistics repeat better than these "
             "intervals say"
         )
     if found.left_out:
         console.print(f"{found.left_out} left out: not finite, or without an end")
     if found.only_one:
-        console.print(f"of one of them alone: {', '.join(found.only_one)}")
+        console.print(f"outputs of only one of them: {', '.join(found.only_one)}")
 
 
 def _told(interval: Interval, size: float) -> str:
@@ -238,7 +238,7 @@ def _share(share: Interval) -> str:
 def write_files(
     folder: Path, campaigns: "Mapping[str, xarray.Dataset]", found: Alternatives
 ) -> list[Path]:
-    """Write all numbers as JSON and the rows as csv, and draw the first of the outputs."""
+    """Write all numbers as JSON, the rows as csv, and a figure of the first outputs."""
     names = [output.name for output in found.outputs]
     if found.same_draws:
         shared = shared_runs(campaigns)

@@ -1,4 +1,4 @@
-"""What the commands print of the dispersions that are flown."""
+"""Tables of the dispersions of a command."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -23,7 +23,7 @@ from .tables import new_console, new_table, print_under
 
 
 _LISTED = 6
-"""Numbers of a table that are printed"""
+"""Most numbers of a leaf that are all printed"""
 
 _HOW: dict[Any, str] = {
     replace: "in place of",
@@ -38,9 +38,9 @@ def print_dispersions(
     dispersions: Mapping[str, Dispersion],
     before: Mapping[str, Dispersion] | None = None,
 ) -> None:
-    """Name, distribution, unit and leaves of each; in SI.
+    """Print name, distribution, unit and leaves of each dispersion, in SI.
 
-    Those that are other than `before`, if that is given, are said to be.
+    If `before` is given, a column marks the dispersions that differ from it.
     """
     columns = ["dispersion", "drawn", "unit", "", "leaves"]
     table = new_table(*columns, *([] if before is None else ["--config"]))
@@ -71,7 +71,7 @@ def print_what_is_flown(
     reading: str,
     dispersions: Mapping[str, Dispersion],
 ) -> None:
-    """The name of the reading, or all dispersions where a file has changed some."""
+    """Print the name of the mission's dispersions, or a table if a file changes some."""
     if overrides.dispersions is None:
         new_console().print(f"dispersions: {reading}, see jentry show")
         return
@@ -91,6 +91,6 @@ def _in_words(distribution: AbstractDistribution) -> str:
 
 
 def _listed(numbers: Any) -> str:
-    """One number, or those of a table; of a long one, the ends."""
+    """Text of a number or of a table; a long table is shortened to its ends."""
     flat = [f"{x:.6g}" for x in np.ravel(numbers)]
     return " ".join(flat if len(flat) <= _LISTED else [*flat[:2], "...", flat[-1]])

@@ -1,4 +1,4 @@
-"""How the command ends: by an error, by Ctrl-C, by an output that nobody reads."""
+"""How the command ends: by an error, by Ctrl-C, or by an output that is closed."""
 
 import contextlib
 import io
@@ -12,23 +12,23 @@ from typing import NoReturn
 
 
 def fail(message: str, code: int) -> NoReturn:
-    """Say why in one line, and end with an exit code."""
+    """Print an error in one line, and end with an exit code."""
     print(f"jentry: {message}", file=sys.stderr)
     sys.exit(code)
 
 
 def open_streams() -> None:
-    """Make what is printed arrive as far as it can, whatever the terminal knows."""
+    """Let every text be printed, also on a closed stream or in another encoding."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
-        if stream is None:  # closed by who started the process
+        if stream is None:  # the parent process closed it
             setattr(sys, name, open(os.devnull, "w"))
         elif isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def forget_output() -> None:
-    """Keep Python from writing, as it ends, what could not be written."""
+    """Drop unwritten output, which Python would try to write again as it ends."""
     with contextlib.suppress(OSError, ValueError):
         nothing = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nothing, sys.stdout.fileno())
@@ -38,8 +38,9 @@ def forget_output() -> None:
 def as_process(run: Callable[[], None]) -> NoReturn:
     """Run a command, and end the process with its exit code.
 
-    Python would take apart first what JAX has built, which takes up to a second, and must
-    not be done while a thread still computes. All files have been written by then.
+    The process ends without Python's own shutdown. That would take up to a second to
+    destroy what JAX has built, and must not happen while a thread still computes. All
+    files have been written by then.
     """
     code: int | str | None = 0
     try:
@@ -62,13 +63,13 @@ def _leave(number, frame) -> NoReturn:
 
 @contextlib.contextmanager
 def leaving_at_once() -> Iterator[None]:
-    """Ctrl-C ends the process there and then.
+    """Context in which Ctrl-C ends the process immediately.
 
-    An exception in the middle of an import or of a callback would be a traceback, or
-    lost. What is written is written whole or not at all, so nothing has to be put right.
+    An exception in the middle of an import or of a callback would print a traceback or be
+    lost. Files are written whole or not at all, so nothing has to be repaired.
     """
     if threading.current_thread() is not threading.main_thread():
-        yield  # which has no say in signals
+        yield  # only the main thread handles signals
         return
     before = signal.signal(signal.SIGINT, _leave)
     try:
@@ -79,10 +80,10 @@ def leaving_at_once() -> Iterator[None]:
 
 @contextlib.contextmanager
 def rounding_off(advice: str) -> Iterator[Callable[[], None]]:
-    """Ctrl-C ends what is done here with a word of advice.
+    """Context in which Ctrl-C ends the command and prints advice.
 
-    Gives a function to be called now and then: it notices an interruption that was lost
-    where Python cannot pass exceptions on, in a callback of JAX.
+    It yields a function to call regularly. The function raises an interruption that was
+    lost where Python cannot pass exceptions on, in a callback of JAX.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
@@ -99,7 +100,7 @@ def rounding_off(advice: str) -> Iterator[Callable[[], None]]:
             raise KeyboardInterrupt
 
     def not_passed_on(lost, hook=sys.unraisablehook):
-        # What the interruption has torn, such as a half-written file, may fail to close.
+        # An interrupted object, such as a half-written file, may fail to close.
         if not pressed and not isinstance(lost.exc_value, KeyboardInterrupt):
             hook(lost)
 
@@ -112,7 +113,7 @@ def rounding_off(advice: str) -> Iterator[Callable[[], None]]:
         traceback.clear_frames(interruption.__traceback__)
         fail(f"interrupted; {advice}", 130)
     except Exception as error:
-        if pressed:  # what JAX has made of it
+        if pressed:  # JAX has made another exception of the interruption
             traceback.clear_frames(error.__traceback__)
             fail(f"interrupted; {advice}", 130)
         raise

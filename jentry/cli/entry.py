@@ -1,4 +1,4 @@
-"""The command `jentry`: its entry point, and what becomes of errors."""
+"""The command `jentry`: its entry point, and how errors are reported."""
 
 import errno
 import gc
@@ -50,18 +50,18 @@ def options(
 
 
 def main() -> None:
-    """Run the command; errors that a person can act on are one line, without a traceback.
+    """Run the command. An error that a user can act on is one line, without a traceback.
 
-    Exit codes: 0 done, 1 whoever read the output has left, 2 wrong input, 3 results that
-    cannot be used, 4 the machine (no space, no permission, no memory, a cluster that is
-    not there or lost), 5 a requirement fails, 6 the runs are not enough to judge one, 130
-    interrupted.
+    Exit codes: 0 done, 1 the reader of the output has closed it, 2 wrong input, 3 results
+    that cannot be used, 4 the machine (no space, no permission, no memory, a cluster that
+    is not there or lost), 5 a requirement fails, 6 the runs are too few to judge a
+    requirement, 130 interrupted.
     """
-    # Tracing makes many objects and little rubbish: look for it less often.
+    # Tracing makes many objects and little garbage: collect it less often.
     gc.set_threshold(100_000)
     open_streams()
     with leaving_at_once(), warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResultWarning)  # it is printed
+        warnings.simplefilter("ignore", ResultWarning)  # its text is printed
         _run()
 
 
@@ -82,8 +82,8 @@ def _run() -> None:
 
 
 def _explained(error: Exception) -> tuple[int, str]:
-    """Exit code and words for what a person can act on; raises all else again."""
-    less = "there is not enough memory: fly fewer runs, or keep less of them"
+    """Exit code and message of an error that a user can act on; raises others again."""
+    less = "there is not enough memory: fly fewer runs, or store less of each"
     match error:
         case ValueError():
             return 2, str(error)
@@ -93,6 +93,8 @@ def _explained(error: Exception) -> tuple[int, str]:
             return 4, f"{error}{advice if full else ''}"
         case MemoryError():
             return 4, less
+        case ImportError() if "pip install 'jentry[" in str(error):
+            return 4, str(error)
         case RuntimeError() if "RESOURCE_EXHAUSTED" in str(error):
             return 4, less
     from ..campaign.errors import CampaignError, ClusterError
@@ -100,5 +102,5 @@ def _explained(error: Exception) -> tuple[int, str]:
     if isinstance(error, CampaignError):
         return 3, str(error)
     if isinstance(error, ClusterError):
-        return 4, f"{error}; what is stored is kept, and the same command resumes"
+        return 4, f"{error}; stored runs are safe, and the same command resumes"
     raise error

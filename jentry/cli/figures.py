@@ -1,4 +1,4 @@
-"""The figures of a campaign: what is flown for them, and where they go."""
+"""The figures of a campaign: the flights that they show, and where they are stored."""
 
 import contextlib
 import dataclasses
@@ -32,34 +32,37 @@ if TYPE_CHECKING:
 
 
 FIGURES = "figures"
-"""Folder of the figures, below that of their campaign"""
+"""Folder of the figures, inside the folder of their campaign"""
 
 OVERVIEW = "overview"
-"""The figure that is drawn as soon as a campaign has been flown"""
+"""Name of the figure that is drawn as soon as a campaign has been flown"""
 
 HISTORIES = "histories.nc"
-"""File beside the figures, of the flights that they show"""
+"""File beside the figures with the flights that they show"""
 
 _DIGEST = "campaign_digest"
 
 _INTERVAL = 0.5
-"""s; the longest guidance cycle of a law whose cycle varies"""
+"""s; interval of a history, as long as the longest guidance cycle of a law whose cycle
+varies"""
 
 _ENTRIES = 2000
-"""About so many of a history up to the time limit of its flight, not many more: memory
-for all is taken at the start, some 50 MB for a batch, and a figure is 1000 dots wide"""
+"""Approximate number of entries of a history up to the time limit of its flight. Memory
+for all entries is taken at the start, some 50 MB for a batch, and a figure is 1000 pixels
+wide."""
 
 _TRAJECTORIES = 2 * LANES - 1
-"""Runs whose trajectories make the bands, if the campaign has not kept them. With the
-nominal flight they are whole batches. Of twice as many the edges of a band would be seven
-tenths as uncertain, and a figure would look the same and wait for twice the flights."""
+"""Number of runs whose trajectories make the bands, if the campaign has no histories.
+With the nominal flight they fill whole batches. Twice as many would reduce the uncertainty
+of the edges of a band to seven tenths, which a figure hardly shows, and would take twice
+the time."""
 
 
 class Histories:
-    """The flights of a campaign's figures: its first runs, with histories, and the nominal.
+    """Flights of a campaign's figures: its first runs with histories, and the nominal.
 
-    They fly in a thread of their own beside the campaign. What compiles, or reads what has
-    been compiled, keeps one core busy, and each of the two does so for as long.
+    They fly in a separate thread while the campaign flies. Each of the two compiles its
+    program, or reads a cached program, on one core, which takes both equally long.
     """
 
     def __init__(self, fly: Callable[[], "xarray.Dataset"]):
@@ -67,13 +70,16 @@ class Histories:
         self._flown: Future[xarray.Dataset] | None = None
 
     def begin(self) -> None:
-        """Let them begin, if they have not."""
+        """Start the flights, if they have not been started."""
         if self._flown is None:
             self._flown = Future()
             threading.Thread(target=self._run, daemon=True).start()
 
     def flown(self) -> "xarray.Dataset":
-        """All of them, the nominal flight last. Raises what flying has raised."""
+        """All flights, the nominal flight last.
+
+        **Raises:** the exception of the thread, if the flights failed.
+        """
         self.begin()
         assert self._flown is not None
         return self._flown.result()
@@ -89,7 +95,7 @@ class Histories:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_) -> None:
-        """An error waits for them, so that no thread goes on behind it; Ctrl-C does not."""
+        """Wait for the thread after an error, so that it ends first; not after Ctrl-C."""
         if kind is None or self._flown is None or issubclass(kind, KeyboardInterrupt):
             return
         self._flown.exception()
@@ -105,13 +111,13 @@ def histories_of(
     solver: AbstractSolver,
     sampler: AbstractSampler | None = None,
 ) -> Histories:
-    """Those of a campaign of given or drawn inputs.
+    """Flights for the figures of a campaign, from drawn inputs or from `inputs`.
 
-    Where the campaign keeps histories itself only the nominal flight is flown.
+    If the campaign stores histories itself, only the nominal flight is flown.
     """
 
     def fly() -> "xarray.Dataset":
-        # One run at least is drawn, for the addresses.
+        # At least one run is drawn: it gives the addresses.
         first = np.arange(1 if history else min(runs, _TRAJECTORIES))
         if inputs is None:
             assert dispersions is not None
@@ -119,7 +125,7 @@ def histories_of(
         else:
             drawn = {address: values[first] for address, values in inputs.items()}
         flown = slice(0, 0 if history else None)
-        # The nominal flight is one more run, so that one program flies them all.
+        # The nominal flight is one more run, so that one program flies all of them.
         nominal = leaves_by_address(scenario)
         given = {a: np.append(x[flown], nominal[a]) for a, x in drawn.items()}
         return _fly(scenario, given, solver)
@@ -135,10 +141,10 @@ def draw_figures(
     flown: "xarray.Dataset | None",
     formats: Sequence[str] = ("png",),
 ) -> list[Path]:
-    """Draw the figures of stored results into `figures` below their folder.
+    """Draw the figures of stored results into `figures` in their folder.
 
-    `flown` are the histories of the campaign's figures, the nominal flight last; without
-    them, those of the results alone.
+    `flown` has the histories for the figures, the nominal flight last. Without it, only
+    histories of the results are drawn.
     """
     from ..plots import FigureData, campaign_figures, save_figures
 
@@ -153,7 +159,7 @@ def draw_figures(
 
 
 def with_overview_alone(mission: Mission) -> Mission:
-    """The mission with one figure: its overview, or its first where it has none."""
+    """The mission with one figure: its overview, or its first if it has no overview."""
     name = (
         OVERVIEW if OVERVIEW in mission.figures else next(iter(mission.figures), None)
     )
@@ -162,10 +168,10 @@ def with_overview_alone(mission: Mission) -> Mission:
 
 
 def store_histories(folder: Path, flown: "xarray.Dataset", campaign: str) -> None:
-    """Keep the histories of figures beside them, so that they can be drawn again.
+    """Store the histories of the figures, so that the figures can be drawn again.
 
-    What is stored of the same campaign and has more runs stays. In single precision,
-    which no figure shows; sealed with the digest of the campaign.
+    Stored histories of this campaign with more runs are not replaced. The numbers are in
+    single precision, which is enough for figures. The file has the digest of the campaign.
     """
     with contextlib.suppress(CampaignError):
         known = stored_histories(folder, campaign)
@@ -183,15 +189,15 @@ def store_histories(folder: Path, flown: "xarray.Dataset", campaign: str) -> Non
 
 
 def first_of(flown: "xarray.Dataset", runs: int) -> np.ndarray:
-    """Places of the first so many runs among histories, and of the nominal flight."""
+    """Indices of the first `runs` histories, and of the nominal flight."""
     count = flown.sizes["run"]
     return np.append(np.arange(min(count - 1, runs)), count - 1)
 
 
 def stored_histories(folder: Path, campaign: str) -> "xarray.Dataset | None":
-    """The histories that are kept beside the figures of a campaign; None without any.
+    """Histories that are stored beside the figures of a campaign; None without any.
 
-    Raises `CampaignError` for a file that cannot be read, or of another campaign.
+    **Raises:** `CampaignError` for a file that cannot be read or is of another campaign.
     """
     import xarray
 
@@ -202,7 +208,7 @@ def stored_histories(folder: Path, campaign: str) -> "xarray.Dataset | None":
         contents = io.BytesIO(path.read_bytes())
         with xarray.open_dataset(contents, engine="h5netcdf") as stored:
             flown = stored.load()
-    except Exception as error:  # of whatever HDF5 makes of a file
+    except Exception as error:  # HDF5 raises many kinds for a broken file
         raise CampaignError(
             f"{path} cannot be read ({error}): delete it, and run the same campaign again"
         ) from None
@@ -216,10 +222,10 @@ def stored_histories(folder: Path, campaign: str) -> "xarray.Dataset | None":
 def interval_of(
     scenario: Scenario, solver: AbstractSolver, entries: float = _ENTRIES
 ) -> float:
-    """At which a history can be kept, s: about `_INTERVAL`, in step with the cycle.
+    """Interval of a history, s: about `_INTERVAL`, commensurate with the guidance cycle.
 
-    Longer where a flight may have many more entries. It is of whole steps: with others the
-    flights would not be those of the campaign.
+    It is longer if a flight could have more than `entries` entries. It is a whole number
+    of steps: with other steps the flights would differ from those of the campaign.
     """
     plan, law = Plan.of(scenario, solver, None), scenario.guidance
     about = max(_INTERVAL, scenario.termination.time_limit / entries)
@@ -244,5 +250,5 @@ def _fly(scenario: Scenario, inputs, solver: AbstractSolver):
         history=interval,
     )
     flown = dataset(scenario, campaign, interval)
-    # Up to the last end: a figure takes as long as its histories are, flying or not.
+    # Cut at the last end: the time to draw grows with the length of the histories.
     return flown.isel(time=np.isfinite(flown["velocity"].values).any(axis=0))

@@ -8,6 +8,7 @@ import typer
 from .options import (
     Case,
     Config,
+    History,
     Law,
     MissionName,
     Set,
@@ -29,9 +30,7 @@ def command(
     set_: Set = None,
     config: Config = None,
     step: Step = None,
-    history: Annotated[
-        float | None, typer.Option(help="Keep the flight at this interval, s.")
-    ] = None,
+    history: History = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -41,8 +40,16 @@ def command(
     figure: Annotated[
         Path | None,
         typer.Option(
-            help="File to draw the flight into: its path, controls, limits and track. "
-            "FILE.png, .pdf or .svg."
+            help="Figure to write, FILE.png, .pdf or .svg: path, controls, limits and "
+            "ground track of the flight."
+        ),
+    ] = None,
+    trajectory: Annotated[
+        Path | None,
+        typer.Option(
+            dir_okay=False,
+            help="Trajectory to write for other programs: FILE.csv, .kml (Google Earth) or "
+            ".czml (Cesium).",
         ),
     ] = None,
 ) -> None:
@@ -51,6 +58,7 @@ def command(
 
     from .._programs import kept
     from ..campaign.store import write_flight
+    from ..campaign.trajectory_files import check_trajectory_file, write_trajectory
     from ..flight.flight import fly
     from ..flight.solver import FixedStep
     from ..plots.campaign import FORMATS, save_figures
@@ -61,7 +69,9 @@ def command(
         raise ValueError(
             f"--figure is {figure}: give a file that ends in .{', .'.join(FORMATS)}"
         )
-    if (out is not None or figure is not None) and history is None:
+    if trajectory is not None:
+        check_trajectory_file(trajectory)
+    if any(file is not None for file in (out, figure, trajectory)) and history is None:
         history = 1.0
     chosen, scenario, overrides = chosen_scenario(
         mission, (law, case, world), config, set_
@@ -80,3 +90,6 @@ def command(
         drawn = draw_flight(scenario, flight, chosen.title)
         save_figures({figure.stem: drawn}, figure.parent, [figure.suffix[1:]])
         typer.echo(f"figure: {figure}")
+    if trajectory is not None:
+        write_trajectory(scenario, flight, trajectory)
+        typer.echo(f"written: {trajectory}")

@@ -16,6 +16,7 @@ from .options import (
     World,
     app,
     chosen_scenario,
+    folder_of_results,
     set_up,
 )
 
@@ -25,13 +26,13 @@ def command(
     mission: MissionName,
     directions: Annotated[
         int,
-        typer.Option(help="Points on the outline beside the four outermost."),
+        typer.Option(help="Points on the outline, in addition to the four outermost."),
     ] = 16,
     problem: Annotated[
         str | None,
         typer.Option(
-            help="Of the mission: what is free and what is kept. The one named footprint, "
-            "or its first, if not given."
+            help="Problem of the mission that has the free controls and the constraints; "
+            "the one named footprint, or the first, if not given."
         ),
     ] = None,
     end: End = None,
@@ -55,11 +56,10 @@ def command(
     config: Config = None,
     step: Step = None,
 ) -> None:
-    """Find the landing footprint: flights that end as far out as they can, all around."""
+    """Find the landing footprint: flights that end farthest out in every direction."""
     set_up(workers=1)
 
     from ..flight.solver import FixedStep
-    from ..motion.index import index_named
     from ..planning.landing_footprint import footprint
     from .optimization_options import problem_asked
     from .optimization_report import print_footprint, write_footprint
@@ -70,7 +70,6 @@ def command(
     )
     if problem is None and "footprint" in chosen.problems:
         problem = "footprint"
-    origin = scenario.target.origin or scenario.initial_state
     asked = problem_asked(
         chosen,
         problem,
@@ -82,12 +81,12 @@ def command(
         bank=bank,
         angle_of_attack=angle_of_attack,
         nodes=nodes,
-        index=None if over is None else index_named(over, origin),
+        over=over,
         history=every,
     )
     with reported(directions + 4) as told:
         found = footprint(scenario, asked, directions, FixedStep(step), told)
     print_footprint(chosen, overrides.choice, found)
-    folder = Path("results") / f"{chosen.name}-footprint" if out is None else out
+    folder = folder_of_results(out, f"{chosen.name}-footprint")
     for written in write_footprint(folder, chosen, overrides.choice, found):
         typer.echo(f"written: {written}")

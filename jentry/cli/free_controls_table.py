@@ -1,4 +1,4 @@
-"""Splines of the controls in place of a law, as a configuration file has them.
+"""Splines of the controls in place of a law, from a configuration file.
 
     [free_controls]
     bank = "-45 deg"
@@ -6,7 +6,7 @@
     nodes = 40
     over = "energy"
 
-is what `free_controls` is given; the numbers of the splines stand in `[set]`.
+These are the arguments of `free_controls`. The coefficients of the splines are in `[set]`.
 """
 
 from collections.abc import Mapping
@@ -20,11 +20,11 @@ from ..motion.index import (
     EnergyIndex,
     TimeIndex,
     VelocityIndex,
-    index_named,
 )
 from ..planning.control_splines import free_controls
 from ..planning.flight_problem import FlightProblem, FreeControl
 from ..tuning.saving import with_unit
+from .options import index_over
 from .overrides import Overrides, apply_values, in_si, one_quantity, require_keys, si_of
 
 
@@ -38,20 +38,20 @@ _NAMES = {
 
 
 def name_of_index(index: AbstractIndex) -> str | None:
-    """As in the table; None for an index that has no name there."""
+    """Name of an index in the table; None for an index without a name."""
     return _NAMES.get(type(index))
 
 
 def table_of(problem: FlightProblem) -> dict[str, Any]:
-    """The table of the splines that a problem begins with.
+    """Table of the splines with which a problem begins.
 
-    Raises `ValueError` for an index of one's own, which has no name in a file.
+    **Raises:** `ValueError` for a user's own index, which has no name in a file.
     """
     over = name_of_index(problem.index)
     if over is None:
         raise ValueError(
-            f"the controls are over a {type(problem.index).__name__}, which a file cannot "
-            f"name: choose from {', '.join(_NAMES.values())}"
+            f"the index of the controls is a {type(problem.index).__name__}, which a file "
+            f"cannot name: choose from {', '.join(_NAMES.values())}"
         )
     angle = problem.angle_of_attack
     free = (
@@ -62,15 +62,15 @@ def table_of(problem: FlightProblem) -> dict[str, Any]:
 
 
 def with_free_controls(scenario: Scenario, overrides: Overrides) -> Scenario:
-    """The scenario with the splines that a file asks for in place of its law.
+    """The scenario with the splines of a file in place of its law.
 
-    What the file sets of the scenario counts before they are laid out.
+    Values that the file sets in the scenario apply before the splines are laid out.
     """
     table = overrides.free_controls
     assert table is not None
     require_keys(table, ("bank", "angle_of_attack", "nodes", "over"), "free_controls")
     if "bank" not in table:
-        raise ValueError("[free_controls] lacks bank: the one to begin with")
+        raise ValueError("[free_controls] lacks bank: give the bank at the start")
     nodes, over = table.get("nodes", 40), table.get("over", "energy")
     if not isinstance(nodes, int) or isinstance(nodes, bool):
         raise ValueError(
@@ -84,8 +84,7 @@ def with_free_controls(scenario: Scenario, overrides: Overrides) -> Scenario:
     values = in_si(Overrides(values=beside), scenario).values
     scenario = apply_values(scenario, values)
     angle = _angle(table, "angle_of_attack") if "angle_of_attack" in table else None
-    origin = scenario.target.origin or scenario.initial_state
-    index = index_named(over, origin)
+    index = index_over(over, scenario)
     return free_controls(scenario, _angle(table, "bank"), angle, nodes, index)
 
 

@@ -1,4 +1,4 @@
-"""A campaign as one page of HTML: its summary and its figures, with nothing beside it."""
+"""A campaign as one self-contained page of HTML, with its summary and its figures."""
 
 import base64
 import math
@@ -35,11 +35,11 @@ figcaption, .note { color: #6e6e6e; font-size: 0.86rem; }
 
 
 def page_of(title: str, summary: Summary, figures: Mapping[str, bytes]) -> str:
-    """The page.
+    """The page as HTML.
 
     **Arguments:**
 
-    - `title`: the mission's.
+    - `title`: title of the mission.
     - `figures`: contents of png files by name, in the order in which they are shown.
     """
     sections = [
@@ -55,7 +55,7 @@ def page_of(title: str, summary: Summary, figures: Mapping[str, bytes]) -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        # An icon of its own, or a browser asks a server for one.
+        # Without an icon in the page a browser would request one from a server.
         '<link rel="icon" href="data:,">\n'
         f"<title>{escape(title)}</title>\n<style>{_STYLE}</style>\n</head>\n"
         f"<body>\n{body}\n</body>\n</html>\n"
@@ -63,7 +63,7 @@ def page_of(title: str, summary: Summary, figures: Mapping[str, bytes]) -> str:
 
 
 def _flown(summary: Summary) -> str:
-    """Which campaign it is, in one line."""
+    """Line that identifies the campaign."""
     campaign = summary.campaign
     names = ("mission", "law", "case", "world", "variant", "seed")
     told = [f"{n} {campaign[n]}" for n in names if campaign.get(n) is not None]
@@ -149,7 +149,7 @@ def _ellipse(ellipse: MissEllipse) -> str:
         f"<h2>Downrange and crossrange errors</h2>\n{_table(heads, rows)}"
         f'<p class="note">Centre of the ellipses: {along} {unit} downrange, {across} '
         f"{unit} crossrange; larger axis {in_digits(ellipse.angle / degree)} deg from "
-        "downrange to the left, where crossrange is positive. An ellipse is that of a "
+        "downrange to the left, where crossrange is positive. The ellipses are of the "
         "normal distribution with the covariance of the flights.</p>"
     )
 
@@ -178,7 +178,7 @@ def _cell(interval: Interval, size: float) -> str:
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Cells are HTML."""
+    """Table as HTML. Heads are plain text, cells are HTML."""
     first = "".join(f"<th>{escape(head)}</th>" for head in heads)
     lines = ("".join(f"<td>{cell}</td>" for cell in row) for row in rows)
     body = "\n".join(f"<tr>{line}</tr>" for line in lines)

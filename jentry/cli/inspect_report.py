@@ -1,4 +1,4 @@
-"""What `jentry inspect` prints, and the run that it flies again."""
+"""Tables of `jentry inspect`, and the run that it flies again."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -33,13 +33,13 @@ if TYPE_CHECKING:
 
 
 FOLDER = "inspect"
-"""Below that of the campaign"""
+"""Folder for the run, inside the folder of the campaign"""
 
 
 def print_worst(
     results: "xarray.Dataset", name: str, worst: Sequence[WorstRun], count: int
 ) -> None:
-    """The worst runs, with each input as the share of runs that are below it."""
+    """Print the worst runs. Each input is given by the share of runs that are below it."""
     unit, size = edge_of(results[name], results[name].values)
     addresses = list(inputs_of(results))
     heads = ["run", f"{in_words(name)} ({unit})", "outcome", *addresses]
@@ -50,8 +50,8 @@ def print_worst(
         value = in_digits(each.value / size)
         rows.append((str(each.run), value, outcome.name.lower(), *shares))
     title = (
-        f"the worst {len(worst)} of {count} runs by {in_words(name)}; of each input, how "
-        "many of the runs are below, equal ones by half"
+        f"the worst {len(worst)} of {count} runs by {in_words(name)}; inputs: share of "
+        "the runs that are below, equal ones counted half"
     )
     print_in_pieces(new_console(), title, heads, rows, repeated=3)
 
@@ -59,7 +59,7 @@ def print_worst(
 def print_correlations(
     results: "xarray.Dataset", asked: str, found: dict[str, Interval], flights: int
 ) -> None:
-    """Rank correlations of the output with the inputs."""
+    """Print the rank correlations of an output with the inputs."""
     heads = ("input", "rank correlation", f"interval of {CONFIDENCE:.0%}")
     rows = [
         (
@@ -87,11 +87,11 @@ def print_gradient(
     run: int,
     inputs: Mapping[str, float],
 ) -> None:
-    """What a standard deviation of each input changes of an output, about one run."""
+    """Print the effect of one standard deviation of each input on an output of a run."""
     console = new_console()
     choices = [address for address in inputs if results[address].attrs.get("choice")]
     if choices:
-        console.print(f"not told of what only chooses: {', '.join(choices)}")
+        console.print(f"no derivatives by discrete choices: {', '.join(choices)}")
     if len(choices) == len(inputs):
         return
     try:
@@ -142,7 +142,7 @@ def fly_again(
     description: Mapping[str, Any],
     history: float | None,
 ) -> None:
-    """Fly a stored run again, compare its end bit by bit, store and draw its history."""
+    """Fly a stored run again, compare all bits of its numbers, store and draw it."""
     inputs = {address: values for address, values in inputs_of(results).items()}
     kept = description["history_interval"]
     same = monte_carlo(scenario, runs=[run], inputs=inputs, solver=solver, history=kept)
@@ -153,12 +153,14 @@ def fly_again(
         named = ", ".join(f"{name} by {by:.1e}" for name, by in different.items())
         console.print(
             f"run {run} flown again differs from what is stored: {named}. It was flown on "
-            "another processor, or by another version of jentry or of what it stands on"
+            "another processor, or by another version of jentry or of its dependencies"
         )
     else:
-        console.print(f"run {run} flown again: every stored number, to the last bit")
+        console.print(
+            f"run {run} flown again: every stored number agrees, to the last bit"
+        )
     if history is None:
-        # Of one flight as fine as usual, in the steps of the campaign.
+        # The usual interval of a history, with the steps of the campaign.
         solver = FixedStep(Plan.of(scenario, solver, kept).step)
         interval = interval_of(scenario, solver, math.inf)
     else:
@@ -172,7 +174,7 @@ def fly_again(
     if ends and not different:
         name, largest = max(ends.items(), key=lambda pair: pair[1])
         console.print(
-            f"with its history it takes other steps, and differs: {name} by {largest:.1e}"
+            f"with its history it takes other steps and differs: {name} by {largest:.1e}"
         )
     target = folder / FOLDER
     target.mkdir(parents=True, exist_ok=True)
@@ -186,7 +188,7 @@ def fly_again(
 
 
 def _different(stored: "xarray.Dataset", flown: "xarray.Dataset") -> dict[str, float]:
-    """By how much numbers differ that are not the same to the last bit, by name."""
+    """Largest differences of outputs that are not equal to the last bit, by name."""
     found = {}
     for name in map(str, stored.data_vars):
         one, other = stored[name].values, flown[name].values

@@ -1,4 +1,4 @@
-"""`jentry inspect`: the worst runs of a stored campaign, what drives them, one again."""
+"""`jentry inspect`: the worst runs of a campaign and their causes; one run again."""
 
 from typing import Annotated
 
@@ -13,35 +13,38 @@ def command(
     by: Annotated[
         str | None,
         typer.Option(
-            help="Output by which runs are the worst, such as downrange_error; the miss "
-            "distance if not given. The magnitude counts of an error."
+            help="Output that orders the runs, such as downrange_error; the miss distance "
+            "if not given. Errors count by their magnitude."
         ),
     ] = None,
     smallest: Annotated[
-        bool, typer.Option("--smallest", help="The smallest are the worst.")
+        bool, typer.Option("--smallest", help="The smallest values are the worst.")
     ] = False,
-    worst: Annotated[int, typer.Option(help="How many of the worst are shown.")] = 10,
+    worst: Annotated[
+        int, typer.Option(help="How many of the worst runs to show.")
+    ] = 10,
     run: Annotated[
         int | None,
         typer.Option(
-            help="Fly this run again with its history, into FOLDER/inspect, and say which "
-            "inputs drive it there. Else that is said of the worst."
+            help="Fly this run again, store its history in FOLDER/inspect, and show which "
+            "inputs drive it. If not given, they are shown for the worst run."
         ),
     ] = None,
     history: Annotated[
         float | None, typer.Option(help="Interval of the history of --run, s.")
     ] = None,
     gradient: Annotated[
-        bool, typer.Option(help="Derivatives of the run's output by its inputs.")
+        bool,
+        typer.Option(help="Show derivatives of the run's output by its inputs."),
     ] = True,
     mission: OwnMission = None,
     workers: Workers = None,
 ) -> None:
-    """The worst runs of a stored campaign, and which inputs drive them."""
+    """Show the worst runs of a stored campaign, and which inputs drive them."""
     from ..campaign.parts import read_manifest
 
     description = read_manifest(folder)
-    # As it was flown, or the numbers differ by rounding.
+    # The XLA options of the campaign: with others the numbers differ by rounding.
     set_up(workers, fast=any("fusion" in o for o in description["xla_options"]))
     from ..campaign.outputs import is_error
     from ..campaign.store import open_campaign
@@ -62,7 +65,7 @@ def command(
 
     if history is not None and run is None:
         raise ValueError(
-            "--history is of the flight of --run: give the number of a run"
+            "--history is the interval of the history of --run: give the number of a run"
         )
     if history is not None and not history > 0.0:
         raise ValueError(f"--history is {history}: the interval must be positive")
@@ -71,7 +74,7 @@ def command(
     results = open_campaign(folder)
     count = results.sizes["run"]
     if run is not None and not 0 <= run < count:
-        raise ValueError(f"--run is {run}, and {folder} has the runs 0 to {count - 1}")
+        raise ValueError(f"--run is {run}, but {folder} has the runs 0 to {count - 1}")
     name = ordered_by(results) if by is None else by.strip().strip("|")
     name = name.replace(" ", "_").replace("-", "_")
     require_output(results, name)

@@ -1,4 +1,4 @@
-"""What `jentry linearize` prints and writes: a table, a figure and all numbers."""
+"""Output of `jentry linearize`: a table, a figure and a file of all numbers."""
 
 import json
 from pathlib import Path
@@ -20,9 +20,10 @@ from .tables import new_console, new_table, print_under
 
 
 def print_loop(mission: Mission, loop: FrozenLoop, faster_than: float = 0.0) -> None:
-    """Each point of the flight with its eigenvalues and zeros, and the worst of all.
+    """Print eigenvalues and zeros at each point of the flight, and the worst of all.
 
-    The damping is of modes with eigenvalues beyond a magnitude, per unit of the index.
+    The damping counts only modes with eigenvalues larger than `faster_than`, per unit of
+    the index.
     """
     console = new_console()
     index, unit = at_edge(loop.index, loop.unit)
@@ -47,7 +48,8 @@ def print_loop(mission: Mission, loop: FrozenLoop, faster_than: float = 0.0) -> 
     title = f"{mission.name}: closed loop at equal {loop.over}, rates per {span} passed"
     print_under(console, title, table)
     console.print(
-        "below zero errors die out; frozen: a guide where the loop changes slowly, no proof"
+        "with negative real parts errors decay. The loop is frozen: a guide where it "
+        "changes slowly, not a proof"
     )
     console.print(f"deviations: {', '.join(loop.coordinates)}")
     for names, why in (
@@ -58,8 +60,8 @@ def print_loop(mission: Mission, loop: FrozenLoop, faster_than: float = 0.0) -> 
             console.print(f"left out, since {why}: {', '.join(names)}")
     if np.isinf(loop.eigenvalues).any():
         console.print(
-            "deadbeat: gone within one guidance cycle, a multiplier of zero, which has no "
-            "finite eigenvalue"
+            "deadbeat: an error vanishes within one guidance cycle. Its multiplier is "
+            "zero, which has no finite eigenvalue"
         )
     grows, swings = loop.largest_real_part, _least(loop, faster_than)
     largest = _shown(grows.value * loop.span)
@@ -93,7 +95,7 @@ def _shown(number: float) -> str:
 
 
 def _in_short(numbers: np.ndarray) -> str:
-    """Complex numbers from the left, conjugate pairs as one."""
+    """Text of complex numbers in rising order; a conjugate pair is one entry."""
     said = []
     for number in np.sort_complex(numbers[~np.isnan(numbers)]):
         real = _shown(number.real)
@@ -114,7 +116,7 @@ def write_loop(
     loop: FrozenLoop,
     faster_than: float = 0.0,
 ) -> tuple[Path, Path]:
-    """Write the figure, and beside it every number to its last digit as JSON."""
+    """Write the figure, and beside it a JSON file with all digits of every number."""
     title = f"{mission.name} {choice}: closed loop at equal {loop.over}"
     (figure,) = save_figures({path.stem: draw_eigenvalues(loop, title)}, path.parent)
     numbers = figure.with_suffix(".json")
@@ -129,7 +131,7 @@ def write_loop(
 
 
 def _plain(value: Any) -> Any:
-    """As JSON has it: a complex number is a pair, and null where it is not finite."""
+    """Plain value for JSON: a complex number is a pair, or null if it is not finite."""
     if isinstance(value, np.ndarray):
         if np.iscomplexobj(value):
             pairs = np.stack([value.real, value.imag], axis=-1)

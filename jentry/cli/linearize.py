@@ -16,6 +16,7 @@ from .options import (
     World,
     app,
     chosen_scenario,
+    index_over,
     set_up,
 )
 
@@ -24,24 +25,27 @@ from .options import (
 def command(
     mission: MissionName,
     over: Annotated[
-        Over, typer.Option(help="What errors are compared at: it has to rise or fall.")
+        Over,
+        typer.Option(
+            help="Index at which errors are compared; it must rise or fall all the way."
+        ),
     ] = Over.TIME,
     points: Annotated[
-        int, typer.Option(help="Points of the flight, evenly spaced over it.")
+        int, typer.Option(help="Points of the flight, evenly spaced over the index.")
     ] = 20,
     faster_than: Annotated[
         float | None,
         typer.Option(
-            help="Modes whose damping counts, per SI unit of what errors are compared at: "
-            "what hardly changes, such as the heading, looks undamped. Over the time what "
-            "the mission names, or all, if not given."
+            help="Least magnitude of eigenvalues whose damping counts, per SI unit of the "
+            "index. Slow states, such as the heading, look undamped. If not given: over "
+            "time that of the mission, otherwise all."
         ),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Figure to write, PNG; all numbers go beside it, as JSON of the same "
-            "name."
+            help="Figure to write, PNG. A JSON file of the same name beside it has all "
+            "numbers."
         ),
     ] = None,
     law: Law = None,
@@ -51,7 +55,7 @@ def command(
     config: Config = None,
     step: Step = None,
 ) -> None:
-    """Eigenvalues of the closed loop along a flight, and zeros that no gain can move."""
+    """Find eigenvalues of the closed loop along a flight, and zeros no gain can move."""
     if out is not None and out.suffix != ".png":
         raise ValueError(f"out is {str(out)!r}: it must be the name of a PNG, loop.png")
     if faster_than is not None and not faster_than >= 0.0:
@@ -60,13 +64,12 @@ def command(
 
     from ..analysis.frozen_loop import linearize
     from ..flight.solver import FixedStep
-    from ..motion.index import index_named
     from .linearization_report import print_loop, write_loop
 
     chosen, scenario, overrides = chosen_scenario(
         mission, (law, case, world), config, set_
     )
-    index = index_named(over, scenario.target.origin or scenario.initial_state)
+    index = index_over(over, scenario)
     if faster_than is None:
         named = chosen.modes_faster_than if over is Over.TIME else None
         faster_than = named or 0.0

@@ -1,4 +1,4 @@
-"""`jentry list`: the missions: their laws, cases, worlds and dispersions."""
+"""`jentry list`: missions with their laws, cases, worlds and dispersions."""
 
 from typing import Annotated
 
@@ -13,12 +13,12 @@ def command(
         list[str] | None,
         typer.Argument(
             metavar="[MISSION]...",
-            help="Names, or files of your own that define MISSION; all missions of "
-            "jentry and of installed packages if not given.",
+            help="Names, or your own files that define MISSION; all missions of jentry "
+            "and of installed packages if not given.",
         ),
     ] = None,
 ) -> None:
-    """The missions: their laws, cases, worlds and dispersions."""
+    """List missions with their laws, cases, worlds and dispersions."""
     from ..missions import every_mission, find_mission
     from .mission_report import print_missions
 

@@ -1,4 +1,4 @@
-"""`jentry merge`: parts of a campaign that several machines have flown, put together."""
+"""`jentry merge`: put together the slices of a campaign that several machines flew."""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,10 +12,11 @@ from .options import app, set_up
 def command(
     out: Annotated[Path, typer.Argument(help="Folder for the whole campaign.")],
     folders: Annotated[
-        list[Path], typer.Argument(help="Folders of its parts, monte-carlo --slice.")
+        list[Path],
+        typer.Argument(help="Folders of its slices, flown by monte-carlo --slice."),
     ],
 ) -> None:
-    """Put the parts of a campaign together; `jentry report` says what they say."""
+    """Put the slices of a campaign together, for `jentry report`."""
     set_up(workers=1)
     from ..campaign.merging import merge_campaigns, slices_lacking
     from ..campaign.parts import digest_of, read_manifest
@@ -23,7 +24,7 @@ def command(
 
     runs, lacking = merge_campaigns(out, folders)
     digest = digest_of(read_manifest(out))
-    # What decided the number of runs of a part has decided that of the whole.
+    # Requirements that decided the number of runs of a slice decided that of the whole.
     decided = [decided_by(folder, digest) for folder in folders]
     if any(each is not None for each in decided):
         every = dict.fromkeys(r for each in decided for r in each or ())

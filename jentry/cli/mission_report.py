@@ -1,4 +1,4 @@
-"""What the commands print of missions, of their scenarios and of one flight."""
+"""Tables of missions, of their scenarios and of one flight."""
 
 import inspect
 import re
@@ -24,7 +24,7 @@ from .tables import new_console, new_table, print_under
 
 
 def print_missions(missions: Iterable[Mission]) -> None:
-    """Name, title and source of each, and what can be chosen of it, a sentence each."""
+    """Print name, title and source of each mission, and a sentence for each choice."""
     console = new_console()
     for mission in missions:
         console.print(mission.name, style="bold", end="")
@@ -38,18 +38,18 @@ def print_missions(missions: Iterable[Mission]) -> None:
             console.print(f"  {axis}")
             width = max(map(len, named))
             for name, function in named.items():
-                line = f"    {name:{width}}  {_sentence(function)}".rstrip()
+                line = f"    {name:{width}}  {sentence(function)}".rstrip()
                 console.print(line, highlight=False)
 
 
-def _sentence(function: Callable) -> str:
-    """The first sentence of what a function says of itself."""
+def sentence(function: Callable) -> str:
+    """The first sentence of the docstring of a function."""
     words = " ".join((inspect.getdoc(function) or "").split("\n\n")[0].split())
     return re.split(r"(?<=\.)\s", words)[0]
 
 
 def print_leaves(scenario: Scenario) -> None:
-    """Address, value and unit of every leaf, and which of them have no effect."""
+    """Print address, value and unit of every leaf, and those without effect."""
     table = new_table("address", "value", "unit", "allowed")
     for address, leaf in leaves_by_address(scenario).items():
         shape = " x ".join(str(n) for n in leaf.shape)
@@ -66,9 +66,9 @@ def print_leaves(scenario: Scenario) -> None:
 
 
 def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
-    """Outcome, final state, misses and peaks of one flight."""
+    """Print outcome, final state, misses and peaks of one flight."""
     outcome = Outcome(int(flight.outcome))
-    # Of a flight that stopped elsewhere no condition was met.
+    # A flight that stopped otherwise met no end condition.
     met = has_end(outcome) or outcome == Outcome.BEGAN_BEYOND_END
     ended_by = scenario.termination.names[int(flight.ended_by)]
     table = new_table("", "value", "unit")
@@ -112,7 +112,7 @@ def _add_number(table: Table, words: str, value, unit: str) -> None:
 def _add_peak(
     table: Table, name: str, constraint: AbstractPathConstraint, peak
 ) -> None:
-    """A row with the peak, and one with the limit where there is one."""
+    """Add a row with the peak, and a row with the limit if there is one."""
     words = in_words(peak_of(name))
     unit = constraint.shown_unit or constraint.unit
     _add_number(table, words, peak, unit)

@@ -14,6 +14,7 @@ from .options import (
     Dispersions,
     Fast,
     Formats,
+    History,
     Json,
     Law,
     MissionName,
@@ -23,6 +24,7 @@ from .options import (
     RequirementsFile,
     Sampler,
     Sampling,
+    Seed,
     Set,
     Step,
     Workers,
@@ -31,6 +33,7 @@ from .options import (
     chosen_scenario,
     dispersion_table,
     flying_at,
+    folder_of_results,
     import_meanwhile,
     note_step,
     refuse_set_in_vain,
@@ -45,12 +48,12 @@ def command(
         int | None,
         typer.Option(help="Number of runs; 1000, or all of --inputs, if not given."),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
+    seed: Seed = 0,
     out: Annotated[
         Path | None,
         typer.Option(
             help="Folder for the results; results/MISSION if not given. The same command "
-            "resumes what is there."
+            "resumes a campaign that is there."
         ),
     ] = None,
     workers: Workers = None,
@@ -65,21 +68,19 @@ def command(
         typer.Option(
             exists=True,
             dir_okay=False,
-            help="Fly given inputs in place of drawn ones: csv, addresses in the first "
-            "line, a run in each other.",
+            help="Inputs to fly in place of drawn ones: a csv file with addresses in the "
+            "first line and one run in each further line.",
         ),
     ] = None,
     set_: Set = None,
     config: Config = None,
     step: Step = None,
-    history: Annotated[
-        float | None, typer.Option(help="Keep all trajectories at this interval, s.")
-    ] = None,
+    history: History = None,
     fast: Fast = False,
     figures: Annotated[
         bool,
         typer.Option(
-            help="Draw the overview into OUT/figures; jentry report draws all figures."
+            help="Draw the overview in OUT/figures; jentry report draws all figures."
         ),
     ] = True,
     format_: Formats = "png",
@@ -90,14 +91,14 @@ def command(
         bool,
         typer.Option(
             "--until-decided",
-            help="Fly --runs, and then more until the requirements are decided, by a "
-            "sequential test.",
+            help="Fly --runs, and then more runs until a sequential test decides the "
+            "requirements.",
         ),
     ] = False,
     most_runs: Annotated[
         int | None,
         typer.Option(
-            help="With --until-decided: fly so many at most; 100 000 if not given."
+            help="Most runs that --until-decided flies; 100 000 if not given."
         ),
     ] = None,
     slice_: Annotated[
@@ -105,14 +106,14 @@ def command(
         typer.Option(
             "--slice",
             metavar="I/N",
-            help="Fly the I-th of N parts of the runs alone, such as 3/10, for one of N "
+            help="Fly only the I-th of N slices of the runs, such as 3/10, on one of N "
             "machines; `jentry merge` puts their folders together.",
         ),
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Fly dispersed runs, store them, say what they say and draw figures."""
+    """Fly dispersed runs, store them, print their statistics and draw figures."""
     set_up(workers, fast)
     drawing = (
         ("matplotlib.figure", "matplotlib.backends.backend_agg") if figures else ()
@@ -151,6 +152,7 @@ def command(
         chosen_slice,
         leave,
         refuse_both,
+        require_runs,
     )
     from .until_decided import further_runs
 
@@ -161,16 +163,16 @@ def command(
     if until_decided and not asked:
         raise ValueError("--until-decided needs a requirement: give --require")
     if until_decided and inputs is not None:
-        raise ValueError("--until-decided draws more runs, and --inputs has no more")
+        raise ValueError("--until-decided draws more runs, but --inputs has no more")
     if most_runs is not None and not until_decided:
-        raise ValueError("--most-runs is of --until-decided: give that as well")
+        raise ValueError("--most-runs needs --until-decided: give that as well")
     chosen, scenario, overrides = chosen_scenario(
         mission, (law, case, world), config, set_
     )
     if sampler is not Sampling.PLAIN and asked:
         raise ValueError(
-            f"--sampler {sampler} spreads the runs evenly, and requirements are judged of "
-            "independent runs: leave one of them out"
+            f"--sampler {sampler} spreads the runs evenly, but requirements are judged "
+            "from independent runs: leave one of them out"
         )
     if inputs is not None and (dispersions is not None or overrides.disperses):
         raise ValueError("--inputs takes the place of dispersions: give one of them")
@@ -181,15 +183,14 @@ def command(
     part = None if slice_ is None else chosen_slice(slice_)
     if part is not None and (asked or until_decided or json):
         raise ValueError(
-            "--slice flies a part, of which nothing is said: leave out --require, "
-            "--requirements, --until-decided and --json, and report what is merged"
+            "--slice flies a share of the runs without a summary: leave out --require, "
+            "--requirements, --until-decided and --json, and report the merged campaign"
         )
     given = None if inputs is None else read_inputs(inputs)
     if given is not None:
         rows = len(next(iter(given.values())))
         runs = rows if runs is None else runs
-        if runs > rows:
-            raise ValueError(f"--runs is {runs}, and {inputs} has {rows}: give no more")
+        require_runs(runs, rows, inputs)
     elif runs is None:
         runs = 1000
     dispersed = (addresses_of_dispersion(scenario, *item) for item in table.items())
@@ -197,13 +198,13 @@ def command(
     most = 100_000 if most_runs is None else most_runs
     if until_decided and most < runs:
         raise ValueError(
-            f"--most-runs is {most}, and --runs, with which it begins, {runs}: give more"
+            f"--most-runs is {most}, and --runs, with which it begins, is {runs}: give more"
         )
     named = chosen.name
     if part is not None:
         figures = False
         named += f"-{part[0]}-of-{part[1]}"
-    folder = Path("results") / named if out is None else out
+    folder = folder_of_results(out, named)
     solver = FixedStep(step)
     if not quiet and not json:
         note_step(scenario, solver, history)
@@ -223,7 +224,7 @@ def command(
     ):
 
         def report(stored: int) -> None:
-            if figures:  # now that the campaign is one that can be flown
+            if figures:  # run_campaign has checked that the campaign can be flown
                 histories.begin()
             told(stored)
             look()
@@ -259,7 +260,7 @@ def command(
             flown = runs_of_part(runs, part)
             typer.echo(
                 f"stored: {folder}, runs {flown[0]} to {flown[-1]} of {runs}; put the "
-                f"{part[1]} parts together by jentry merge"
+                f"{part[1]} slices together with jentry merge"
             )
         return
     description = read_manifest(folder)

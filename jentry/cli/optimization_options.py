@@ -1,4 +1,4 @@
-"""Options of `jentry optimize`: what is asked of a flight, and what is free."""
+"""Options of `jentry optimize`: the objective, the constraints and the free controls."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -7,7 +7,6 @@ from typing import Any
 from ..addresses import nearest
 from ..flight.scenario import Scenario
 from ..missions.mission import Mission
-from ..motion.index import AbstractIndex
 from ..planning.flight_constraints import Constraint
 from ..planning.flight_problem import (
     END_QUANTITIES,
@@ -17,6 +16,7 @@ from ..planning.flight_problem import (
     Peak,
 )
 from ..units import parse_quantity
+from .options import index_over
 
 
 def problem_asked(
@@ -31,13 +31,14 @@ def problem_asked(
     bank: str | None,
     angle_of_attack: str | None,
     nodes: int | None,
-    index: AbstractIndex | None,
+    over: str | None,
     history: float | None,
 ) -> FlightProblem:
-    """The problem of a mission with what the options change, or one of options alone.
+    """Problem of a mission with the changes of the options, or of the options alone.
 
-    **Raises:** `ValueError` for what is not known or is given twice, and for a mission
-    without problems where the options do not say what to make large or small, and by what.
+    **Raises:** `ValueError` for a name that is not known and for an option that is given
+    twice. Also for a mission without problems if the options do not give the objective
+    and the bank.
     """
     if maximize is not None and minimize is not None:
         raise ValueError("give --maximize or --minimize, not both")
@@ -54,14 +55,15 @@ def problem_asked(
             changes[key] = _control(f"--{key.replace('_', '-')}", given)
     if history is not None and not 0.0 < history < float("inf"):
         raise ValueError(f"--every is {history} s: it must be positive and finite")
+    index = None if over is None else index_over(over, scenario)
     beside = {"nodes": nodes, "index": index, "history": history}
     changes |= {key: given for key, given in beside.items() if given is not None}
     if name is not None or mission.problems:
         return dataclasses.replace(mission.problem(name), **changes)
     if "objective" not in changes or "bank" not in changes:
         raise ValueError(
-            f"mission {mission.name} has no problem of its own: say what is to be large, "
-            "such as --maximize downrange, and what the bank may be, such as "
+            f"mission {mission.name} has no problem: give the objective, such as "
+            "--maximize downrange, and the range of the bank, such as "
             "--bank -60deg:-90deg:90deg"
         )
     return FlightProblem(**changes)
@@ -92,7 +94,7 @@ def _constraints(options: Iterable[str]) -> dict[str, Constraint]:
                 f"{nearest(name, END_QUANTITIES)}"
             )
         if name in found:
-            raise ValueError(f"--end {name} is given twice: once")
+            raise ValueError(f"--end {name} is given twice: give it once")
         quantity = AtEnd(name)
         low, colon, high = value.partition(":")
         try:
@@ -115,7 +117,7 @@ def _control(option: str, given: str) -> FreeControl:
     parts = given.split(":")
     if len(parts) != 3:
         raise ValueError(
-            f"{option} {given}: write where it begins and between which values it stays, "
+            f"{option} {given}: write its start, its least and its largest value, "
             "20deg:0deg:40deg"
         )
     try:

@@ -1,4 +1,4 @@
-"""What `jentry optimize` prints and writes."""
+"""Output of `jentry optimize` and `jentry footprint`: tables, files and figures."""
 
 import shlex
 from pathlib import Path
@@ -31,7 +31,7 @@ from .tables import new_console, new_table, print_under
 def print_optimized(
     mission: Mission, choice: Choice, problem: FlightProblem, best: Optimized
 ) -> None:
-    """The objective, the end of the flight, and what holds it where it is."""
+    """Print the objective, the end of the flight, and the constraints."""
     console = new_console()
     sign = -1.0 if problem.largest else 1.0
     words, unit = _described(problem, best)
@@ -72,7 +72,7 @@ def _described(problem: FlightProblem, best: Optimized) -> tuple[str, str]:
 
 
 def _constraints(problem: FlightProblem, best: Optimized):
-    """Extreme of each constrained quantity, its limit, and how many entries bind."""
+    """Table with extremes and limit of each quantity, and how many entries bind."""
     table = new_table("quantity", "least", "largest", "to keep", "unit", "binding")
     for name, values in best.constraints.items():
         known = values[np.isfinite(values)]
@@ -114,7 +114,10 @@ def write_optimized(
     overrides: Overrides,
     step: float | None,
 ) -> list[Path]:
-    """Write the best flight as a configuration, its history, and a figure of it."""
+    """Write the best flight as a configuration, as a history, and as a figure.
+
+    `given` is the mission as the command line names it.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     configuration, history = folder / "optimized.toml", folder / "flight.nc"
     scenario = best.scenario
@@ -164,7 +167,7 @@ def write_optimized(
 
 
 def print_footprint(mission: Mission, choice: Choice, found: Footprint) -> None:
-    """The points on the outline, around it."""
+    """Print the points on the outline of the footprint, in order around it."""
     console = new_console()
     table = new_table("downrange", "crossrange", "time", "iterations", "slope left")
     for number, best in enumerate(found.flights):

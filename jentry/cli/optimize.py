@@ -1,4 +1,4 @@
-"""`jentry optimize`: the best flight of a vehicle, under constraints."""
+"""`jentry optimize`: the best flight of a vehicle under constraints."""
 
 import dataclasses
 from pathlib import Path
@@ -17,6 +17,7 @@ from .options import (
     World,
     app,
     chosen_scenario,
+    folder_of_results,
     set_up,
 )
 
@@ -28,24 +29,27 @@ End = Annotated[
     list[str] | None,
     typer.Option(
         metavar="QUANTITY=VALUE",
-        help="What the flight has to end with, altitude=24.4km, in place of what the "
-        "problem has; LOW:HIGH for between two values. May be repeated.",
+        help="End constraint, such as altitude=24.4km; it replaces those of the problem. "
+        "LOW:HIGH in place of VALUE for a range. May be repeated.",
     ),
 ]
-Limits = Annotated[bool, typer.Option(help="Keep the limits of the path constraints.")]
+Limits = Annotated[
+    bool, typer.Option(help="Impose the limits of the path constraints.")
+]
 Bank = Annotated[
     str | None,
     typer.Option(
         metavar=_CONTROL,
-        help="Where the bank begins and between which values it stays: -45deg:-89deg:1deg.",
+        help="Start of the bank, and the values between which it stays: "
+        "-45deg:-89deg:1deg.",
     ),
 ]
 AngleOfAttack = Annotated[
     str | None,
     typer.Option(
         metavar=_CONTROL,
-        help="The angle of attack likewise; left to the law of the mission if neither "
-        "this nor the problem has it.",
+        help="Start and range of the angle of attack. The law of the mission commands it "
+        "if neither this option nor the problem frees it.",
     ),
 ]
 Nodes = Annotated[
@@ -53,11 +57,11 @@ Nodes = Annotated[
 ]
 OverIndex = Annotated[
     Over | None,
-    typer.Option(help="What the splines are over; the energy if not given."),
+    typer.Option(help="Index of the splines; energy if not given."),
 ]
 Every = Annotated[
     float | None,
-    typer.Option(help="Interval at which limits are kept, s; 10 if not given."),
+    typer.Option(help="Interval at which limits are imposed, s; 10 if not given."),
 ]
 
 
@@ -67,20 +71,23 @@ def command(
     problem: Annotated[
         str | None,
         typer.Option(
-            help="Of the mission, its first if not given; the other options change it."
+            help="Problem of the mission, its first if not given; the other options "
+            "change it."
         ),
     ] = None,
     maximize: Annotated[
         str | None,
         typer.Option(
             metavar="QUANTITY",
-            help="What is to be large: latitude, downrange or another quantity at the end, "
-            "or the peak of a path constraint by its name.",
+            help="Quantity to maximize: latitude, downrange or another quantity at the "
+            "end, or the peak of a path constraint by its name.",
         ),
     ] = None,
     minimize: Annotated[
         str | None,
-        typer.Option(metavar="QUANTITY", help="What is to be small, likewise."),
+        typer.Option(
+            metavar="QUANTITY", help="Quantity to minimize, in place of --maximize."
+        ),
     ] = None,
     end: End = None,
     limits: Limits = True,
@@ -103,11 +110,10 @@ def command(
     config: Config = None,
     step: Step = None,
 ) -> None:
-    """Find the best flight: bank and angle of attack by exact gradients through it."""
+    """Find the best flight: optimize bank and angle of attack by exact gradients."""
     set_up(workers=1)
 
     from ..flight.solver import FixedStep
-    from ..motion.index import index_named
     from ..planning.flight_problem import best_flight
     from .optimization_options import problem_asked
     from .optimization_report import print_optimized, write_optimized
@@ -115,7 +121,6 @@ def command(
     chosen, scenario, overrides = chosen_scenario(
         mission, (law, case, world), config, set_, law_flies=False
     )
-    origin = scenario.target.origin or scenario.initial_state
     asked = problem_asked(
         chosen,
         problem,
@@ -127,20 +132,20 @@ def command(
         bank=bank,
         angle_of_attack=angle_of_attack,
         nodes=nodes,
-        index=None if over is None else index_named(over, origin),
+        over=over,
         history=every,
     )
     begin = None if overrides.free_controls is None else scenario.guidance
     if begin is not None and (nodes is not None or over is not None):
         raise ValueError(
-            "--nodes and --over are given, and --config has splines of its own, "
+            "--nodes or --over is given, and --config already has splines, "
             "[free_controls]: give the one or the other"
         )
     if overrides.values:
         asked = dataclasses.replace(asked, published={})
     best = best_flight(scenario, asked, FixedStep(step), begin)
     print_optimized(chosen, overrides.choice, asked, best)
-    folder = Path("results") / f"{chosen.name}-optimized" if out is None else out
+    folder = folder_of_results(out, f"{chosen.name}-optimized")
     for written in write_optimized(
         folder, mission, chosen, overrides.choice, asked, best, overrides, step
     ):

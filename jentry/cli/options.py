@@ -1,4 +1,4 @@
-"""The command line's application, and the options that several commands share."""
+"""The command line application, and the options that several commands share."""
 
 import contextlib
 import dataclasses
@@ -20,14 +20,14 @@ app = typer.Typer(
 MissionName = Annotated[
     str,
     typer.Argument(
-        help="Name of a mission, see `jentry list`; or a file of your own that defines "
-        "MISSION, my_mission.py."
+        help="Name of a mission, see `jentry list`; or your own file that defines "
+        "MISSION, such as my_mission.py."
     ),
 ]
 Law = Annotated[
     str | None,
     typer.Option(
-        help="Guidance law, the mission's own if not given: see `jentry list`."
+        help="Guidance law; the mission's own if not given. See `jentry list`."
     ),
 ]
 Case = Annotated[
@@ -54,32 +54,33 @@ Config = Annotated[
     typer.Option(
         exists=True,
         dir_okay=False,
-        # What rich takes for markup it leaves out.
+        # Rich would take a bracket without the backslash for markup.
         help="TOML file with `law`, `case`, `world`, `\\[set]` and `\\[dispersions]`.",
     ),
 ]
 Step = Annotated[
     float | None,
     typer.Option(
-        help="Largest step of the solver, s; if not given that of the scenario, which is "
-        "0.1 where it has none, or for a law with a guidance cycle that varies one step a "
-        "cycle."
+        help="Largest step of the solver, s; the step of the scenario if not given. A "
+        "scenario without a step takes 0.1 s, or one step a cycle if the guidance cycle "
+        "of its law varies."
     ),
 ]
 Dispersions = Annotated[
-    str | None, typer.Option(help="Reading of the dispersions: see `jentry list`.")
+    str | None,
+    typer.Option(help="Name of the mission's dispersions to use: see `jentry list`."),
 ]
 
 
 class Sampling(enum.StrEnum):
-    """How the draws of the runs are spread."""
+    """Method that spreads the draws of a campaign."""
 
     PLAIN = "plain"
     LATIN_HYPERCUBE = "latin-hypercube"
     SOBOL = "sobol"
 
     def of(self, runs: int):
-        """The sampler of a campaign of so many runs; none for plain draws."""
+        """Sampler of a campaign with this number of runs; None for plain draws."""
         from ..campaign.samplers import LatinHypercube, Sobol
 
         if self is Sampling.PLAIN:
@@ -90,10 +91,15 @@ class Sampling(enum.StrEnum):
 Sampler = Annotated[
     Sampling,
     typer.Option(
-        help="How the draws are spread: independent of each other, or evenly. A Latin "
-        "hypercube has a fixed number of runs; a Sobol sequence is extended by more "
-        "--runs, best to a power of 2."
+        help="How the draws are spread: independently, or evenly. A Latin hypercube has "
+        "a fixed number of runs; a larger --runs extends a Sobol sequence, best to a "
+        "power of 2."
     ),
+]
+Seed = Annotated[int, typer.Option(help="Seed of the draws.")]
+History = Annotated[
+    float | None,
+    typer.Option(help="Interval at which the history of each flight is stored, s."),
 ]
 Workers = Annotated[int | None, typer.Option(help="Cores to use; all if not given.")]
 ClusterAt = Annotated[
@@ -101,23 +107,24 @@ ClusterAt = Annotated[
     typer.Option(
         "--cluster",
         metavar="WHERE",
-        help="Fly on the workers of Dask: the address of a scheduler, tcp://HOST:8786, a "
-        "scheduler file, FILE.json, or local:2 for two processes of this machine.",
+        help="Fly on the workers of Dask. WHERE is the address of a scheduler, "
+        "tcp://HOST:8786; a scheduler file, FILE.json; or local:2 for two processes of "
+        "this machine.",
     ),
 ]
 Addresses = Annotated[
     list[str] | None,
     typer.Option(
         metavar="ADDRESS",
-        help="Leaves, or the beginning of their addresses; see `jentry show`. May be "
-        "repeated, or several with commas.",
+        help="Addresses of leaves, or beginnings of addresses; see `jentry show`. May be "
+        "repeated, or several separated by commas.",
     ),
 ]
 Fast = Annotated[
     bool,
     typer.Option(
-        help="One more XLA option, for up to a quarter more flights a second: for some "
-        "ten thousand runs and more."
+        help="Compile with one more XLA option, for up to a quarter more flights a "
+        "second: for some ten thousand runs and more."
     ),
 ]
 
@@ -126,16 +133,16 @@ StoredFolder = Annotated[Path, typer.Argument(help="Folder of a stored campaign.
 OwnMission = Annotated[
     str | None,
     typer.Option(
-        "--mission", help="File of the mission, FILE.py, if it is one of your own."
+        "--mission", help="File of the mission, FILE.py, if the mission is your own."
     ),
 ]
 Require = Annotated[
     list[str] | None,
     typer.Option(
         metavar="REQUIREMENT",
-        help="What the runs have to demonstrate, such as '|downrange_error| < 10 km, 99 % "
+        help="What the runs must demonstrate, such as '|downrange_error| < 10 km, 99 % "
         "at 90 %': at least 99 % of the flights, with a confidence of 90 %. May be "
-        "repeated. The exit code is 5 if one fails, 6 if the runs are not enough.",
+        "repeated. The exit code is 5 if one fails, 6 if the runs are too few to judge.",
     ),
 ]
 RequirementsFile = Annotated[
@@ -149,27 +156,28 @@ RequirementsFile = Annotated[
 Percentiles = Annotated[
     str | None,
     typer.Option(
-        help="Percentiles of every output, with commas, such as 50,99,99.87; 1, 5, 50, 95 "
-        "and 99 if not given."
+        help="Percentiles of every output, separated by commas, such as 50,99,99.87; "
+        "1, 5, 50, 95 and 99 if not given."
     ),
 ]
 Formats = Annotated[
     str,
     typer.Option(
-        "--format", help="Of the figures: png, pdf, svg, or several, with commas."
+        "--format",
+        help="Format of the figures: png, pdf or svg, or several separated by commas.",
     ),
 ]
 Json = Annotated[
-    bool, typer.Option("--json", help="Print the summary as JSON, and nothing else.")
+    bool, typer.Option("--json", help="Print the results as JSON, and nothing else.")
 ]
 Quiet = Annotated[
     bool,
-    typer.Option("--quiet", help="Print nothing but errors: no table, no progress."),
+    typer.Option("--quiet", help="Print only errors: no table, no progress."),
 ]
 
 
 class Over(enum.StrEnum):
-    """What something is a function of, along a flight."""
+    """Index: the independent variable along a flight."""
 
     TIME = "time"
     VELOCITY = "velocity"
@@ -179,7 +187,7 @@ class Over(enum.StrEnum):
 
 
 _MOST_WORKERS = 1024
-"""Each takes memory before it does anything."""
+"""Each worker takes memory before it computes anything."""
 
 
 def set_up(workers: int | None = None, fast: bool = False) -> None:
@@ -191,7 +199,7 @@ def set_up(workers: int | None = None, fast: bool = False) -> None:
 
 
 def flying_at(cluster: str | None):
-    """Within it, batches of flights are flown by a cluster; by this process for none."""
+    """Context in which a cluster flies the batches, or this process if it is None."""
     if cluster is None:
         return contextlib.nullcontext()
     from ..campaign.cluster import Cluster
@@ -200,7 +208,7 @@ def flying_at(cluster: str | None):
 
 
 def import_meanwhile(*modules: str) -> None:
-    """Import what is needed later while XLA compiles, which leaves Python idle."""
+    """Import modules in a thread while XLA compiles, which leaves Python idle."""
 
     def import_all():
         for module in modules:
@@ -210,11 +218,14 @@ def import_meanwhile(*modules: str) -> None:
 
 
 def chosen_scenario(name, choice, config, assignments, *, law_flies=True):
-    """Mission, its scenario with all overrides, and these, with all that is chosen.
+    """Mission, its scenario with all overrides, and the overrides in SI.
 
-    `choice` has law, case and worlds as the command was given them: what it leaves open is
-    that of the configuration, or else the mission's own. A target that is set must be one
-    that the law reads, where the law flies.
+    `choice` has the law, case and worlds of the command line. What it leaves open comes
+    from the configuration, or else from the mission. The overrides have the complete
+    choice.
+
+    **Raises:** `ValueError` for a target that is set and that the law does not read, if
+    `law_flies` and no splines replace the law.
     """
     from ..flight.duplicate_numbers import require_both
     from ..flight.effect import require_felt
@@ -242,7 +253,7 @@ def chosen_scenario(name, choice, config, assignments, *, law_flies=True):
 
 
 def note_step(scenario, solver, history):
-    """Say which step is flown, where it is not the one that was asked for."""
+    """Print the step that is flown if it differs from the step that was requested."""
     from ..flight.cycle import Plan
 
     asked = solver.step
@@ -255,11 +266,14 @@ def note_step(scenario, solver, history):
 
 
 def dispersion_table(mission, overrides, reading):
-    """Name of the reading, and its dispersions as the configuration has changed them."""
+    """Name of the mission's dispersions, and their table with the configuration's changes.
+
+    **Raises:** `ValueError` for a name beside a configuration that replaces them all.
+    """
     if overrides.replaces and reading is not None:
         raise ValueError(
             "dispersions are given by --dispersions and by --config, whose replace = true "
-            "leaves out those of the mission: give one of them"
+            "leaves out the dispersions of the mission: give one of them"
         )
     from .stated_correlations import correlated
 
@@ -272,7 +286,7 @@ def dispersion_table(mission, overrides, reading):
 
 
 def dispersions_before(mission, overrides, reading):
-    """The dispersions of a reading that the configuration changes or adds to."""
+    """Dispersions of the mission that the configuration changes or adds to."""
     none = not mission.dispersions and not reading and overrides.dispersions is not None
     if overrides.replaces or none:
         return {}
@@ -280,7 +294,7 @@ def dispersions_before(mission, overrides, reading):
 
 
 def refuse_set_in_vain(scenario, overrides, table) -> None:
-    """Refuse to set a number that every run draws anew, whatever it is."""
+    """Refuse to set a number that a dispersion replaces in every run."""
     from ..addresses import addresses_of
     from ..campaign.dispersions import replace
 
@@ -290,20 +304,35 @@ def refuse_set_in_vain(scenario, overrides, table) -> None:
         for address in addresses_of(scenario, dispersion.where):
             if address in overrides.values:
                 raise ValueError(
-                    f"{address} is set, and every run draws it anew by the dispersion "
+                    f"{address} is set, but every run draws it from the dispersion "
                     f"{name!r}: leave out one of them, or change the dispersion in --config"
                 )
 
 
+def folder_of_results(out: Path | None, name: str) -> Path:
+    """Folder for the results: `out`, or one of this name in `results`."""
+    return Path("results") / name if out is None else out
+
+
+def index_over(over: str, scenario):
+    """Index of a name. Downrange counts from the origin of the scenario's target."""
+    from ..motion.index import index_named
+
+    return index_named(over, scenario.target.origin or scenario.initial_state)
+
+
 def first_given(*options: str | None) -> str:
-    """The first that is not none. An empty name is given, and is nobody's name."""
+    """The first option that is not None. An empty name counts as given."""
     return next(option for option in options if option is not None)
 
 
 def expanded(scenario, given, defaults) -> list[str]:
-    """Addresses of leaves: as given, or those with an effect that begin as given.
+    """Addresses of leaves, of which some are given by the beginning of their addresses.
 
-    Defaults that the scenario does not have are left out; raises `ValueError` for others.
+    A beginning stands for all leaves below it that have an effect. Defaults that the
+    scenario does not have are left out.
+
+    **Raises:** `ValueError` for another address that the scenario does not have.
     """
     from ..addresses import leaves_by_address, require_address
     from ..flight.scenario import without_effect

@@ -1,4 +1,4 @@
-"""Overrides of a mission: from `--set ADDRESS=VALUE` and from TOML files.
+"""Overrides of a mission, from `--set ADDRESS=VALUE` and from TOML files.
 
     law = "energy-index"
 
@@ -12,11 +12,11 @@
     lower = 0.7
     upper = 1.3
 
-A `[dispersions.NAME]` table takes the place of the mission's of that name, or is added
-to them. In `[dispersions]`, `reading = "independent"` chooses which of the mission's
-readings are changed, and `replace = true` leaves out all of them. `dispersions =
-"independent"` chooses a reading and changes nothing. A `normal` dispersion may say how
-it is correlated with others, by name: `correlation = { drag = 0.8 }`.
+A `[dispersions.NAME]` table replaces the mission's dispersion of that name, or is added
+to the mission's dispersions. In `[dispersions]`, `reading = "independent"` names the
+mission's dispersions that are changed, and `replace = true` leaves out all of them.
+`dispersions = "independent"` names them and changes nothing. A `normal` dispersion may
+have correlations with others, by name: `correlation = { drag = 0.8 }`.
 """
 
 import dataclasses
@@ -61,13 +61,13 @@ _DISTRIBUTIONS = {
 _LISTS = "values", "probabilities"
 _MAY_LACK = ("probabilities",)
 _PURE = "deviation_of_logarithm", "probabilities"
-"""Parameters without a unit, whatever is drawn"""
+"""Parameters that are plain numbers, whatever the unit of the draw"""
 _APPLY = {"replace": replace, "add": add, "multiply": multiply}
 
 
 @dataclasses.dataclass(frozen=True)
 class AtAddresses:
-    """A lens made of addresses; two of the same addresses are equal."""
+    """A lens made of addresses. Two lenses with equal addresses are equal."""
 
     addresses: tuple[str, ...]
 
@@ -88,58 +88,59 @@ def _at(tree: Any, address: str) -> Any:
 
 @dataclasses.dataclass(frozen=True)
 class Stated:
-    """A dispersion as a file states it; what its units mean depends on the scenario."""
+    """A dispersion as a file states it, before units are converted for a scenario."""
 
     distribution: type
     addresses: tuple[str, ...]
     numbers: Mapping[str, Any]
-    """Each a `Quantity`, or a list of them"""
+    """By parameter: a `Quantity`, or a list of them"""
     apply: Any
     correlation: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    """With other dispersions, by name"""
+    """Coefficients with other dispersions, by their names"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Overrides:
-    """What a user changes of a mission: as read, or `in_si` of a scenario."""
+    """The changes of a user to a mission: as read, or `in_si` of a scenario."""
 
     choice: Choice = Choice()
     """Law, case and worlds of the mission"""
     reading: str | None = None
-    """Of the mission's dispersions"""
+    """Name of the mission's dispersions"""
     values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """By address: numbers, and lists of them for the leaves that are tables. Each is a
-    `Quantity` as read, and a float in SI"""
+    """By address: a number, or lists of numbers for a leaf that is a table. Each number is
+    a `Quantity` as read, and a float in SI"""
     dispersions: Mapping[str, Any] | None = None
-    """By name: each is `Stated` as read, and a `Dispersion` in SI"""
+    """By name: a `Stated` as read, and a `Dispersion` in SI"""
     correlations: Mapping[str, Mapping[str, float]] = dataclasses.field(
         default_factory=dict
     )
-    """Of dispersions with others, by name"""
+    """Coefficients by the names of both dispersions"""
     replaces: bool = False
-    """Whether they take the place of the mission's, or are added to them"""
+    """Whether `dispersions` replace all of the mission's, or change and add some"""
     written: Mapping[str, Any] | None = None
-    """The table of dispersions as the file has it"""
+    """The table of dispersions, unchanged from the file"""
     free_controls: Mapping[str, Any] | None = None
-    """The table of the splines that take the place of the law: `free_controls_table`"""
+    """The table of splines that replace the law, see `free_controls_table`"""
 
     @property
     def disperses(self) -> bool:
-        """Whether it says what is dispersed."""
+        """Whether the overrides choose or change dispersions."""
         return self.dispersions is not None or self.reading is not None
 
     def written_with(self, reading: str) -> str | Mapping[str, Any]:
-        """What a file has to say of dispersions for the same, with a reading chosen."""
+        """Entry `dispersions` of a file with these overrides, for the mission's dispersions
+        of a name."""
         if self.written is None or self.dispersions is None:
             return reading
         return self.written if self.replaces else {**self.written, "reading": reading}
 
 
 def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overrides:
-    """Overrides of a TOML file and of assignments `ADDRESS=VALUE`, which come last.
+    """Overrides of a TOML file, and of assignments `ADDRESS=VALUE`, which prevail.
 
     **Raises:** `ValueError` for an unknown key, with the nearest known, and for a value
-    that is no number.
+    that is not a number.
     """
     try:
         return _read_overrides(path, assignments)
@@ -149,7 +150,7 @@ def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overri
 
 def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
     contents = read_toml(path) if path is not None else {}
-    # What is said there of how the numbers came about is for the reader.
+    # These tables describe the origin of the numbers, for a reader only.
     contents.pop("tuned", None)
     contents.pop("optimized", None)
     require_keys(contents, (*AXES, "dispersions", "set", "free_controls"), "")
@@ -164,7 +165,7 @@ def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
             raise ValueError(f"--set {assignment!r}: write ADDRESS=VALUE")
         address = address.strip()
         if address in assigned:
-            raise ValueError(f"--set {address} is given twice: once")
+            raise ValueError(f"--set {address} is given twice: give it once")
         assigned[address] = one_quantity(value, f"--set {address}")
     free = contents.get("free_controls")
     if free is not None and not isinstance(free, Mapping):
@@ -192,7 +193,7 @@ def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
 def _read_dispersions(
     dispersed: Mapping[str, Any],
 ) -> tuple[dict[str, Stated] | None, str | None, bool]:
-    """The dispersions of a table, the reading that they change, whether they replace it."""
+    """Stated dispersions, the name of those that they change, whether they replace all."""
     # A table of one of these names is a dispersion like any other.
     settings = {
         key: value
@@ -206,10 +207,12 @@ def _read_dispersions(
             f"dispersions.replace is {replaces!r}: it must be true or false"
         )
     if reading is not None and not isinstance(reading, str):
-        raise ValueError(f"dispersions.reading is {reading!r}: it must be a name")
+        raise ValueError(
+            f"`reading` of [dispersions] is {reading!r}: it must be a name"
+        )
     if replaces and reading is not None:
         raise ValueError(
-            f"dispersions.reading is {reading!r}, and dispersions.replace leaves out the "
+            f"`reading` of [dispersions] is {reading!r}, and `replace` leaves out the "
             "dispersions of the mission: give one of them"
         )
     if not entries and reading is None:
@@ -222,10 +225,11 @@ def _read_dispersions(
 
 
 def in_si(overrides: Overrides, scenario: Scenario) -> Overrides:
-    """With each number in the SI unit of the leaf that it is given for.
+    """The overrides with each number in the SI unit of its leaf.
 
-    **Raises:** `ValueError` for an address that is not there, with the nearest, for a
-    unit of another dimension than the leaf's, and for an angle that was meant in degrees.
+    **Raises:** `ValueError` for an unknown address, with the nearest, for a unit of
+    another dimension than that of the leaf, and for an angle without a unit that was meant
+    in degrees.
     """
     known = leaves_by_address(scenario)
     values = {}
@@ -239,7 +243,11 @@ def in_si(overrides: Overrides, scenario: Scenario) -> Overrides:
 
 
 def apply_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
-    """The scenario with other values, SI. Refuses unknown addresses, with the nearest."""
+    """The scenario with other values, SI.
+
+    **Raises:** `ValueError` for an unknown address, with the nearest, and for a value of
+    another shape than the leaf.
+    """
     known = leaves_by_address(scenario)
     for address, value in values.items():
         require_address(known, address)
@@ -256,7 +264,7 @@ def apply_values(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
 
 
 def read_inputs(path: Path) -> dict[str, np.ndarray]:
-    """Inputs of a Monte Carlo from a csv file: addresses in the first line, SI values."""
+    """Inputs of a campaign from a csv file: addresses in the first line, values in SI."""
     columns, _ = read_columns(path, (), None, rows=1)
     return columns
 
@@ -264,7 +272,7 @@ def read_inputs(path: Path) -> dict[str, np.ndarray]:
 def read_toml(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # also of an integer of thousands of digits
+    except ValueError as error:  # also for an integer of thousands of digits
         raise ValueError(f"{path} is no valid TOML: {error}") from None
 
 
@@ -277,7 +285,7 @@ def require_keys(table: Mapping[str, Any], known: Iterable[str], place: str) -> 
 
 
 def _flat(table: Any, prefix: str = "") -> dict[str, Any]:
-    """Nested tables as dotted addresses: both spellings are the same in TOML."""
+    """Nested tables as dotted addresses: TOML allows both spellings."""
     if not isinstance(table, Mapping):
         raise ValueError(f"set is {table!r}: write a table, [set]")
     flat: dict[str, Any] = {}
@@ -287,7 +295,7 @@ def _flat(table: Any, prefix: str = "") -> dict[str, Any]:
             inner = _flat(value, f"{prefix}{key}.")
         for address in inner:
             if address in flat:
-                raise ValueError(f"set.{address} is given twice: once")
+                raise ValueError(f"set.{address} is given twice: give it once")
         flat |= inner
     return flat
 

@@ -1,4 +1,4 @@
-"""How far a campaign is: a bar on a terminal, a line now and then in a file."""
+"""Progress of a campaign: a bar on a terminal, or lines in a file."""
 
 import contextlib
 import sys
@@ -18,7 +18,7 @@ from rich.progress import (
 
 
 _SECONDS = 10.0
-"""Between two lines of a file"""
+"""Least time between two lines in a file"""
 
 
 class _Rate(ProgressColumn):
@@ -31,9 +31,9 @@ class _Rate(ProgressColumn):
 
 @contextlib.contextmanager
 def reported(runs: int, quiet: bool = False) -> Iterator[Callable[[int], None]]:
-    """A bar with rate and time left on a terminal; in a file a line every ten seconds.
+    """Context that shows progress: a bar on a terminal, a line every ten seconds in a file.
 
-    Gives the function to report the number of stored runs to.
+    It yields a function that takes the number of stored runs.
     """
     console = Console(stderr=True)
     if quiet:
@@ -45,13 +45,13 @@ def reported(runs: int, quiet: bool = False) -> Iterator[Callable[[int], None]]:
 
 
 class _Lines:
-    """A line of progress, but none within ten seconds of the last."""
+    """Prints a line of progress, at most one every ten seconds."""
 
     def __init__(self, runs: int):
         self._runs = runs
         self._last = time.monotonic()
         self._begun: tuple[float, int] | None = None
-        """When it was first told of runs, and of how many: those had been stored before"""
+        """Time of the first report, and its number of runs, which were stored earlier"""
 
     def __call__(self, stored: int) -> None:
         now = time.monotonic()

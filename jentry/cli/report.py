@@ -1,4 +1,4 @@
-"""`jentry report`: what a stored campaign says, without flying."""
+"""`jentry report`: statistics and figures of a stored campaign, without flying."""
 
 from typing import Annotated
 
@@ -22,7 +22,10 @@ from .options import (
 def command(
     folder: StoredFolder,
     runs: Annotated[
-        int | None, typer.Option(help="The first so many runs; all if not given.")
+        int | None,
+        typer.Option(
+            help="Number of runs to report, from the first; all if not given."
+        ),
     ] = None,
     percentiles: Percentiles = None,
     require: Require = None,
@@ -32,7 +35,8 @@ def command(
         bool, typer.Option(help="Draw the figures in FOLDER/figures again.")
     ] = True,
     figures_only: Annotated[
-        bool, typer.Option("--figures-only", help="Draw them, and do nothing else.")
+        bool,
+        typer.Option("--figures-only", help="Draw the figures, and do nothing else."),
     ] = False,
     format_: Formats = "png",
     full: Annotated[
@@ -45,7 +49,7 @@ def command(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Say what a stored campaign says: a table, JSON, csv, a page, all figures."""
+    """Report a stored campaign: a table, JSON, csv, a page, all figures."""
     set_up(workers=1)
     from ..campaign.errors import CampaignError
     from ..campaign.parts import digest_of, read_manifest
@@ -61,6 +65,7 @@ def command(
         chosen_requirements,
         leave,
         refuse_both,
+        require_runs,
     )
 
     refuse_both(json, quiet)
@@ -69,12 +74,12 @@ def command(
     said = percentiles, require, requirements
     if figures_only and (json or any(x is not None for x in said)):
         raise ValueError(
-            "--figures-only draws, and says nothing: leave out --json, --percentiles, "
+            "--figures-only draws, and prints nothing: leave out --json, --percentiles, "
             "--require and --requirements"
         )
     if full and (quiet or json or figures_only):
         raise ValueError(
-            "--full prints more, and --quiet, --json and --figures-only print no table: "
+            "--full prints more, but --quiet, --json and --figures-only print no table: "
             "give one of them"
         )
     if figures_only and not figures:
@@ -84,10 +89,7 @@ def command(
     chosen_percentages = chosen_percentiles(percentiles)
     description = read_manifest(folder)
     results = open_campaign(folder, runs)
-    if runs is not None and results.sizes["run"] < runs:
-        raise ValueError(
-            f"--runs is {runs}, and {folder} has {results.sizes['run']}: give no more"
-        )
+    require_runs(runs, results.sizes["run"], folder)
     digest = digest_of(description)
     decided = decided_by(folder, digest)
     summary = summarize(
@@ -123,7 +125,7 @@ def command(
             if flown is None and "time" not in results.dims:
                 written.append(
                     "without those of histories, which are not stored: run the same "
-                    "campaign again, which flies them"
+                    "campaign again, which flies the histories"
                 )
         else:
             written.append(f"no figures: {why}")

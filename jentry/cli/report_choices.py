@@ -1,4 +1,4 @@
-"""What is asked of a report: requirements, percentiles, formats; and its exit code."""
+"""Choices for a report: requirements, percentiles, formats; and its exit code."""
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -24,17 +24,19 @@ def chosen_requirements(
         listed = contents.get("require")
         if not isinstance(listed, list) or not all(isinstance(x, str) for x in listed):
             raise ValueError(
-                f"{file} has require {listed!r}: write a list of texts, "
+                f"{file} has require {listed!r}: write a list of strings, "
                 f"require = [{EXAMPLE!r}]"
             )
         texts += listed
         if not listed:
-            raise ValueError(f"{file} requires nothing: write some, or leave it out")
+            raise ValueError(
+                f"{file} has no requirement: write one, or leave the file out"
+            )
     return list(dict.fromkeys(map(Requirement.of, texts)))
 
 
 def chosen_slice(given: str) -> tuple[int, int]:
-    """A part of the runs as it is given, 3/10."""
+    """Number of the slice and number of slices, from a text such as 3/10."""
     place, bar, count = given.partition("/")
     try:
         part = int(place), int(count)
@@ -42,7 +44,7 @@ def chosen_slice(given: str) -> tuple[int, int]:
         part = 0, 0
     if not bar or not 1 <= part[0] <= part[1]:
         raise ValueError(
-            f"--slice is {given!r}: write a part of the runs, such as 3/10"
+            f"--slice is {given!r}: write a slice of the runs, such as 3/10"
         )
     return part
 
@@ -50,17 +52,19 @@ def chosen_slice(given: str) -> tuple[int, int]:
 def chosen_percentiles(
     given: str | None, usual: Sequence[float] = PERCENTILES
 ) -> Sequence[float]:
-    """Percentiles as they are given, in rising order, each once; the usual ones if not."""
+    """Percentiles of the option in rising order, each once; `usual` if it is None."""
     if given is None:
         return usual
     try:
         found = [float(text) for text in given.split(",")]
     except ValueError:
         raise ValueError(
-            f"--percentiles is {given!r}: write numbers with commas, 50,99,99.87"
+            f"--percentiles is {given!r}: write numbers separated by commas, 50,99,99.87"
         ) from None
     for wrong in [p for p in found if not 0.0 < p < 100.0][:1]:
-        raise ValueError(f"--percentiles has {wrong:g}: above 0 and below 100")
+        raise ValueError(
+            f"--percentiles has {wrong:g}: each must be above 0 and below 100"
+        )
     return sorted(set(found))
 
 
@@ -75,9 +79,15 @@ def chosen_formats(given: str) -> list[str]:
 
 
 def refuse_both(json: bool, quiet: bool) -> None:
-    """Refuse to print JSON and to print nothing."""
+    """Refuse `--json` with `--quiet`."""
     if json and quiet:
         raise ValueError("--json prints, and --quiet prints nothing: give one of them")
+
+
+def require_runs(runs: int | None, known: int, place: object) -> None:
+    """Refuse more runs than a campaign or a file has."""
+    if runs is not None and runs > known:
+        raise ValueError(f"--runs is {runs}, and {place} has {known}: give no more")
 
 
 def leave(verdicts: Iterable[Verdict]) -> None:

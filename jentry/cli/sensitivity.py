@@ -1,4 +1,4 @@
-"""`jentry sensitivity`: derivatives of the misses, and their predicted spread."""
+"""`jentry sensitivity`: derivatives of the misses, and the predicted spread of misses."""
 
 import math
 from typing import Annotated
@@ -12,6 +12,7 @@ from .options import (
     Dispersions,
     Law,
     MissionName,
+    Seed,
     Set,
     Step,
     Workers,
@@ -31,21 +32,25 @@ def command(
     scale: Annotated[
         list[float] | None,
         typer.Option(
-            help="Width of the dispersions, 1 for as they are. May be repeated; 0.1 and "
-            "1 if not given."
+            help="Factor on the width of the dispersions. May be repeated; 0.1 and 1 if "
+            "not given."
         ),
     ] = None,
     runs: Annotated[
-        int, typer.Option(help="Monte Carlo beside the prediction; 0 for none.")
+        int,
+        typer.Option(
+            help="Monte Carlo runs to compare the prediction with; 0 for none."
+        ),
     ] = 1000,
     differences: Annotated[
         bool,
         typer.Option(
             help="Predict from mean differences over two standard deviations in place of "
-            "exact derivatives: where flights jump, as from one guidance cycle to the next."
+            "exact derivatives. For flights that jump, as from one guidance cycle to the "
+            "next."
         ),
     ] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
+    seed: Seed = 0,
     workers: Workers = None,
     law: Law = None,
     case: Case = None,
@@ -55,7 +60,7 @@ def command(
     config: Config = None,
     step: Step = None,
 ) -> None:
-    """Derivatives of the misses, and their spread predicted from one flight."""
+    """Find derivatives of the misses, and predict their spread from one flight."""
     set_up(workers)
 
     from ..analysis.covariance import linear_covariance

@@ -1,4 +1,4 @@
-"""`jentry show`: every number of a mission, and what is dispersed of them."""
+"""`jentry show`: every number of a mission, and its dispersions."""
 
 from .options import (
     Case,
@@ -25,10 +25,10 @@ def command(
     set_: Set = None,
     config: Config = None,
 ) -> None:
-    """Every number of a mission, what has no effect, and what is dispersed.
+    """Show every number of a mission, those without effect, and the dispersions.
 
-    Dispersions are those that would be flown, if one reading is chosen or changed, and all
-    readings of the mission if not.
+    If some dispersions are chosen or changed, those that would be flown are shown;
+    otherwise all dispersions of the mission.
     """
     set_up(workers=1)
     from .dispersions_report import print_dispersions, print_what_is_flown

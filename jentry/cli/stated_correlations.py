@@ -1,4 +1,4 @@
-"""The dispersions of a table that go together, as a configuration file says of pairs."""
+"""Dispersions with the correlations that a configuration file states for pairs."""
 
 from collections.abc import Mapping
 
@@ -13,9 +13,13 @@ def correlated(
     dispersions: Mapping[str, Dispersion],
     correlations: Mapping[str, Mapping[str, float]],
 ) -> dict[str, Dispersion]:
-    """A table of dispersions with those correlated of which a file says so.
+    """A table of dispersions, with the correlations that a file states for pairs.
 
-    Two of which it does not say so are not, be it that both are with a third.
+    A pair without a stated coefficient is uncorrelated, even if both are correlated with
+    a third dispersion.
+
+    **Raises:** `ValueError` for an unknown name, for a dispersion with itself, and for two
+    coefficients of one pair.
     """
     table, joined = dict(dispersions), {name: {name} for name in dispersions}
     coefficients: dict[frozenset[str], float] = {}
@@ -27,9 +31,7 @@ def correlated(
                     f"{place}: no dispersion {other!r}; {nearest(other, table)}"
                 )
             if other == name:
-                raise ValueError(
-                    f"{place}: it is that of {name} with itself, which is 1"
-                )
+                raise ValueError(f"{place}: the correlation of {name} with itself is 1")
             pair = frozenset((name, other))
             if coefficients.setdefault(pair, value) != value:
                 raise ValueError(

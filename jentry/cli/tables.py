@@ -10,11 +10,11 @@ from rich.table import Table
 
 
 _LEAST_WIDTH = 130
-"""Of what is no terminal; a table that is wider has its own width there"""
+"""Least width of output that is not a terminal; a wider table keeps its width there"""
 
 
 def new_console() -> Console:
-    # A name with brackets or colons is not markup.
+    # Names may contain brackets or colons: do not take them for markup.
     width = None if sys.stdout.isatty() else _LEAST_WIDTH
     return Console(width=width, highlight=False, markup=False, emoji=False)
 
@@ -23,13 +23,13 @@ def new_table(*columns: str) -> Table:
     table = Table()
     table.add_column(columns[0], no_wrap=True)
     for column in columns[1:]:
-        # A number that is too long for its column goes on in the next line.
+        # A number that is too long for its column continues in the next line.
         table.add_column(column, justify="right", overflow="fold")
     return table
 
 
 def print_under(console: Console, title: str, table: Table) -> None:
-    """A table under its title, which may be wider. In a file nothing is folded."""
+    """Print a table under its title, which may be wider. In a file nothing is folded."""
     console.print(title, style="bold", markup=False)
     if not console.is_terminal:
         endless = console.options.update(max_width=10**6)
@@ -45,9 +45,9 @@ def print_in_pieces(
     rows: Iterable[Sequence[str]],
     repeated: int = 1,
 ) -> None:
-    """A table under its title; on a terminal that is too narrow, as several.
+    """Print a table under its title; on a narrow terminal, as several tables.
 
-    Each of them has the first columns, as many as are `repeated`, and some of the others.
+    Each table has the first `repeated` columns and some of the others.
     """
     rows = list(rows)
     widths = [
@@ -67,11 +67,11 @@ def print_in_pieces(
         for row in rows:
             table.add_row(*(row[i] for i in first + piece))
         print_under(console, title, table)
-        title = "the same, further columns"
+        title = "further columns"
 
 
 def in_digits(number: float, sign: str = "") -> str:
-    """To four decimals, or fewer digits of a small number; - for no number."""
+    """Text of a number: four decimals, fewer digits if it is small; - for NaN."""
     if np.isnan(number):
         return "-"
     if 0.0 < abs(number) < 5e-5:

@@ -1,4 +1,4 @@
-"""`jentry train`: the networks of a mission."""
+"""`jentry train`: train the networks of a mission."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from .ending import rounding_off
-from .options import MissionName, Workers, app, set_up
+from .options import MissionName, Workers, app, folder_of_results, set_up
 
 
 @app.command("train")
@@ -19,12 +19,14 @@ def command(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of flights and weights.")] = 0,
-    flights: Annotated[int, typer.Option(help="Flown from the entry.")] = 2000,
-    again: Annotated[int, typer.Option(help="Flown from places on the way.")] = 10000,
-    iterations: Annotated[int, typer.Option(help="Of the optimizer.")] = 5000,
+    flights: Annotated[int, typer.Option(help="Flights from the entry.")] = 2000,
+    again: Annotated[
+        int, typer.Option(help="Flights from points along those.")
+    ] = 10000,
+    iterations: Annotated[int, typer.Option(help="Steps of the optimizer.")] = 5000,
     workers: Workers = None,
 ) -> None:
-    """Fly the data and train the networks of a mission."""
+    """Fly the training data of a mission and train its networks."""
     set_up(workers)
     from ..campaign.dispersions import key_of
     from ..missions import ALL, find_mission
@@ -36,11 +38,11 @@ def command(
         raise ValueError(f"mission {chosen.name} has no networks to train: see {able}")
     for name, value in (("flights", flights), ("again", again)):
         if value < 100:
-            raise ValueError(f"--{name} is {value}: a network takes 100 or more")
+            raise ValueError(f"--{name} is {value}: a network needs 100 or more")
     key_of(seed)
     if iterations < 1:
         raise ValueError(f"--iterations is {iterations}: it must be 1 or more")
-    folder = out or Path("results") / f"{chosen.name}-networks"
+    folder = folder_of_results(out, f"{chosen.name}-networks")
     with rounding_off("nothing is stored") as look:
 
         def report(line: str) -> None:

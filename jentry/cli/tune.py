@@ -1,4 +1,4 @@
-"""`jentry tune`: gains, or any numbers, by gradient through a Monte Carlo."""
+"""`jentry tune`: tune gains, or any numbers, by gradients through a Monte Carlo."""
 
 import math
 import shlex
@@ -17,6 +17,7 @@ from .options import (
     Fast,
     Law,
     MissionName,
+    Seed,
     Set,
     Step,
     Workers,
@@ -27,6 +28,7 @@ from .options import (
     expanded,
     first_given,
     flying_at,
+    folder_of_results,
     refuse_set_in_vain,
     set_up,
 )
@@ -43,17 +45,17 @@ def command(
         typer.Option(
             help="mean-square; power-mean, the root of the mean fourth power; cvar, the "
             "mean of the worst twentieth; worst-case; or outside, the share of flights "
-            "that miss by more than 1."
+            "that miss by more than 1 (see --of)."
         ),
     ] = "mean-square",
     of: Annotated[
         list[str] | None,
         typer.Option(
             metavar="QUANTITY=SCALE",
-            help="What the loss is of: a miss, or the peak of a path constraint, and how "
-            "much of it counts as 1, such as altitude=500m. May be repeated; "
-            "what the mission names, or downrange=1km, and crossrange=1km out of the "
-            "plane, if not given.",
+            help="Quantity in the loss, a miss or the peak of a path constraint, and how "
+            "much of it counts as 1, such as altitude=500m. May be repeated. If not given: "
+            "those of the mission, or else downrange=1km, and crossrange=1km in three "
+            "dimensions.",
         ),
     ] = None,
     out: Annotated[
@@ -67,11 +69,14 @@ def command(
     optimizer: Annotated[
         str | None,
         typer.Option(
-            help="lbfgs; or adam, which is taken for fresh draws. lbfgs if not given."
+            help="lbfgs or adam. If not given: adam with --fresh-draws, otherwise lbfgs."
         ),
     ] = None,
     learning_rate: Annotated[
-        float, typer.Option(help="Of adam; 0.1 moves a gain by a tenth in a step.")
+        float,
+        typer.Option(
+            help="Learning rate of adam; 0.1 moves a gain by a tenth in a step."
+        ),
     ] = 0.1,
     bounds: Annotated[
         list[str] | None,
@@ -83,53 +88,54 @@ def command(
         list[str] | None,
         typer.Option(
             metavar="ADDRESS=VALUE",
-            help="How much of a leaf is a lot, where its own size does not tell: of one "
-            "that is 0.",
+            help="How much of a leaf is a large change. Needed for a leaf that is 0, whose "
+            "value gives no scale.",
         ),
     ] = None,
     differences: Annotated[
         float | None,
         typer.Option(
-            help="Take the gradient by central differences of the loss with the same "
-            "draws, of this step (0.02 is 2 % of a gain), in place of exact derivatives: "
-            "where flights jump, as by a bank reversal."
+            help="Take the gradient by central differences of the loss with this step "
+            "(0.02 is 2 % of a gain) and unchanged draws, in place of exact derivatives. "
+            "For flights that jump, as by a bank reversal."
         ),
     ] = None,
     smooth: Annotated[
         bool,
         typer.Option(
-            help="Follow the gradient of a law with smooth switches; it is judged by "
-            "the exact one all the same."
+            help="Follow the gradient of the law with smooth switches. The result is still "
+            "judged with the exact law."
         ),
     ] = False,
     smooth_reversals: Annotated[
         bool,
         typer.Option(
-            help="The same with sharp switches and smooth bank reversals alone."
+            help="Follow the gradient of the law with smooth bank reversals; other "
+            "switches stay sharp."
         ),
     ] = False,
     fresh_draws: Annotated[
-        bool, typer.Option(help="New draws for each gradient (adam).")
+        bool, typer.Option(help="New draws for each gradient; needs adam.")
     ] = False,
     least_damping: Annotated[
         float | None,
         typer.Option(
-            help="Penalize modes of the closed loop that are damped less than this ratio, "
-            "frozen along the nominal flight."
+            help="Penalize modes of the closed loop with a smaller damping ratio, frozen "
+            "along the nominal flight."
         ),
     ] = None,
     faster_than: Annotated[
         float | None,
         typer.Option(
-            help="Modes whose damping counts, in rad/s; those that the mission names, or "
-            "all, if not given."
+            help="Least magnitude of eigenvalues whose damping counts, rad/s; that of the "
+            "mission if not given."
         ),
     ] = None,
     patience: Annotated[
-        int, typer.Option(help="Stop after so many steps without progress.")
+        int, typer.Option(help="Stop after this number of steps without progress.")
     ] = 20,
-    held_out: Annotated[int, typer.Option(help="Other draws to judge by.")] = 5000,
-    seed: Annotated[int, typer.Option(help="Seed of the draws.")] = 0,
+    held_out: Annotated[int, typer.Option(help="Further draws to judge by.")] = 5000,
+    seed: Seed = 0,
     workers: Workers = None,
     cluster: ClusterAt = None,
     law: Law = None,
@@ -141,7 +147,7 @@ def command(
     step: Step = None,
     fast: Fast = False,
 ) -> None:
-    """Tune gains, or any numbers, by gradient through a Monte Carlo."""
+    """Tune gains, or any numbers, by gradients through a Monte Carlo."""
     set_up(workers, fast)
     import optax
     import optimistix
@@ -192,7 +198,7 @@ def command(
         raise ValueError(f"optimizer is {wanted!r}: choose from {', '.join(methods)}")
     default = [] if gains else list(chosen.gains)
     addresses = expanded(scenario, gains or (), default)
-    folder = Path("results") / f"{chosen.name}-tuned" if out is None else out
+    folder = folder_of_results(out, f"{chosen.name}-tuned")
     gradient = AutomaticDifferentiation(surrogate=followed)
     if differences is not None:
         gradient = CentralDifferences(differences, followed)

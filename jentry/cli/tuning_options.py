@@ -1,4 +1,4 @@
-"""Options of `jentry tune`: scales of the loss, bounds and scales of leaves."""
+"""Options of `jentry tune`: scales of the loss; bounds and scales of leaves."""
 
 import math
 from collections.abc import Iterable
@@ -20,9 +20,9 @@ _MISSES = units_of(Misses)
 
 
 def parse_scales(options: Iterable[str], scenario: Scenario) -> ScaledMisses:
-    """`QUANTITY=SCALE` of the command line: misses, and peaks of path constraints.
+    """Loss scales from `QUANTITY=SCALE`, for misses and peaks of path constraints.
 
-    Raises `ValueError` for what is neither.
+    **Raises:** `ValueError` for a quantity that is neither.
     """
     scales = {}
     units = _MISSES | {n: c.unit for n, c in scenario.constraints.items()}
@@ -40,7 +40,7 @@ def parse_scales(options: Iterable[str], scenario: Scenario) -> ScaledMisses:
             )
         unit = units[name]
         if name in scales:
-            raise ValueError(f"--of {name} is given twice: once")
+            raise ValueError(f"--of {name} is given twice: give it once")
         if not equals and unit != "m":
             raise ValueError(f"--of {option}: write {name}=SCALE")
         try:
@@ -57,13 +57,13 @@ def parse_scales(options: Iterable[str], scenario: Scenario) -> ScaledMisses:
 
 
 def outputs_for(scaled: ScaledMisses, scenario: Scenario) -> Outputs:
-    """What is looked at of a flight for a loss: its misses, and the peaks in the loss."""
+    """Outputs of a flight that a loss needs: its misses, and the peaks in the loss."""
     peaks = tuple(name for name, _ in scaled.scales if name in scenario.constraints)
     return MissesAndPeaks(peaks) if peaks else misses
 
 
 DAMPING_POINTS = 60
-"""Of a flight, at which its damping is looked at"""
+"""Number of points of a flight at which its damping is computed"""
 
 
 def damping_penalty(
@@ -72,7 +72,11 @@ def damping_penalty(
     least: float | None,
     faster_than: float | None,
 ) -> DampingBelow | None:
-    """The penalty that is asked for. Raises `ValueError` where it is not told of what."""
+    """The requested penalty, None for none.
+
+    **Raises:** `ValueError` for a ratio that is not above 0 and at most 1, and for a ratio
+    without `faster_than`.
+    """
     if least is None:
         return None
     if not 0.0 < least <= 1.0:
@@ -80,7 +84,7 @@ def damping_penalty(
     if faster_than is None:
         raise ValueError(
             "--least-damping needs --faster-than 0.1, or another magnitude in rad/s: "
-            "frozen, what hardly changes along a flight looks undamped"
+            "slow states look undamped when the loop is frozen"
         )
     damping = Damping.of(
         scenario, points=DAMPING_POINTS, faster_than=faster_than, solver=solver
@@ -91,7 +95,7 @@ def damping_penalty(
 def parse_ranges(
     bounds: Iterable[str], scales: Iterable[str], scenario: Scenario
 ) -> dict[str, Bounds | Scale]:
-    """`ADDRESS=LOW:HIGH` and `ADDRESS=VALUE` of the command line, by address."""
+    """Bounds from `ADDRESS=LOW:HIGH` and scales from `ADDRESS=VALUE`, by address."""
     ranges: dict[str, Bounds | Scale] = {}
     known = leaves_by_address(scenario)
     given = [("--bounds", "LOW:HIGH", option) for option in bounds]
@@ -104,7 +108,7 @@ def parse_ranges(
         require_address(known, address)
         if address in ranges:
             raise ValueError(
-                f"{name} {address} is given twice: once, by --bounds or by --scale"
+                f"{name} {address} is given twice: give it once, by --bounds or --scale"
             )
         unit = unit_of(scenario, address)
         try:

@@ -1,4 +1,4 @@
-"""What `jentry tune` prints and writes: steps, values, judgement, course."""
+"""Output of `jentry tune`: steps, values, judgement on held-out draws, course."""
 
 import csv
 import io
@@ -26,11 +26,11 @@ from .tuning_options import DAMPING_POINTS
 
 
 _SAME = 1e-4
-"""Of a statistic: a change that is real, and of no interest"""
+"""Relative change of a statistic below which a significant change is of no interest"""
 
 
 def report_step(course: list[Entry], best: int) -> None:
-    """A line for each step, on standard error."""
+    """Print a line for a step on standard error."""
     entry = course[-1]
     line = f"step {len(course):4}  loss {entry.loss:.6g}  best {course[best].loss:.6g}"
     line += f"  gradient {entry.gradient_norm:.3g}"
@@ -45,7 +45,7 @@ def report_step(course: list[Entry], best: int) -> None:
 
 
 def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
-    """Values, which flights their gradient is of, and the judgement on held-out draws."""
+    """Print tuned values, the flights behind their gradient, and the judgement."""
     console = new_console()
     first, best = tuned.course[0], tuned.course[tuned.best]
     console.print(
@@ -54,15 +54,15 @@ def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
     )
     if tuned.penalties is not None:
         was, is_ = tuned.penalties
-        console.print(f"of it the penalty {was:.4g} -> {is_:.4g}")
+        console.print(f"penalty within the loss {was:.4g} -> {is_:.4g}")
     for remark in tuned.remarks:
         console.print(f"NOTE: {remark}")
     most = max(tuned.course, key=lambda entry: entry.gradients_failed)
     if most.gradients_failed:
         console.print(
-            f"left out of a gradient, which was not finite or beyond all measure: "
-            f"{best.gradients_failed} flights at the best step, and "
-            f"{most.gradients_failed} in the step with most of them"
+            "flights left out of the gradient, since theirs was not finite or too large: "
+            f"{best.gradients_failed} at the best step, at most {most.gradients_failed} "
+            "at any step"
         )
     table = new_table("address", "unit", "before", "tuned", "felt by")
     for address, value in tuned.values.items():
@@ -88,22 +88,18 @@ def print_tuned(mission: Mission, before: Scenario, tuned: Tuned) -> None:
         console.print(
             f"no flight's gradient feels {', '.join(unfelt)}: it acts through a "
             "discrete choice or behind a limit, and "
-            + (
-                "stays as it was"
-                if tuned.penalties is None
-                else "is left to the penalty"
-            )
+            + ("is unchanged" if tuned.penalties is None else "is left to the penalty")
         )
     print_judgement(before, tuned)
 
 
 def print_judgement(scenario: Scenario, tuned: Tuned) -> None:
-    """Before and after on held-out draws, with 95 % intervals."""
+    """Print statistics before and after tuning on held-out draws, with 95 % intervals."""
     console, judgement = new_console(), tuned.judgement
     lost = judgement.not_finite_before, judgement.not_finite_after
     if any(lost):
         console.print(
-            f"held-out flights not finite and left out: {lost[0]} before, {lost[1]} tuned"
+            f"held-out flights left out, not finite: {lost[0]} before, {lost[1]} tuned"
         )
     if not judgement.comparisons:
         console.print("no two held-out flights are finite: the result is NOT judged")
@@ -133,14 +129,14 @@ def print_judgement(scenario: Scenario, tuned: Tuned) -> None:
     print_under(console, title, table)
     if not judgement["loss", ""].lower:
         console.print(
-            "the loss is NOT lower on held-out draws, beyond the interval: tune on more "
-            "runs, or leave it as it was"
+            "the loss is NOT significantly lower on held-out draws: tune on more runs, or "
+            "discard the result"
             + ("" if tuned.penalties is None else "; the penalty is not in this loss")
         )
 
 
 def _quantity(name: str, scenario: Scenario) -> tuple[str, str]:
-    """Unit and words of an output: of `Misses`, or of `MissesAndPeaks`."""
+    """Unit and name in words of an output of `Misses` or `MissesAndPeaks`."""
     if name not in units_of(Misses):
         constraint = scenario.constraints[name]
         return constraint.shown_unit or constraint.unit, in_words(peak_of(name))
@@ -150,7 +146,7 @@ def _quantity(name: str, scenario: Scenario) -> tuple[str, str]:
 def print_damping(
     faster_than: float, before: Scenario, tuned: Tuned, solver: AbstractSolver
 ) -> None:
-    """The least damped modes that count, each along the flight of its own scenario."""
+    """Print the least damping before and after tuning, along the nominal flights."""
     told = []
     for scenario in (before, tuned.scenario):
         try:
@@ -168,7 +164,7 @@ def print_damping(
 
 
 def _is_nothing(comparison: Comparison) -> bool:
-    """A quantity that is not there, such as the crossrange of a flight in its plane."""
+    """Whether a quantity is zero, such as the crossrange of a flight in a plane."""
     largest = max(abs(comparison.before.value), abs(comparison.after.value))
     return comparison.quantity != "loss" and largest < 1e-6
 
@@ -185,7 +181,7 @@ def _verdict(comparison: Comparison) -> str:
 
 
 def write_course(path: Path, tuned: Tuned) -> None:
-    """Loss, gradient norm and parameters of every step, as csv."""
+    """Write loss, gradient norm and parameters of every step as csv."""
     path.parent.mkdir(parents=True, exist_ok=True)
     names = []
     for address, value in tuned.values.items():

@@ -1,4 +1,4 @@
-"""How many runs are flown before one looks again whether requirements are decided."""
+"""How many runs are flown before requirements are judged again."""
 
 import math
 from collections.abc import Sequence
@@ -12,16 +12,16 @@ if TYPE_CHECKING:
 
 
 _GROWTH = 2.0
-"""Times as many runs, at most, at the next look"""
+"""Largest ratio of the runs at one look to the runs at the look before"""
 
 
 def further_runs(
     requirements: Sequence[Requirement], results: "xarray.Dataset", most: int
 ) -> int:
-    """Runs to fly before the next look; 0 where all is decided or there are enough.
+    """Runs to fly before the next look; 0 if all is decided or `most` is reached.
 
-    As many as the nearest decision takes at the rate of failures so far, at most as many
-    as there are. The sequential test allows looks at any time.
+    The number is what the nearest decision takes at the present rate of failures, but at
+    most as many as there are already. The sequential test allows looks at any time.
 
     **Arguments:**
 

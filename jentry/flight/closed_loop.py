@@ -27,37 +27,38 @@ from .termination import Outcome
 
 
 class Bracket(eqx.Module):
-    """Where the fixed-step solver tries to go next, and what it knows of the end."""
+    """Next step of the fixed-step solver, and the bracket about the end of the flight."""
 
     trial: Scalar
     """Length of the next step, s"""
     margin: Scalar
     """Smallest margin of the end conditions now"""
     far: Scalar
-    """A step of this length is known to cross the end, s; infinite while none is"""
+    """Length of a step that is known to cross the end, s; infinite if none is known"""
     far_margin: Scalar
     """Smallest margin of the end conditions at `far`"""
     allowed: Scalar
-    """`far` is at most this after the next step, s"""
+    """Largest value that `far` may have after the next step, s"""
 
 
 class Moving(eqx.Module):
-    """What is integrated, or its time derivative."""
+    """Integrated quantities of a flight, or their time derivatives."""
 
     state: EntryState
     attitude: Any
-    """None where commands are flown at once"""
+    """State of the attitude; None if the vehicle follows commands at once"""
     memory: Any
     """Memory of the law"""
     integrals: Mapping[str, Scalar] = eqx.field(default_factory=dict)
     """Values of the path constraints that are integrals, by name"""
     off_a_bank: Scalar | None = None
-    """Integral over what was commanded: zero as long as that was a bank. None while the
-    flight goes on: there what is no bank is flown as NaN, which costs less and stops it"""
+    """Integral of the error of sin^2 + cos^2 of the commanded bank: zero if every command
+    was a bank. It is None during the flight, where an invalid bank is replaced by NaN:
+    this costs less, and stops the flight"""
 
 
 class Instant(eqx.Module):
-    """When and where a flight was."""
+    """Time and state of a flight at one instant."""
 
     time: Scalar = eqx.field(metadata={"unit": "s"})
     """Time since the start, s"""
@@ -65,17 +66,17 @@ class Instant(eqx.Module):
 
 
 class Noted(eqx.Module):
-    """What is noted of a flight up to a step."""
+    """Quantities that are recorded of a flight up to a step."""
 
     peaks: ConstraintValues
     at_peaks: dict[str, Instant]
-    """When and where the located peaks were, by name"""
+    """Time and state at the located peaks, by name"""
     beyond: dict[str, Excursion]
-    """Beyond the edges of tables, by the name of the caveat"""
+    """Excursions beyond the edges of tables, by the name of the caveat"""
 
 
 class Lane(eqx.Module):
-    """A flight on its way: all that the loop carries."""
+    """A flight in progress: everything that the loop carries."""
 
     flown: Scalar
     """Time since the start, s"""
@@ -85,7 +86,7 @@ class Lane(eqx.Module):
     bracket: Bracket
     running: Flag
     stopped: Count
-    """Code of the `Outcome` that stopped it before an end; -1 while none has"""
+    """Code of the `Outcome` that stopped the flight before an end; -1 if none has"""
 
     @property
     def state(self) -> EntryState:
@@ -97,7 +98,7 @@ class Lane(eqx.Module):
 
     @property
     def on_schedule(self) -> Flag:
-        """Running, and not yet in the step that holds the end."""
+        """Whether the flight is running and not yet in the step that contains the end."""
         return self.running & jnp.isinf(self.bracket.far)
 
 
@@ -114,22 +115,23 @@ def sense(
     held: Any,
     sampled_at: Scalar | None = None,
 ) -> Measurement:
-    """What the vehicle measures in a state, at the angle of attack that it flies.
+    """What the vehicle measures in a state, at its present angle of attack.
 
-    That is the one of its attitude, or where commands are flown at once the one that its
-    law commands. `sampled_at` (s) is given at the start of a guidance cycle.
+    This is the angle of attack of its attitude. If the vehicle follows commands at once,
+    it is the angle that the law commands. `sampled_at` (s) is given at the start of a
+    guidance cycle.
 
-    **Raises:** `ValueError` for a law whose angle of attack is flown at once and depends
-    on the forces that are sensed at the same instant: these are those of the angle of
-    attack.
+    **Raises:** `ValueError` if the vehicle follows commands at once and the commanded
+    angle of attack depends on the forces that are sensed at the same instant: these
+    forces depend on the angle of attack in turn.
     """
     acting = _acting(scenario, flown, moving, held)
     return _sensed(scenario, moving, acting, sampled_at)
 
 
 def _acting(scenario: Scenario, flown: Scalar, moving: Moving, held: Any) -> Traced:
-    """The command of the law and the rate of its memory, over what is sensed: lift, drag,
-    and the angle of attack at which they are."""
+    """The command of the law and the rate of its memory, as functions of what is sensed:
+    lift, drag and the angle of attack."""
     state, memory = moving.state, moving.memory
     trim = scenario.vehicle.trim_angle_of_attack
     bank = scenario.attitude.bank(moving.attitude)
@@ -196,9 +198,9 @@ def _measured(
 def first_measurement(scenario: Scenario) -> Measurement:
     """What the vehicle measures at the start, when its law has no memory yet.
 
-    The forces are those at the first angle of attack of the attitude or, where that has
-    none of its own, at the one that the law commands at the start. Where that command
-    depends on what is measured, through the first memory or the first decision, the angle
+    The forces are those at the first angle of attack of the attitude. If the attitude has
+    none, they are those at the angle that the law commands at the start. If that command
+    depends on the measurement, through the first memory or the first decision, the angle
     is the trim angle of attack of the vehicle: the attitude before guidance begins.
     """
     first = scenario.attitude.first_angle_of_attack
@@ -221,7 +223,7 @@ def first_measurement(scenario: Scenario) -> Measurement:
 
 @eqx.filter_jit
 def start(scenario: Scenario, step: float) -> Lane:
-    """The flight before its first step, of which `step` is the length (s)."""
+    """The flight before its first step; `step` is the length of that step (s)."""
     state = scenario.initial_state
     measurement = first_measurement(scenario)
     memory, held = begun(scenario.law, measurement)
@@ -254,7 +256,7 @@ def start(scenario: Scenario, step: float) -> Lane:
 
 @eqx.filter_jit
 def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
-    """The flight after what a sampled law decides, if its guidance cycle is due."""
+    """The flight after a decision of its sampled law, if a guidance cycle is due."""
     law = scenario.law
     if not isinstance(law, AbstractSampledLaw):
         return lane
@@ -274,21 +276,22 @@ def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
 def command(
     scenario: Scenario, flown: Scalar, moving: Moving, held: Any
 ) -> tuple[Controls, Any]:
-    """What the law commands, and the rate of its memory."""
+    """The command of the law, and the rate of its memory."""
     acting = _acting(scenario, flown, moving, held)
     measurement = _sensed(scenario, moving, acting)
     return acting(measurement.lift, measurement.drag, measurement.angle_of_attack)
 
 
 def caveats(scenario: Scenario, lane: Lane) -> dict[str, Scalar]:
-    """What a sampled law says of how it decided, and shares of time beyond tables."""
+    """Caveats that a sampled law reports of its decisions, and shares of time beyond
+    tables."""
     law = scenario.law
     said = law.caveats(lane.held) if isinstance(law, AbstractSampledLaw) else {}
-    # Of steps that are counted whole: no function of the end that has a derivative.
+    # Shares count whole steps, so they have no derivative with respect to the end.
     flown = lax.stop_gradient(lane.flown)
     flies = flown > 0.0
     seconds = jnp.where(flies, flown, 1.0)
-    # A flight that has no time yet is where it begins.
+    # Before the first step the share is that of the initial state, 0 or 1.
     return said | {
         name: jnp.where(flies, beyond.time / seconds, 1.0 * (beyond.distance > 0.0))
         for name, beyond in lane.noted.beyond.items()
@@ -296,18 +299,18 @@ def caveats(scenario: Scenario, lane: Lane) -> dict[str, Scalar]:
 
 
 def caveat_names(scenario: Scenario) -> list[str]:
-    """Names of the caveats that flights of a scenario may have, none being flown."""
+    """Names of the caveats that flights of a scenario may have, without flying one."""
     return list(eqx.filter_eval_shape(lambda s: caveats(s, start(s, 1.0)), scenario))
 
 
 def vector_field(scenario: Scenario, held: Any):
-    """Time derivative of what is integrated within a cycle, `field(flown, moving)`."""
+    """Time derivative of the integrated quantities in a cycle, `field(flown, moving)`."""
     dynamics, attitude = scenario.dynamics, scenario.attitude
     shared = shares_reversals(scenario.law)
 
     def field(flown: Scalar, moving: Moving) -> Moving:
         wish, memory_rate = command(scenario, flown, moving, held)
-        # In each stage, since there the command is known.
+        # Checked in each stage, since the command is known there.
         off = wish.off_a_bank(shared)
         if moving.off_a_bank is None:
             wish, off = wish.unless(off > 0.0), None
@@ -324,7 +327,7 @@ def vector_field(scenario: Scenario, held: Any):
 def _integrands(
     scenario: Scenario, moving: Moving, controls: Controls
 ) -> dict[str, Scalar]:
-    """Rates of the integrals that the motion carries."""
+    """Rates of the path constraints that are integrals, by name."""
     if not moving.integrals:
         return {}
     point, integrals = _point(scenario, moving, controls), moving.integrals
@@ -340,7 +343,7 @@ def _point(scenario: Scenario, moving: Moving, controls: Controls) -> PathPoint:
 def path_point(
     scenario: Scenario, flown: Scalar, moving: Moving, held: Any
 ) -> PathPoint:
-    """An instant of a flight, with the controls that are flown there."""
+    """The point of a flight at one instant, with the controls there."""
     wish, _ = command(scenario, flown, moving, held)
     controls = scenario.attitude.flown(moving.attitude, wish)
     return _point(scenario, moving, controls)
@@ -357,8 +360,8 @@ def path_constraints(
 def beyond_tables(
     scenario: Scenario, point: PathPoint
 ) -> tuple[dict[str, Scalar], Flag]:
-    """How far a point is beyond the edges of the tables of planet and vehicle, by the name
-    of the caveat, and whether one of them refuses it. Nothing where nothing is tabulated.
+    """Distances of a point beyond the edges of the tables of planet and vehicle, by the
+    name of the caveat, and whether a table refuses the point. Empty without tables.
     """
     found, refused = beyond_edges(
         tables_in(planet=scenario.planet, vehicle=scenario.vehicle),
@@ -372,7 +375,7 @@ def beyond_tables(
 def noted(
     scenario: Scenario, lane: Lane, flown: Scalar, moving: Moving
 ) -> tuple[Noted, Flag]:
-    """What is noted of a flight that goes on to a state; and whether a table refuses it."""
+    """The record of a flight after a step to a state, and whether a table refuses it."""
     point = path_point(scenario, flown, moving, lane.held)
     now = constraint_values(scenario.constraints, point, moving.integrals)
     here = lax.stop_gradient(Instant(flown, moving.state))
@@ -396,18 +399,18 @@ def noted(
 def constrained(
     scenario: Scenario, moving: Moving, controls: Controls
 ) -> ConstraintValues:
-    """The constrained quantities where given controls are flown."""
+    """The constrained quantities at given controls."""
     point = _point(scenario, moving, controls)
     return constraint_values(scenario.constraints, point, moving.integrals)
 
 
 def is_finite(y: Any) -> Flag:
     """Whether every number of a state is finite."""
-    # A reduction of a scalar would stand between operations that belong together.
+    # A reduction of a scalar would prevent the fusion of the operations around it.
     leaves = [x if jnp.ndim(x) == 0 else jnp.sum(x) for x in jax.tree.leaves(y)]
     return jnp.isfinite(sum(leaves))
 
 
 def select(condition: Flag, chosen: Any, otherwise: Any) -> Any:
-    """Leaf by leaf, `chosen` where the condition holds."""
+    """`chosen` where the condition holds, and `otherwise` elsewhere, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), chosen, otherwise)

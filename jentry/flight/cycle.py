@@ -29,39 +29,39 @@ from .termination import Outcome
 
 
 _AIM_SHORT = 0.999
-"""Share of the predicted way to the end that is tried, to stay on the near side."""
+"""Share of the predicted time to the end that a step takes, to stop before the end."""
 
 _END_TOLERANCE = 1e-9
-"""s; what the last correction and its derivative neglect is of this size."""
+"""s; the last correction and its derivative neglect terms of this size."""
 
 
 _FREE_STEPS = 3
-"""Steps to the end that need not halve the way to it; it takes four or five steps."""
+"""Number of steps that need not halve the bracket; the end takes four or five steps."""
 
 
 _STEP = 0.1
-"""s, of a solver and a scenario that are given none."""
+"""Length of a step, s, if neither the solver nor the scenario has one."""
 
 _SAME_TIME = 1e-6
-"""s; times differ by the rounding of some thousand cycles."""
+"""s; two times that differ by less are equal: thousands of cycles add up rounding."""
 
 
 _MOST_KEPT = 1e7
-"""Entries of a history, which is some gigabytes for one flight."""
+"""Largest number of entries of a history, some gigabytes for one flight."""
 
 _MOST_STEPS = 1e9
-"""Of a flight, which takes an hour or two."""
+"""Largest number of steps of a flight, which takes an hour or two."""
 
 
 class Plan(eqx.Module):
-    """How the time of a flight is divided: into cycles, and these into steps."""
+    """Division of the time of a flight into cycles, and of a cycle into steps."""
 
     duration: float = eqx.field(static=True)
     """Length of a cycle, s"""
     scheduled: int = eqx.field(static=True)
     """Number of cycles up to the time limit"""
     cycles: int = eqx.field(static=True)
-    """Largest number of cycles, with those in which the last steps to the end are taken"""
+    """Largest number of cycles, including those of the last steps to the end"""
     decide_every: int = eqx.field(static=True)
     keep_every: int = eqx.field(static=True)
     solver: AbstractSolver
@@ -93,7 +93,7 @@ class Plan(eqx.Module):
         if history is not None and limit / history > _MOST_KEPT:
             raise ValueError(
                 f"history is {history} s: of a flight of {limit:g} s that is more than "
-                f"{_MOST_KEPT:.0e} entries to keep"
+                f"{_MOST_KEPT:.0e} entries"
             )
         if period is not None and limit / period > _MOST_STEPS:
             raise ValueError(
@@ -130,11 +130,11 @@ class Plan(eqx.Module):
         return cls(duration, scheduled, cycles, decide_every, keep_every, solver)
 
     def stacked_every(self, scenario: Scenario) -> int:
-        """How many cycles lie between those whose starts are stacked for a history."""
+        """Number of cycles from one state that is stacked for the history to the next."""
         return 1 if varies(scenario.law) else self.keep_every
 
     def kept(self, scenario: Scenario, lanes: Lane) -> Lane:
-        """Lanes that the history keeps, of those that are stacked."""
+        """The stacked lanes that are entries of the history."""
         if not varies(scenario.law):
             count = math.ceil(self.scheduled / self.keep_every)
             return jax.tree.map(lambda x: x[:count], lanes)
@@ -148,18 +148,18 @@ class Plan(eqx.Module):
         return eqx.tree_at(lambda lanes: lanes.running, lanes, there)
 
     def decided(self, scenario: Scenario, lane: Lane) -> Lane:
-        """The lane after what a sampled law decides at this time, if its cycle starts."""
+        """The lane after a decision of its sampled law, if a guidance cycle starts now."""
         if self.decide_every == 1:
             return decide(scenario, lane, None)
         index = jnp.round(lane.flown / self.duration).astype(int)
         return decide(scenario, lane, index % self.decide_every == 0)
 
     def cycle(self, scenario: Scenario, lane: Lane) -> Lane:
-        """One guidance cycle, or a part of one where the history wants it finer."""
+        """One guidance cycle, or a part of one if the history has a finer interval."""
         return self.moved(scenario, self.decided(scenario, lane))
 
     def moved(self, scenario: Scenario, lane: Lane) -> Lane:
-        """The lane after a cycle, of which the decision was made."""
+        """The lane after the motion of a cycle whose decision has been made."""
         law, duration = scenario.law, self.duration
         if varies(law):
             assert isinstance(law, AbstractSampledLaw)
@@ -180,7 +180,7 @@ def varies(law: AbstractLaw) -> bool:
 
 
 def steps_to_the_end(step: float) -> int:
-    """Largest number of steps within the step (s) that holds the end: `_next_trial`."""
+    """Largest number of steps in the step (s) that contains the end: `_next_trial`."""
     return math.ceil(math.log2(max(step / _END_TOLERANCE, 1.0))) + _FREE_STEPS + 2
 
 
@@ -191,12 +191,12 @@ def _fixed_cycle(
     steps: int,
     lane: Lane,
 ) -> Lane:
-    """Step on until the cycle is over, or the end is located within its tolerance.
+    """Take steps until the cycle is over or the end is located within its tolerance.
 
-    A step that would cross the end is not taken. From there the steps go to where the
-    straight line through the margins before and behind the end meets zero: two or three
-    of them come within the tolerance, on the near side. They are steps of the same
-    solver, so that the order is kept up to the end.
+    A step that would cross the end is not taken. Each following step goes to the zero of
+    the straight line through the margins before and behind the end. Two or three such
+    steps come within the tolerance, before the end. They are steps of the same solver, so
+    that its order holds up to the end.
     """
     field = vector_field(scenario, lane.held)
     conditions, dynamics = scenario.termination, scenario.dynamics
@@ -234,15 +234,15 @@ def _fixed_cycle(
 def _next_trial(
     bracket: Bracket, margin: Scalar, taken: Flag, full_step: Scalar | float
 ) -> Bracket:
-    """After a step to a margin, which was taken or was found to cross the end.
+    """The bracket after a step to a margin, which was taken or was found to cross the end.
 
     The next step is zero when the end is within the tolerance. Wherever the end lies, the
-    bracket about it is no longer than `allowed` after the next step, which is halved each
-    time: so the number of steps is bounded, whatever the margin looks like, in the manner
-    of I. F. D. Oliveira and R. H. C. Takahashi, "An Enhancement of the Bisection Method
+    bracket about it is no longer than `allowed` after the next step, and `allowed` is
+    halved in each step. This bounds the number of steps for any margin, in the manner of
+    I. F. D. Oliveira and R. H. C. Takahashi, "An Enhancement of the Bisection Method
     Average Performance Preserving Minmax Optimality", ACM TOMS 47(1), 2020.
 
-    These steps are not differentiated: what they leave undone at the end is.
+    These steps are not differentiated. The last correction at the end is differentiated.
     """
     moved = (bracket.margin - margin) / bracket.trial
     allowed = 0.5 * bracket.allowed
@@ -254,8 +254,8 @@ def _next_trial(
     in_sight = jnp.isfinite(far)
     allowed = jnp.where(jnp.isfinite(allowed), allowed, 2.0**_FREE_STEPS * far)
     closing = (margin - far_margin) / far
-    # Where two conditions compete, the margin behind the end may be another's and a
-    # steeper one: then the step just taken tells better how fast this one closes.
+    # If two conditions compete, the margin behind the end may belong to the other one and
+    # be steeper. The step just taken then shows better how fast this margin closes.
     closing = jnp.where(taken & (moved > 0.0), jnp.minimum(closing, moved), closing)
     way = margin / closing
     arrived = (taken & (way < _END_TOLERANCE)) | (far < _END_TOLERANCE)

@@ -1,4 +1,4 @@
-"""Numbers that a scenario states in two places, and that must not come apart unseen."""
+"""Numbers that a scenario states in two places, and checks that both are equal."""
 
 from collections.abc import Callable, Iterable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -30,17 +30,17 @@ if TYPE_CHECKING:
 
 
 class Twice(NamedTuple):
-    """Addresses of two numbers that say the same."""
+    """Addresses of two numbers with the same meaning."""
 
     first: str
     second: str
     may_differ: bool = False
-    """Whether a scenario may have different values: where they are equal, one that is
-    changed alone is refused all the same"""
+    """Whether the two values of a scenario may differ. If they are equal, a change of one
+    alone is refused in either case"""
 
 
 _ENDS = {
-    # Of a prediction: the end condition that it is of, and how the flight ends there.
+    # Name of the end of a prediction: the end condition, and the outcome of the flight.
     "velocity": (VelocityBelow, Outcome.REACHED),
     "altitude": (AltitudeBelow, Outcome.REACHED),
     "energy": (EnergyBelow, Outcome.REACHED),
@@ -49,10 +49,10 @@ _ENDS = {
 
 
 def stated_twice(scenario: "Scenario") -> list[Twice]:
-    """All pairs of numbers of a scenario that say the same.
+    """All pairs of numbers of a scenario with the same meaning.
 
-    Not those of which one is what is believed on board, such as the planet of a law's
-    model: they are meant to be moved apart.
+    Numbers of an onboard model, such as its planet, are not paired with those of the
+    scenario: they are meant to differ from each other.
     """
     found: list[Twice] = []
     for end, address in nodes(scenario.guidance, GuidedEnd, "guidance"):
@@ -81,18 +81,18 @@ def stated_twice(scenario: "Scenario") -> list[Twice]:
 
 
 def _with_ends(scenario: "Scenario", address: str, name: str) -> Iterator[Twice]:
-    """A believed end of guided flight, and the conditions that it is of; without one, the
-    velocity of the target."""
+    """The end of guided flight in an onboard model, paired with the end conditions of its
+    kind; without such a condition, paired with the velocity of the target."""
     conditions = _conditions(scenario, name)
     for condition in conditions:
-        # Of several it is one, such as the altitude of the end and the ground.
+        # If there are several, it is one of them: an end altitude and the ground.
         yield Twice(address, condition, may_differ=len(conditions) > 1)
     if name == "velocity" and not conditions:
         yield Twice(address, "target.velocity")
 
 
 def _conditions(scenario: "Scenario", name: str) -> list[str]:
-    """Addresses of the numbers of the end conditions of a kind."""
+    """Addresses of the numbers of the end conditions of one kind."""
     kind, outcome = _ENDS[name]
     number = "altitude" if name == "ceiling" else name
     return [
@@ -107,7 +107,8 @@ def _conditions(scenario: "Scenario", name: str) -> list[str]:
 def nodes(
     tree: Any, kind: type | Callable[[Any], bool], place: str, skips: Any = ()
 ) -> list[tuple[Any, str]]:
-    """Nodes of a kind with their addresses; those that it `skips` are looked into."""
+    """Nodes of a kind with their addresses; nodes of the kind `skips` are searched, but
+    are not results."""
 
     def is_one(node: Any) -> bool:
         if isinstance(kind, type):
@@ -125,7 +126,7 @@ def nodes(
 
 
 def check_stated_twice(scenario: "Scenario") -> None:
-    """Refuse numbers that say the same and differ, as far as they are known."""
+    """Refuse numbers with the same meaning that differ, as far as they are known."""
     leaves = leaves_by_address(scenario)
     for pair in stated_twice(scenario):
         one, other = leaves.get(pair.first), leaves.get(pair.second)
@@ -137,15 +138,15 @@ def check_stated_twice(scenario: "Scenario") -> None:
             unit = unit_of(scenario, pair.first)
             first, second = (quantity_in_words(x, unit) for x in (one, other))
             raise ValueError(
-                f"{pair.first} is {first} and {pair.second} is {second}: they say the "
-                "same, so give both one value"
+                f"{pair.first} is {first} and {pair.second} is {second}: they have the "
+                "same meaning, so give both one value"
             )
 
 
 def require_both(scenario: "Scenario", moved: Iterable[str]) -> None:
-    """Refuse to move one of two equal numbers that say the same, and not the other.
+    """Refuse to vary one of two equal numbers with the same meaning without the other.
 
-    `moved` are the addresses of all that is moved.
+    `moved` are the addresses of all numbers that are varied.
     """
     moved = set(moved)
     leaves = leaves_by_address(scenario)
@@ -157,10 +158,11 @@ def require_both(scenario: "Scenario", moved: Iterable[str]) -> None:
             (one,) = alone
             other = second if one == first else first
             raise ValueError(
-                f"{one} is moved, and {other}, which says the same, is not: move both"
+                f"{one} is varied, and {other}, which has the same meaning, is not: vary "
+                "both"
             )
 
 
 def differ(one: Any, other: Any) -> bool:
-    """Whether two numbers are more apart than by rounding."""
+    """Whether two numbers differ by more than rounding."""
     return not np.allclose(np.asarray(one), np.asarray(other), rtol=1e-9, atol=1e-12)

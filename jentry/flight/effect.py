@@ -1,4 +1,4 @@
-"""What a flight depends on: found in its equations, without flying."""
+"""Numbers that a flight depends on, found in its equations without flying."""
 
 import functools
 from collections.abc import Callable, Iterable
@@ -27,12 +27,12 @@ from .scenario import Scenario, without_effect
 
 
 def require_felt(scenario: Scenario, addresses: Iterable[str]) -> None:
-    """Refuse numbers that no equation of the flight uses, of a law's model for example.
+    """Refuse numbers that no equation of the flight uses, such as some of an onboard model.
 
-    What the law computes is looked at only for what motion and sensors do not use, since
-    that takes much longer.
+    The law is examined only for numbers that motion and sensors do not use, since that
+    takes much longer.
     """
-    # The others of the target count in the misses.
+    # The other numbers of the target affect the misses.
     wanted = {a for a in addresses if not a.startswith("target.") or _is_place(a)}
     for equations in (_motion_and_sensors, _guidance):
         if wanted:
@@ -51,7 +51,7 @@ def require_felt(scenario: Scenario, addresses: Iterable[str]) -> None:
 
 
 def _is_place(address: str) -> bool:
-    """Whether a number says where the target is."""
+    """Whether a number is part of the place of the target."""
     return address in ("target.downrange", "target.crossrange") or address.startswith(
         "target.origin."
     )
@@ -70,7 +70,7 @@ def unfelt(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _used(equations: Callable[[Scenario], Any], scenario: Scenario) -> set[str]:
-    """Addresses of the leaves that what is computed depends on."""
+    """Addresses of the leaves on which the results of `equations` depend."""
     scenario = jax.tree.map(_of_jax, scenario)
     arrays, others = eqx.partition(scenario, eqx.is_array)
     shapes = [jax.ShapeDtypeStruct(x.shape, x.dtype) for x in jax.tree.leaves(arrays)]
@@ -85,13 +85,15 @@ def _used(equations: Callable[[Scenario], Any], scenario: Scenario) -> set[str]:
 
 
 def _of_jax(leaf: Any) -> Any:
-    """A law of a user may hold arrays of numpy, which have no hash."""
+    """The leaf as an array of JAX: a law of a user may hold NumPy arrays, which have no
+    hash."""
     return jnp.asarray(leaf) if isinstance(leaf, np.ndarray) else leaf
 
 
 @functools.lru_cache(maxsize=64)
 def _inputs_used(equations, structure, shapes, other_structure, others) -> list[bool]:
-    """Of the arrays, in their order: the same for every scenario of a structure."""
+    """Whether each array is used, in their order; equal for all scenarios of one
+    structure."""
     others = jax.tree.unflatten(other_structure, others)
 
     def computed(leaves):
@@ -104,7 +106,7 @@ def _inputs_used(equations, structure, shapes, other_structure, others) -> list[
 
 
 def _motion_and_sensors(scenario: Scenario) -> Any:
-    """Of the initial state and given controls."""
+    """Results of motion and sensors for the initial state and given controls."""
     planet, vehicle, state = scenario.planet, scenario.vehicle, scenario.initial_state
     time = 0.0 * state.altitude
     sampled_at = time if isinstance(scenario.law, AbstractSampledLaw) else None
@@ -133,7 +135,7 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
 
 
 def _guidance(scenario: Scenario) -> Any:
-    """All that one cycle computes."""
+    """All results of one guidance cycle."""
     lane = decide(scenario, start(scenario, 1.0), None)
     law = scenario.law
     return (

@@ -22,7 +22,7 @@ from .termination import Outcome
 
 
 _TIME_TOLERANCE = 1e-5
-"""s; either solver comes nearer to the end than this, or did not reach it."""
+"""s; a solver that stops farther from the end than this did not reach it."""
 
 
 class End(eqx.Module):
@@ -35,23 +35,23 @@ class End(eqx.Module):
 
 _PLACES = (0.0, 0.5, 0.5, 1.0)
 _WEIGHTS = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
-"""Of the stages of the classical Runge-Kutta method"""
+"""Weights of the stages of the classical Runge-Kutta method"""
 
 _LANDINGS = 3
-"""Each doubles the order up to which derivatives are exact, from none to one to three; the
-method of the steps is exact up to the fourth."""
+"""Number of corrections. Derivatives are exact to the first order after one correction and
+to the third after two. After three the method of the steps limits them to the fourth."""
 
 
 @eqx.filter_jit
 def end_of_flight(scenario: Scenario, lane: Lane) -> End:
-    """Go from where the loop stopped to where the first end condition is met.
+    """Move a flight from where the loop stopped to where the first end condition is met.
 
-    The loop stops close to it, at a time that is not differentiated. The rest is Newton's
-    method along the flow, which is: it moves nothing but the last digits, and gives time
-    and state at the end their derivatives, up to the fourth order.
+    The loop stops close to the end, at a time that is not differentiated. The rest is
+    Newton's method along the flow, which is differentiated. It changes only the last
+    digits, and gives time and state at the end their derivatives, up to the fourth order.
 
-    Where the loop stopped for numbers that are not finite its last step is tried again, to
-    see whether that was for a command that is no bank.
+    If the loop stopped at numbers that are not finite, its last step is tried again, to
+    find whether a commanded bank was invalid.
     """
     conditions = scenario.termination
     field = vector_field(scenario, lane.held)
@@ -59,7 +59,7 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     counting = conditions.counting(lane.flown, lane.state, scenario.planet)
 
     def land(landing, _):
-        """One step, whose length is known after its first stage."""
+        """One Runge-Kutta step; its length follows from its first stage."""
         flown, start, ended_by, met = landing
 
         @functools.partial(jax.checkpoint, prevent_cse=False)
@@ -77,7 +77,7 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
             )
             seconds_left = jnp.where(margins <= 0.0, 0.0, jnp.abs(margins / closing))
             if counting is not None:
-                # An adaptive flight may stop just behind the end that it has found.
+                # The adaptive solver may stop just behind the end that it has found.
                 behind = jnp.where(closing < 0.0, jnp.abs(margins / closing), jnp.inf)
                 seconds_left = jnp.where(counting, seconds_left, behind)
             seconds_left = lax.stop_gradient(seconds_left)

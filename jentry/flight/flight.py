@@ -1,4 +1,4 @@
-"""Fly one scenario to its end: the pure function that everything else calls."""
+"""Fly one scenario to its end: `fly`, a pure function that all of jentry uses."""
 
 import warnings
 from collections.abc import Mapping
@@ -37,41 +37,41 @@ class History(eqx.Module):
     time: Float[Array, "*n"] = eqx.field(metadata={"unit": "s"})
     states: EntryState
     controls: Controls
-    """Controls that were flown"""
+    """Controls of the vehicle"""
     commands: Controls | None
-    """Commands of the law; None where they are flown at once"""
+    """Commands of the law; None if the vehicle follows them at once"""
     constraints: ConstraintValues
     """The constrained quantities at these times, not their peaks"""
     decisions: Any
-    """What a sampled law holds: curves, estimates, commands; None of a continuous law"""
+    """What a sampled law holds: curves, estimates, commands; None for a continuous law"""
 
 
 class Flight(eqx.Module):
-    """How a flight ended, and on request how it went."""
+    """The end of a flight and, on request, its history."""
 
     time: Scalar = eqx.field(metadata={"unit": "s"})
-    """At the end"""
+    """Time at the end, s"""
     state: EntryState
-    """At the end"""
+    """State at the end"""
     outcome: Count
     """Code of an `Outcome`"""
     ended_by: Count
-    """Place in `scenario.termination.names` of the end condition that was met, or beyond
-    which the flight began; without meaning for the other outcomes without an end"""
+    """Position in `scenario.termination.names` of the end condition that was met, or beyond
+    which the flight began. It has no meaning for the other outcomes without an end"""
     peaks: ConstraintValues
-    """Largest values of `scenario.constraints` over all steps; with the `Adaptive` solver
-    over the ends of the guidance cycles only"""
+    """Largest values of `scenario.constraints` over all steps. The `Adaptive` solver checks
+    only the ends of the guidance cycles"""
     at_peaks: dict[str, Instant]
-    """When and where the peaks of `scenario.located_peaks` were, by name: to within a
-    step, and without a derivative"""
+    """Time and state at the peaks of `scenario.located_peaks`, by name: accurate to a step,
+    and without a derivative"""
     caveats: dict[str, Scalar]
-    """What a reader of the results must know, by name, shares from 0 to 1: of how the law
-    decided (see `AbstractSampledLaw.caveats`), and of the time beyond each table of the
+    """Caveats by name, each a share from 0 to 1. They are those of the decisions of the law
+    (see `AbstractSampledLaw.caveats`), and the shares of time beyond each table of the
     planet and the vehicle (see `AbstractTabulated`)"""
     history: History | None
     beyond_tables: dict[str, Scalar] = eqx.field(default_factory=dict)
-    """Largest distances beyond the edges of these tables, by the name of the caveat: m,
-    rad, or Mach numbers. Over all steps, as the peaks are; without a derivative"""
+    """Largest distances beyond the edges of these tables over all steps, by the name of the
+    caveat: m, rad, or Mach numbers. They have no derivative"""
 
 
 @needs_float64
@@ -82,34 +82,35 @@ def fly(
 ) -> Flight:
     """Fly a scenario from its initial state to the first of its end conditions.
 
-    One flight: batch it with `jax.vmap` or `monte_carlo`. Compile it with `eqx.filter_jit`.
-    Differentiable in every leaf of the scenario, in forward mode (`jax.jvp`,
-    `jax.jacfwd`) and in reverse mode (`jax.grad`); the end is located exactly, and its
-    time moves with what is varied. Derivatives of higher order may nest the modes in any
-    order, and are exact up to the fourth. Each order flies again: a Hessian-vector product
-    costs two to three gradients, and keeps the flight and its tangents, one carry each a
-    cycle.
+    This is one flight: batch it with `jax.vmap` or `monte_carlo`, and compile it with
+    `eqx.filter_jit`. It is differentiable in every leaf of the scenario, in forward mode
+    (`jax.jvp`, `jax.jacfwd`) and in reverse mode (`jax.grad`). The end is located exactly,
+    and its time is differentiated too. Derivatives of higher order may nest the modes in
+    any order, and are exact up to the fourth. Each order flies again: a Hessian-vector
+    product costs two to three gradients, and stores the flight and its tangents, one carry
+    of each per cycle.
 
-    A derivative is that of the flight between its jumps. Where a law decides in cycles a
-    flight jumps: a bank reversal, or the last cycle before the end, comes one cycle later.
-    At a corner, where two end conditions are met at once or a command meets its limit, the
-    derivative is one-sided. The mean of the derivatives of many flights is the derivative
-    of their mean if the flights have corners, and not if they have jumps: for these see
-    `CentralDifferences` in `tune` and `linear_covariance(mode="difference")`.
+    A derivative is that of the flight between its jumps. If a law decides in cycles, a
+    flight jumps where a bank reversal, or the last cycle before the end, comes one cycle
+    later. At a corner, where two end conditions are met at once or a command meets its
+    limit, the derivative is one-sided. The mean of the derivatives of many flights is the
+    derivative of their mean if the flights have corners, but not if they have jumps. For
+    jumps see `CentralDifferences` in `tune` and `linear_covariance(mode="difference")`.
 
     **Arguments:**
 
-    - `scenario`: what flies.
+    - `scenario`: the scenario to fly.
     - `solver`: `FixedStep` (default) or `Adaptive`.
-    - `history`: interval at which to keep the flight, s; none keeps the end alone. With
-      a sampled law it must divide the guidance period or be a multiple of it.
+    - `history`: interval at which the flight is stored, s; with None only the end is
+      stored. With a sampled law it must divide the guidance period or be a multiple of it.
 
-    **Raises:** `ValueError` for numbers that cannot be flown. How the flight went is in
-    `Flight.outcome`; a flight never raises because it crashed or skipped out. Where
-    `has_end(flight.outcome)` is false, since its numbers did not stay finite, it began
-    beyond an end condition, it came too close to a singular point of the equations of
-    motion or its law commanded what is no bank, its end and derivatives say nothing: leave
-    that flight out of a sum before differentiating it.
+    **Raises:** `ValueError` for numbers that cannot be flown. A flight does not raise an
+    error because it crashed or skipped out: see `Flight.outcome`. `has_end(flight.outcome)`
+    is false if the numbers did not stay finite, if the flight began beyond an end
+    condition, if it came too close to a singular point of the equations of motion, if it
+    stopped at the edge of a table, or if the law commanded an invalid bank. The end and
+    the derivatives of such a flight have no meaning: leave it out of a sum before
+    differentiating the sum.
 
         flight = fly(scenario)
         gradient = jax.grad(lambda s: fly(s).state.altitude)(scenario)
@@ -147,11 +148,10 @@ def fly(
 def warn_of(
     caveats: Mapping[str, Any], distances: Mapping[str, Any], stacklevel: int = 4
 ) -> None:
-    """Warn of caveats that are not zero, of one flight or of many.
+    """Warn of caveats of one flight or of many that are not zero.
 
-    `distances` are those beyond tables, for the caveats that have one.
-
-    Says nothing of numbers that are not known yet, as under `jit`.
+    `distances` are those beyond tables, for the caveats that have one. There is no warning
+    for numbers that are not known yet, as under `jit`.
     """
     for name, shares in caveats.items():
         if not isinstance(shares, Tracer) and np.any(np.asarray(shares) > 0.0):
@@ -160,7 +160,7 @@ def warn_of(
 
 
 def caveat_sentence(name: str, shares: Any, distances: Any = None) -> str:
-    """How many flights have a caveat, and how much of it one of them has."""
+    """Sentence with the number of flights that have a caveat, and its largest share."""
     shares = np.atleast_1d(np.asarray(shares))
     told = int(np.sum(shares > 0.0)), shares.size, float(np.max(shares))
     if distances is None:
@@ -176,7 +176,7 @@ def caveat_words(
     distance: float | None = None,
     unit: str | None = None,
 ) -> str:
-    """How many of the runs have a caveat, the largest share, and the largest distance."""
+    """Sentence with the number of runs with a caveat, its largest share and distance."""
     words = (
         f"{flights} of {runs} flights have {in_words(name)}, up to {share:.0%} in one "
         "flight"
@@ -193,9 +193,10 @@ def _running(lane: Lane) -> Flag:
 
 
 def _observe(scenario: Scenario, lane: Lane) -> History:
-    """One entry of the history; NaN where the flight had ended.
+    """One entry of the history; NaN if the flight had ended.
 
-    Of a horizon of many times the flights it looks at no more than these.
+    Entries after the end of all flights of a batch cost nothing: the time limit may be
+    many times longer than the flights.
     """
     shapes = eqx.filter_eval_shape(_observed, scenario, lane)
     ended = jax.tree.map(lambda x: jnp.full(x.shape, jnp.nan, x.dtype), shapes)
@@ -208,7 +209,7 @@ def _observe(scenario: Scenario, lane: Lane) -> History:
 
 @eqx.filter_jit
 def _observed(scenario: Scenario, lane: Lane) -> History:
-    # Entries past the end are not states of a flight: observe the start in their place.
+    # Entries after the end are not states of a flight: evaluate the start in their place.
     flying, first = lane.on_schedule, scenario.initial_state
     state = jax.tree.map(lambda a, b: jnp.where(flying, a, b), lane.state, first)
     lane = eqx.tree_at(lambda lane: lane.moving.state, lane, state)

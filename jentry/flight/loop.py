@@ -1,9 +1,9 @@
 """A loop of unknown length with exact derivatives, forward and reverse.
 
 `lax.while_loop` stops as soon as every flight of a batch has ended, but has no reverse
-mode; `lax.scan` has both, but always runs to the horizon. This loop stops early *and*
-has both: its derivative is stated once, as the solution of a linear system with its
-transpose. Since the system is stated too, derivatives of any order follow from it.
+mode. `lax.scan` has both modes, but always runs to its full length. This loop stops early
+*and* has both modes: its derivative is defined once, as the solution of a linear system
+with its transpose. Since the system itself is defined too, derivatives of any order follow.
 """
 
 import functools
@@ -54,9 +54,9 @@ def while_running(
 ) -> Carry:
     """Apply `cycle(parameters, carry)` while `running(carry)`, at most `max_cycles` times.
 
-    `cycle` must return the carry as it was when it no longer runs: under `vmap` the loop
-    goes on until no flight of the batch runs. Memory in reverse mode is one carry per
-    cycle; the inside of a cycle is computed again.
+    `cycle` must return a carry that no longer runs unchanged: under `vmap` the loop
+    continues until no flight of the batch runs. Reverse mode stores one carry per cycle;
+    the intermediate values of a cycle are computed again.
     """
     return _loop(parameters, carry, None, cycle, running, max_cycles, 0, True)[0]
 
@@ -72,10 +72,10 @@ def while_running_with_history(
 ) -> tuple[Carry, Carry]:
     """Loop as `while_running` does, and stack the carry at the starts of cycles.
 
-    These are the first and each `every`-th after it; of the entries those count for which
-    `running(entry)` holds. A cycle may be given in two parts, of which `begin` comes first:
-    then it is what `begin(parameters, carry)` returns that is stacked. It too must return
-    the carry as it was when it no longer runs.
+    These are the first cycle and each `every`-th after it. Only entries for which
+    `running(entry)` holds are valid. A cycle may be given in two parts, `begin` and then
+    `cycle`: the result of `begin(parameters, carry)` is then stacked. `begin` too must
+    return a carry that no longer runs unchanged.
     """
     given = parameters, carry, begin, cycle, running, max_cycles, every, True
     return _loop(*given)[:2]
@@ -83,8 +83,8 @@ def while_running_with_history(
 
 @eqx.filter_jit
 def _advance(cycle, parameters, carry):
-    """One cycle, or a part of it. Compiled with what is around it; as a function of its own
-    it is traced once, and differentiated once, for all the places where it is called."""
+    """One cycle, or a part of it. It is compiled with the code around it. As a separate
+    function it is traced and differentiated once for all places where it is called."""
     return cycle(parameters, carry)
 
 
@@ -93,9 +93,10 @@ def _begun(begin, parameters, carry):
 
 
 def _run(parameters, carry, begin, cycle, running, max_cycles, keep, begun):
-    """The last carry, each `keep`-th stacked, none for zero, and the number of cycles.
+    """The last carry, the stack of each `keep`-th carry, and the number of cycles.
 
-    They are stacked as `begin` returned them, or if not `begun` as it was given them.
+    No carry is stacked if `keep` is zero. The stack has the results of `begin` if `begun`,
+    and its inputs if not.
     """
     stacked = math.ceil(max_cycles / keep) if keep else 0
 
@@ -107,7 +108,7 @@ def _run(parameters, carry, begin, cycle, running, max_cycles, keep, begun):
         index, before, history = loop
         carry = _begun(begin, parameters, before)
         if keep:
-            # Those that nobody wants go behind the others, all to one place.
+            # Carries that are not stacked are all written to one place behind the others.
             wanted = index % keep == 0
             place = jnp.where(wanted, index // keep, stacked) if keep > 1 else index
             history = _put(history, place, carry if begun else before)
@@ -128,22 +129,22 @@ class _Flown(eqx.Module):
     """The flight that is linearized."""
 
     varied: PyTree
-    """What is varied of the parameters"""
+    """The parameters that are varied"""
     fixed: PyTree
     """The other arrays of the parameters"""
     moving: PyTree
-    """What is differentiated of the carries at the starts of all cycles, stacked"""
+    """The differentiated leaves of the carries at the starts of all cycles, stacked"""
     discrete: PyTree
-    """The rest of them"""
+    """The other leaves of these carries"""
     count: Count
-    """Cycles"""
+    """Number of cycles"""
 
 
 class _Path(eqx.Module):
-    """The linearized flight as a whole: what the sweeps give, and what they are given."""
+    """The whole linearized flight: input and result of the sweeps."""
 
     varied: PyTree
-    """What is varied of the parameters"""
+    """The parameters that are varied"""
     first: PyTree
     """The carry before the first cycle"""
     stack: PyTree
@@ -156,8 +157,8 @@ class _Path(eqx.Module):
 def _loop_jvp(primals, tangents):
     parameters, carry, begin, cycle, running, max_cycles, keep, begun = primals
     parameter_tangents, carry_tangents, *_ = tangents
-    # The function with this rule, and not its body: the places about which the cycles are
-    # linearized depend on the parameters too, which is what higher derivatives need.
+    # This calls the function with this rule, not its body. The states about which the
+    # cycles are linearized depend on the parameters too; higher derivatives need that.
     final, history, count = _loop(
         parameters, carry, begin, cycle, running, max_cycles, 1, False
     )
@@ -175,7 +176,7 @@ def _loop_jvp(primals, tangents):
     )
 
     def linearized(flown, index):
-        """The cycle at its place in the flight, over what is differentiated only."""
+        """The cycle at an index of the flight, as a function of differentiated leaves."""
         discrete = _take(flown.discrete, index)
 
         def advance(varied, moving):
@@ -226,13 +227,13 @@ def _loop_jvp(primals, tangents):
     def equations(flown, path):
         """Left-hand sides of the equations that the sweeps solve.
 
-        x[0] - first, x[k+1] - J[k] x[k] and final - x[count], where J[k] is the derivative
-        of a cycle at its place in the flight. Evaluated for derivatives of higher order
-        only, which differentiate J.
+        They are x[0] - first, x[k+1] - J[k] x[k] and final - x[count], where J[k] is the
+        derivative of cycle k of the flight. They are evaluated only for derivatives of
+        higher order, which differentiate J.
         """
 
         def of_cycle(index):
-            # Behind the end of the loop there is no place to linearize about.
+            # After the end of the loop there is no state to linearize about.
             going = index < flown.count
             advance, at = linearized(flown, jnp.where(going, index, 0))
             before = path.varied, _take(path.stack, index)
@@ -267,7 +268,7 @@ def _loop_jvp(primals, tangents):
         return (final, history, count), (path.final, stack, None)
 
     def all_begun(varied, moving):
-        """The carries as `begin` returned them; behind the end of the loop, as they are."""
+        """The carries that `begin` returned; unchanged after the end of the loop."""
         parameters = eqx.combine(varied, fixed, static)
         begun = functools.partial(_begun, begin, parameters)
 

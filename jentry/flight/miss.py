@@ -1,4 +1,4 @@
-"""By how much a flight missed its target."""
+"""Errors of a flight with respect to its target."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from .scenario import Scenario
 
 
 class Misses(eqx.Module):
-    """Differences at the end of the flight, actual minus desired."""
+    """Errors at the end of the flight, actual minus desired."""
 
     downrange: Scalar = output(unit="m")
     """Error along the entry direction; positive is too far"""
@@ -30,19 +30,19 @@ class Misses(eqx.Module):
     @property
     @in_unit("m")
     def distance(self) -> Array:
-        """Distance from the target, m, of one flight or of many."""
+        """Miss: distance over the ground from the target, m, of one flight or of many."""
         square = sum(
             jnp.square(x) for x in (self.downrange, self.crossrange, self.altitude)
         )
-        missed = square != 0.0  # NaN too, which is no hit
+        missed = square != 0.0  # true for NaN as well
         return jnp.where(missed, jnp.sqrt(jnp.where(missed, square, 1.0)), 0.0)
 
 
 def misses(scenario: Scenario, flight: Flight) -> Misses:
-    """Misses of a flight of this scenario, along and across its entry direction.
+    """Errors of a flight of this scenario, along and across its entry direction.
 
-    Downrange and heading are counted the nearer way around. Those of a flight that does
-    not have an end (`has_end(flight.outcome)`) say nothing.
+    Errors of downrange and heading are wrapped to the shorter way around. The errors of a
+    flight without an end (`has_end(flight.outcome)` is false) have no meaning.
     """
     target, end = scenario.target, flight.state
     origin = scenario.initial_state if target.origin is None else target.origin

@@ -1,4 +1,4 @@
-"""The closed loop with another independent variable than time, such as the energy."""
+"""The closed loop with an independent variable other than time, such as the energy."""
 
 import equinox as eqx
 import jax
@@ -16,13 +16,13 @@ from .scenario import Scenario, checked
 
 
 class IndexedEnd(eqx.Module):
-    """Where a flight over an index has come to."""
+    """End of a flight over an index."""
 
     time: Scalar
-    """s since the start"""
+    """Time since the start, s"""
     state: EntryState
     memory: object
-    """Of the law"""
+    """Memory of the law"""
 
 
 @needs_float64
@@ -31,11 +31,11 @@ def fly_over(
 ) -> IndexedEnd:
     """Fly a scenario with a continuous law until an index has a value.
 
-    The index takes the place of the time as the independent variable, in equal steps of
-    the classical Runge-Kutta method: equations (10) to (15) of Bharadwaj, Rao and Mease
-    for the energy. The end conditions of the scenario are not used. For comparison with
-    `fly`, and for indices that rise or fall throughout: where the index stands still, or
-    goes away from the end at a stage of any step, the numbers are NaN.
+    The index replaces time as the independent variable, in equal steps of the classical
+    Runge-Kutta method. For the energy these are equations (10) to (15) of Bharadwaj, Rao
+    and Mease. The end conditions of the scenario are not used. The function serves
+    comparison with `fly`. The index must rise or fall throughout: if at a stage of any step
+    it is stationary or moves away from its end value, the numbers are NaN.
 
     **Raises:** `ValueError` for a law that decides at guidance cycles, and for a number of
     steps that is not positive.

@@ -1,4 +1,4 @@
-"""What flies: planet, vehicle, initial state, guidance and end conditions in one pytree."""
+"""Scenario: planet, vehicle, initial state, law and end conditions in one pytree."""
 
 import dataclasses
 import math
@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jax.core import Tracer
 
-from .._printed import as_text
+from .._printed import as_text, quantity_in_words
 from ..addresses import (
     field_metadata,
     leaves_by_address,
@@ -53,14 +53,13 @@ class Target(eqx.Module):
     """Where guided flight should end: laws fly there, and misses are counted from there.
 
     Downrange and crossrange are arcs on the surface, see `ground_track`. With an origin
-    they are a place, which stays where it is when the start of a flight moves. Without one
-    they are the range that each flight is to fly from its own start, wherever that is: it
-    is for laws that know no place, such as
-    `ObserverDragTracking`.
+    they define a place, which does not change with the start of a flight. Without an
+    origin they define the range that each flight covers from its own start. This is for
+    laws that use no place, such as `ObserverDragTracking`.
 
-    A law that flies to a place (`RangeTracking`, `PredictorCorrector`) reads it here. What
-    a reference was planned for, and the track of a Bézier curve, do not move with it:
-    `check` refuses a track that ends elsewhere.
+    A law that flies to a place (`RangeTracking`, `PredictorCorrector`) takes it from here.
+    A planned reference and the track of a Bézier curve do not move with the target: `check`
+    refuses a track that ends elsewhere.
     """
 
     altitude: Scalar = scalar(unit="m")
@@ -68,25 +67,25 @@ class Target(eqx.Module):
     downrange: Scalar = scalar(unit="m")
     crossrange: Scalar = scalar(0.0, unit="m")
     flight_path_angle: Scalar | None = optional_scalar(unit="rad", range=QUARTER)
-    """Desired flight-path angle; None where any will do"""
+    """Desired flight-path angle; None if there is none"""
     heading: Scalar | None = optional_scalar(unit="rad")
-    """Desired heading; None where any will do"""
+    """Desired heading; None if there is none"""
     origin: EntryState | None = None
-    """Place and heading from which downrange and crossrange are counted; None for those
-    at which each flight starts"""
+    """Place and heading from which downrange and crossrange are counted; None for the
+    start of each flight"""
 
     __str__ = as_text
 
     @property
     def counted_from(self) -> str:
-        """What the misses of downrange and crossrange are counted from, in words."""
+        """Text that describes from what the downrange and crossrange errors count."""
         if self.origin is None:
             return "range flown from the start of each flight"
         return "place of the target, which does not move with the start"
 
 
 class Scenario(eqx.Module):
-    """One guided entry. Every number is a leaf that can be dispersed, tuned and swept."""
+    """One guided entry. Each of its numbers is a leaf: disperse, tune or sweep it."""
 
     planet: Planet
     vehicle: Vehicle
@@ -96,26 +95,26 @@ class Scenario(eqx.Module):
     target: Target
     accelerometers: AbstractAccelerometers = PerfectAccelerometers()
     flow_sensors: FlowSensors | None = None
-    """What guidance is told of its velocity over the air; None for nothing"""
+    """Sensors of the velocity relative to the air; None if guidance has none"""
     angle_of_attack_error: Scalar | None = optional_scalar(unit="rad")
-    """What guidance is told of the angle of attack that is flown, less that angle; None
-    for the truth. The attitude does not feel it"""
+    """Error of the measured angle of attack, measured minus actual; None for a perfect
+    measurement. The attitude does not depend on it"""
     attitude: AbstractAttitude = IdealAttitude()
     dynamics: AbstractDynamics = EntryDynamics()
     constraints: Constraints = eqx.field(default_factory=usual_constraints)
-    """Path constraints that are looked at on the way, by name: see `Flight.peaks`"""
+    """Path constraints that are evaluated in flight, by name: see `Flight.peaks`"""
     located_peaks: tuple[str, ...] = eqx.field(default=(), static=True)
     """Names of the path constraints whose peaks are located: see `Flight.at_peaks`"""
     step: float | None = eqx.field(default=None, static=True)
-    """Length of the steps of a `FixedStep` that is given none, s. Where there is none
-    here either it is 0.1, or for a law with a guidance cycle that varies, which holds its
-    command, one step a cycle"""
+    """Length of the steps of a `FixedStep` that states none, s. If this is None too, a step
+    is 0.1 s. For a law with a guidance cycle that varies, which holds its command, it is
+    one cycle"""
 
     @property
     def law(self) -> AbstractLaw:
-        """The guidance law, which knows the target: what flies.
+        """The guidance law, with the target of the scenario.
 
-        Raises `ValueError` for a law that flies to a place where the target is none.
+        Raises `ValueError` if the law flies to a place and the target is not a place.
         """
         parts = jax.tree.leaves(self.guidance, is_leaf=is_aim)
         if not any(isinstance(part, TargetOfScenario) for part in parts):
@@ -145,8 +144,8 @@ def check(scenario: Scenario) -> None:
     """Refuse a scenario with a number that cannot be flown.
 
     Raises `ValueError` that names the address, the value and what was expected. Numbers
-    that are not known yet (under `jit`, `vmap` or `grad`) are left to the outcome of
-    the flight. Warns where the law keeps limits that the scenario does not have.
+    that are not known yet (under `jit`, `vmap` or `grad`) are not checked here: see the
+    outcome of the flight. Warns if the law enforces limits that the scenario does not have.
     """
     with_leaves(scenario)
     _check_kept(scenario.dynamics, scenario.initial_state)
@@ -181,25 +180,26 @@ def _check_kept(dynamics: AbstractDynamics, start: EntryState) -> None:
         if not isinstance(value, Tracer) and abs(np.asarray(value) - wanted) > 1e-12:
             unit = unit_of(start, name)
             raise ValueError(
-                f"initial_state.{name} is {float(value):g} {unit}: "
-                f"{type(dynamics).__name__} keeps it at {wanted:g}; take that, or other "
-                "dynamics such as dynamics=EntryDynamics()"
+                f"initial_state.{name} is {quantity_in_words(value, unit)}: "
+                f"{type(dynamics).__name__} holds it at "
+                f"{quantity_in_words(wanted, unit)}; take that, or other dynamics such "
+                "as dynamics=EntryDynamics()"
             )
 
 
 _APART = 1.0
-"""m; a law or an end condition flies to the target if it is nearer to it than this"""
+"""m; the place of a law or an end condition is the target if it is nearer than this"""
 
 
 def _check_one_target(scenario: Scenario) -> None:
-    """Refuse a scenario that says in two places where to go, and differently."""
+    """Refuse a scenario that states two different targets."""
     for part, address in nodes(scenario.guidance, is_aim, "guidance"):
         if isinstance(part, Aim):
             raise ValueError(
                 f"{address} is an Aim, and the scenario has a target: leave it out, "
                 "and the law flies to scenario.target"
             )
-    _ = scenario.law  # refuses a target that is no place where the law flies to one
+    _ = scenario.law  # raises if the law flies to a place and the target is not one
     target, planet = scenario.target, scenario.planet
     origin = scenario.initial_state if target.origin is None else target.origin
     for longitude, latitude, addresses in _places_to_go(scenario):
@@ -207,7 +207,7 @@ def _check_one_target(scenario: Scenario) -> None:
         if any(isinstance(x, Tracer) for x in numbers):
             continue
         there = dataclasses.replace(origin, longitude=longitude, latitude=latitude)
-        # At once also within a program that is being traced.
+        # Evaluated at once, even within a program that is being traced.
         with jax.ensure_compile_time_eval():
             ends = ground_track(planet, origin, there)
             place = from_ground_track(
@@ -232,7 +232,7 @@ def _place(longitude: Scalar, latitude: Scalar) -> str:
 
 
 def _places_to_go(scenario: Scenario) -> Iterator[tuple[Scalar, Scalar, list[str]]]:
-    """Longitudes and latitudes that the scenario flies to, with their addresses."""
+    """Longitudes and latitudes to which the scenario flies, with their addresses."""
     for tree, name in (
         (scenario.guidance, "guidance"),
         (scenario.termination, "termination"),
@@ -284,9 +284,9 @@ def _warn_without_limits(scenario: Scenario) -> None:
     if kept and all(each.limit is None for each in kept.values()):
         some, each = next(iter(kept.items()))
         warnings.warn(
-            f"{type(scenario.guidance).__name__} keeps the limits of "
-            f"{', '.join(kept)}, and constraints has them without a limit: it flies "
-            f"whatever they become. Give one, such as "
+            f"{type(scenario.guidance).__name__} respects the limits of "
+            f"{', '.join(kept)}, and constraints has them without a limit: it lets them "
+            f"become any value. Give one, such as "
             f'constraints={{"{some}": {type(each).__name__}(limit)}}, or leave these '
             "constraints out if none is meant",
             stacklevel=3,
@@ -304,7 +304,7 @@ def _check_noise(scenario: Scenario) -> None:
 def _require_samples(law: AbstractLaw, scenario: Scenario, noise: str) -> None:
     if reads_forces_between_cycles(law, scenario.initial_state):
         raise ValueError(
-            f"accelerometers.noise {noise}: it is one of samples, and "
+            f"accelerometers.noise {noise}: it is noise of samples, and "
             f"{type(law).__name__} reads its sensors at every instant; take 0, or a law "
             "that reads them at its guidance cycles"
         )
@@ -316,13 +316,13 @@ def without_effect(scenario: Scenario) -> tuple[str, ...]:
 
 
 def require_effect(scenario: Scenario, address: str) -> None:
-    """Refuse to vary a number that this scenario does not use, or cannot."""
+    """Refuse to vary a number that this scenario does not or cannot use."""
     if address == "accelerometers.noise":
         _require_samples(scenario.law, scenario, "is varied")
     if address in without_effect(scenario):
         raise ValueError(
             f"{address} has no effect in this scenario: "
-            f"{type(scenario.dynamics).__name__} keeps it; take other dynamics, such as "
+            f"{type(scenario.dynamics).__name__} holds it; take other dynamics, such as "
             "dynamics=EntryDynamics()"
         )
 
@@ -330,14 +330,14 @@ def require_effect(scenario: Scenario, address: str) -> None:
 def check_values(address: str, values: np.ndarray, metadata: Mapping) -> None:
     """Refuse values of the leaf at an address that cannot be flown; see `check`.
 
-    Raises `ValueError` for one that is not finite, or not what its field allows.
+    Raises `ValueError` for a value that is not finite, or that its field does not allow.
     """
     flat = np.ravel(values)
     refused = flat[~np.isfinite(flat)]
     if refused.size:
         raise ValueError(f"{address} is {refused[0]}: it must be a finite number")
     least, largest = metadata.get("range") or (-np.inf, np.inf)
-    # A bound is one in float32 as well.
+    # A value at a bound passes in float32 as well.
     slack = 1e-6 * max(
         (abs(x) for x in (least, largest) if np.isfinite(x)), default=0.0
     )
@@ -347,6 +347,8 @@ def check_values(address: str, values: np.ndarray, metadata: Mapping) -> None:
     if refused.size:
         unit = metadata.get("unit", "1")
         words = "" if unit == "1" else f" {unit}"
+        if unit == "rad":
+            words = f" rad, {refused[0] / degree:g} deg"
         forgotten = ""
         if unit == "rad" and least <= refused[0] * degree <= largest:
             forgotten = f"; did you mean {refused[0]:g}deg?"
@@ -359,7 +361,7 @@ def check_values(address: str, values: np.ndarray, metadata: Mapping) -> None:
 
 
 def allowed(metadata: Mapping) -> str:
-    """Words for what the values of a field may be; none where they may be any."""
+    """Text for the allowed values of a field; empty if any value is allowed."""
     if metadata.get("positive"):
         return "greater than zero"
     least, largest = metadata.get("range") or (-np.inf, np.inf)

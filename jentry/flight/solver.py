@@ -1,4 +1,4 @@
-"""Solvers: how the closed loop is integrated through one guidance cycle."""
+"""Solvers, which integrate the closed loop through one guidance cycle."""
 
 import math
 from collections.abc import Callable
@@ -21,8 +21,8 @@ VectorField = Callable[[Scalar, Y], Y]
 class RungeKutta4(diffrax.AbstractSolver):
     """The classical fourth-order method, without dense output or error estimate.
 
-    A general Runge-Kutta solver keeps all its stages, which costs two to four times as
-    much: here each stage adds to the sum and is forgotten.
+    A general Runge-Kutta solver stores all its stages, which costs two to four times as
+    much. Here each stage is added to the sum and is not stored.
     """
 
     term_structure = diffrax.AbstractTerm
@@ -49,19 +49,19 @@ class RungeKutta4(diffrax.AbstractSolver):
 
 
 class AbstractSolver(eqx.Module):
-    """A way to integrate the motion, which `fly` is given."""
+    """A method that `fly` uses to integrate the motion."""
 
 
 class FixedStep(AbstractSolver):
     """Equal steps of a diffrax solver: fast, and differentiable in both modes.
 
-    The step is the largest that divides the guidance cycle, and the interval of the
-    history if one is kept, and does not exceed `step`. An observer sets its limit: that
-    of the drag-tracking law needs less than 2.8 epsilon with the paper's gains.
+    The step is the largest that does not exceed `step` and divides the guidance cycle and
+    the interval of the history, if there is one. An observer limits the step: that of the
+    drag-tracking law needs less than 2.8 epsilon with the paper's gains.
     """
 
     step: float | None = eqx.field(default=None, static=True)
-    """Length of a step, s; that of the scenario, `Scenario.step`, if none is given"""
+    """Length of a step, s; None for that of the scenario, `Scenario.step`"""
     method: diffrax.AbstractSolver = RungeKutta4()
 
     def __check_init__(self):
@@ -69,16 +69,16 @@ class FixedStep(AbstractSolver):
             raise ValueError(f"step is {self.step} s: it must be positive and finite")
 
     def or_step(self, step: float) -> "FixedStep":
-        """The same solver with a step (s), if it has none."""
+        """This solver, with the given step (s) if it has none."""
         return FixedStep(step, self.method) if self.step is None else self
 
     def steps_in(self, duration: float) -> int:
-        """How many steps a duration (s) takes."""
+        """Number of steps in a duration (s)."""
         assert self.step is not None
         return max(1, math.ceil(duration / self.step - 1e-9))
 
     def advance(self, field: VectorField, time: Scalar, duration: Scalar, y: Y) -> Y:
-        """Take one step. For reverse mode its stages are computed again, not kept."""
+        """Take one step. Reverse mode computes its stages again instead of storing them."""
         terms = diffrax.ODETerm(lambda t, y, args: field(jnp.asarray(t), y))
 
         def step(time: Scalar, duration: Scalar, y: Y) -> Y:
@@ -86,21 +86,21 @@ class FixedStep(AbstractSolver):
             y1, *_ = self.method.step(terms, time, end, y, None, None, False)
             return y1
 
-        if not isinstance(self.method, RungeKutta4):  # it sees to its stages itself
+        if not isinstance(self.method, RungeKutta4):  # it does not store its stages
             step = jax.checkpoint(step, prevent_cse=False)
         return step(time, duration, y)
 
 
 class Adaptive(AbstractSolver):
-    """`diffrax.diffeqsolve` with adaptive steps: slow, and as accurate as is asked for.
+    """`diffrax.diffeqsolve` with adaptive steps: slow, and accurate to a tolerance.
 
-    The reference that the fixed step is judged by. It stops at every guidance cycle and
-    finds the end with a root finder. A flight that needs more than `max_steps` in a cycle
-    stops there, as `Outcome.NOT_FINITE`.
+    It is the reference against which `FixedStep` is checked. It stops at every guidance
+    cycle and finds the end with a root finder. A flight that needs more than `max_steps`
+    in a cycle stops there, with `Outcome.NOT_FINITE`.
     """
 
     tolerance: float = eqx.field(default=1e-10, static=True)
-    """Relative tolerance, and the absolute one in SI units and radians"""
+    """Relative tolerance, and absolute tolerance in SI units and radians"""
     method: diffrax.AbstractAdaptiveSolver = diffrax.Dopri8()
     max_steps: int = eqx.field(default=4096, static=True)
     """Largest number of steps in one guidance cycle"""

@@ -1,4 +1,4 @@
-"""End conditions: a flight ends at the first of several."""
+"""End conditions: a flight ends at the first one that is met."""
 
 import enum
 from abc import abstractmethod
@@ -66,8 +66,8 @@ _WITHOUT_END = (
 def has_end(outcome: Any) -> Any:
     """Whether a flight flew to one of its end conditions or to the time limit.
 
-    Takes one outcome or an array of their codes. The end state, misses and peaks of other
-    flights say nothing: statistics, losses and derivatives leave them out.
+    It takes one outcome or an array of their codes. The end state, misses and peaks of
+    other flights have no meaning: statistics, losses and derivatives leave them out.
     """
     flown = outcome != _WITHOUT_END[0]
     for other in _WITHOUT_END[1:]:
@@ -76,15 +76,15 @@ def has_end(outcome: Any) -> Any:
 
 
 class AbstractEndCondition(eqx.Module):
-    """Flight goes on while the margin is positive; it ends where that falls through zero.
+    """A condition that ends a flight where its margin falls through zero.
 
-    A flight that begins where the margin is zero or negative does not fly; see `Crossing`
-    for conditions that let it.
+    The flight continues while the margin is positive. A flight that begins where the margin
+    is zero or negative is not flown, unless the condition is a `Crossing`.
     """
 
     counts_from_start: ClassVar[bool] = True
-    """Whether the condition counts from the start; if not, it counts as soon as its margin
-    has been positive"""
+    """Whether the condition can end the flight from the start. If not, it can as soon as
+    its margin has been positive"""
 
     outcome: eqx.AbstractVar[Outcome]
 
@@ -92,12 +92,12 @@ class AbstractEndCondition(eqx.Module):
     def margin(self, state: EntryState, planet: Planet) -> Scalar:
         """Smooth function of the state, positive until the condition is met.
 
-        `planet` is that of the scenario.
+        `planet` is the planet of the scenario.
         """
 
 
 class VelocityBelow(AbstractEndCondition):
-    """Ends when the velocity has fallen to a value."""
+    """Ends a flight when the velocity has fallen to a value."""
 
     velocity: Scalar = scalar(unit="m/s", positive=True)
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
@@ -107,7 +107,7 @@ class VelocityBelow(AbstractEndCondition):
 
 
 class AltitudeBelow(AbstractEndCondition):
-    """Ends when the altitude has fallen to a value."""
+    """Ends a flight when the altitude has fallen to a value."""
 
     altitude: Scalar = scalar(unit="m")
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
@@ -117,7 +117,7 @@ class AltitudeBelow(AbstractEndCondition):
 
 
 class AltitudeAbove(AbstractEndCondition):
-    """Ends when the altitude has risen to a value."""
+    """Ends a flight when the altitude has risen to a value."""
 
     altitude: Scalar = scalar(unit="m")
     outcome: Outcome = eqx.field(default=Outcome.SKIPPED_OUT, static=True)
@@ -127,7 +127,7 @@ class AltitudeAbove(AbstractEndCondition):
 
 
 class VelocityAbove(AbstractEndCondition):
-    """Ends when the velocity has risen to a value."""
+    """Ends a flight when the velocity has risen to a value."""
 
     velocity: Scalar = scalar(unit="m/s", positive=True)
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
@@ -137,7 +137,7 @@ class VelocityAbove(AbstractEndCondition):
 
 
 class EnergyBelow(AbstractEndCondition):
-    """Ends when the energy has fallen to a value: V^2/2 and the potential of the planet."""
+    """Ends a flight when the energy, V^2/2 + potential, has fallen to a value."""
 
     energy: Scalar = scalar(unit="J/kg")
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
@@ -147,9 +147,9 @@ class EnergyBelow(AbstractEndCondition):
 
 
 class Apoapsis(AbstractEndCondition):
-    """Ends at a highest point: where the flight-path angle falls through zero.
+    """Ends a flight at a highest point: where the flight-path angle falls through zero.
 
-    A flight that begins on its way down first has to rise.
+    A flight that begins in descent first has to climb.
     """
 
     counts_from_start: ClassVar[bool] = False
@@ -161,10 +161,9 @@ class Apoapsis(AbstractEndCondition):
 
 
 class Periapsis(AbstractEndCondition):
-    """Ends at a lowest point: where the flight-path angle rises through zero.
+    """Ends a flight at a lowest point: where the flight-path angle rises through zero.
 
-    That is where a flight begins to skip. One that begins on its way up first has to
-    descend.
+    A skip begins there. A flight that begins in a climb first has to descend.
     """
 
     counts_from_start: ClassVar[bool] = False
@@ -176,14 +175,15 @@ class Periapsis(AbstractEndCondition):
 
 
 class Crossing(AbstractEndCondition):
-    """Another condition, which counts where its margin has been positive, not before.
+    """A condition that can end a flight only after its margin has been positive.
 
-    A flight may begin on the far side of it; it ends where it comes from the near side.
-    So each condition has a direction: `Crossing(AltitudeAbove(120 * km))` ends a flight
-    on its way up through 120 km, also one that begins at 125 km and first descends.
+    A flight may begin where the margin of `condition` is negative. It ends where the margin
+    then falls through zero. So a condition has a direction:
+    `Crossing(AltitudeAbove(120 * km))` ends a flight that climbs through 120 km, also one
+    that begins at 125 km and first descends.
 
-    The margin is looked at where steps of the solver start (guidance cycles of the
-    `Adaptive` one): a crossing to the near side and back within one is not seen.
+    The margin is checked at the start of each step (of each guidance cycle with the
+    `Adaptive` solver). A margin that is positive only within a step is not detected.
     """
 
     counts_from_start: ClassVar[bool] = False
@@ -199,7 +199,7 @@ class Crossing(AbstractEndCondition):
 
 
 class TargetPassed(AbstractEndCondition):
-    """Ends in the plane across a track through its target."""
+    """Ends a flight in the plane through the target and across its track."""
 
     track: Track
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
@@ -215,18 +215,18 @@ Counting = Bool[Array, " conditions"] | None
 class Termination(eqx.Module):
     """The end conditions of a scenario, by name, and its time limit.
 
-    Conditions are looked at after each step of the solver, so one that is met and left
-    again within a step is not seen.
+    Conditions are checked after each step of the solver. A condition that is met only
+    within a step is not detected.
     """
 
     conditions: dict[str, AbstractEndCondition] = eqx.field(
         converter=lambda conditions: dict(sorted(conditions.items()))
     )
     time_limit: float = eqx.field(static=True)
-    """Time after the start at which the flight ends at the latest, s; static, since it
-    bounds the length of the loop"""
+    """Latest end of the flight, s after its start. It is static, since it bounds the length
+    of the loop"""
     at_time_limit: Outcome = eqx.field(default=Outcome.TIMED_OUT, static=True)
-    """`Outcome.REACHED` for flights that are to last so long"""
+    """Outcome at the time limit; `Outcome.REACHED` for flights of a fixed duration"""
 
     def __check_init__(self):
         if not 0.0 < self.time_limit < float("inf"):
@@ -237,18 +237,18 @@ class Termination(eqx.Module):
     def margins(
         self, flown: Scalar, state: EntryState, planet: Planet
     ) -> Float[Array, " conditions"]:
-        """Margins of all conditions, and last of the time limit; `flown` is in s."""
+        """Margins of all conditions, and last that of the time limit; `flown` is in s."""
         values = [c.margin(state, planet) for c in self.conditions.values()]
         return jnp.stack([*values, self.time_limit - flown])
 
     @property
     def always(self) -> Counting:
-        """Which conditions count from the start; none if all of them do."""
+        """Which conditions can end the flight from the start; None if all of them can."""
         counts = [c.counts_from_start for c in self.conditions.values()]
         return None if all(counts) else jnp.array([*counts, True])
 
     def counting(self, flown: Scalar, state: EntryState, planet: Planet) -> Counting:
-        """Which conditions count in a step from a state; none if all of them do."""
+        """Which conditions can end a step from a state; None if all of them can."""
         if self.always is None:
             return None
         return self.always | (self.margins(flown, state, planet) > 0.0)
@@ -258,8 +258,8 @@ class Termination(eqx.Module):
     ) -> Scalar:
         """Smallest of the margins: positive in flight, and zero where the flight ends.
 
-        `counting` is of the state before the step; a condition that has come to its near
-        side in it is looked at as well.
+        `counting` is that of the state before the step. A condition whose margin is
+        positive after the step is included as well.
         """
         margins = self.margins(flown, state, planet)
         if counting is not None:

@@ -1,4 +1,4 @@
-"""Where a law is to bring the vehicle: the target of its scenario, stated there alone."""
+"""The aim of a law: the target of its scenario, which only the scenario states."""
 
 from typing import TypeVar
 
@@ -16,8 +16,8 @@ class Aim(eqx.Module):
     """The place where guided flight should end, as a law reads it.
 
     Downrange and crossrange are arcs on the surface from the origin, as in
-    `ground_track`: the three together are a place, which does not move with the start of
-    a flight.
+    `ground_track`. Origin, downrange and crossrange define a place that does not move with
+    the start of a flight.
     """
 
     origin: EntryState
@@ -28,33 +28,33 @@ class Aim(eqx.Module):
 
 
 class TargetOfScenario(eqx.Module):
-    """Stands in a law for the target of the scenario in which the law flies.
+    """Placeholder in a law for the target of the scenario that contains the law.
 
-    It holds no number: a scenario has one target, and `Scenario.law` is the law that knows
-    it.
+    It holds no numbers. A scenario has one target, and `Scenario.law` is the law with that
+    target filled in.
     """
 
 
 def is_aim(node: object) -> bool:
-    """Whether a node of a law is an aim, known or to be taken from a scenario."""
+    """Whether a node of a law is an aim, known or a placeholder."""
     return isinstance(node, Aim | TargetOfScenario)
 
 
 def known(aim: Aim | TargetOfScenario) -> Aim:
-    """An aim that is known.
+    """The aim, if it is known.
 
-    Raises `ValueError` for that of a scenario, where the law is not asked in one.
+    **Raises:** `ValueError` for a placeholder, if the law is used outside of a scenario.
     """
     if isinstance(aim, TargetOfScenario):
         raise ValueError(
-            "this law flies to the target of its scenario, and is asked outside of one: "
+            "this law aims at the target of its scenario, and is used outside of one: "
             "take scenario.law in place of scenario.guidance, or give it aim=Aim(...)"
         )
     return aim
 
 
 def told(law: Law, aim: Aim) -> Law:
-    """The law, each part of which that flies to the target of the scenario knows it."""
+    """The law with each placeholder for the target of the scenario replaced by the aim."""
 
     def know(node):
         return aim if isinstance(node, TargetOfScenario) else node

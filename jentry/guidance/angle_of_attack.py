@@ -1,4 +1,4 @@
-"""Angle-of-attack laws: the half of a composed law beside the one that turns the bank."""
+"""Angle-of-attack laws, which are composed with a law for the bank."""
 
 from ..fields import Scalar
 from ..onboard.navigation import Measurement
@@ -7,7 +7,7 @@ from .law import AbstractContinuousLaw, AngleOfAttackCommand
 
 
 class TrimAngleOfAttack(AbstractContinuousLaw[None]):
-    """The angle of attack at which the vehicle trims, as a bank law by itself flies."""
+    """The angle of attack at which the vehicle trims, as with a bank law alone."""
 
     def init(self, measurement: Measurement) -> None:
         return None
@@ -19,7 +19,7 @@ class TrimAngleOfAttack(AbstractContinuousLaw[None]):
 
 
 class AngleOfAttackProfile(AbstractContinuousLaw[None]):
-    """An angle of attack as a function of the velocity; a constant is a polynomial."""
+    """Angle of attack as a function of the velocity; a constant is a polynomial."""
 
     angle_of_attack: AbstractProfile
     """rad over m/s"""

@@ -1,9 +1,9 @@
 """Modulate the angle of attack with a disturbance observer over the velocity.
 
 Reference: R. Zhang, H. Li, R. Zhang, "Angle-of-Attack Modulation in Trajectory Tracking for
-a Reusable Launch Vehicle". The symbols of the paper are kept where an equation is
-implemented; the velocity falls, so that frequency and observer gains have signs of their
-own: see `ModulationGains`.
+a Reusable Launch Vehicle". The code uses the symbols of the paper where it implements an
+equation. Since the velocity decreases, frequency and observer gains do not have the usual
+signs: see `ModulationGains`.
 """
 
 import equinox as eqx
@@ -20,7 +20,7 @@ from .shuttle import Gate, drag_tracked
 
 
 class ModulationGains(eqx.Module):
-    """Gains over the velocity in units of the circular one."""
+    """Gains over the velocity in units of the circular velocity."""
 
     frequency: Scalar = scalar(300.0, positive=True)
     """Magnitude of omega_n of (32), which is negative"""
@@ -33,26 +33,27 @@ class ModulationGains(eqx.Module):
     bank_rate: Scalar = scalar(-0.15)
     """k2 of (42), on the internal state, rad per rad per unit of velocity"""
     scheduled_at: Scalar | None = optional_scalar(unit="m/s2")
-    """Reference drag at which frequency and pole are these: elsewhere they are as one over
-    the reference drag, which makes them constant over the time. None for constant ones"""
+    """Reference drag at which frequency and pole have these values. Elsewhere they are
+    proportional to one over the reference drag, which makes them constant over the time.
+    None for constant values"""
 
 
 class AttitudeLag(eqx.Module):
-    """Second-order response of the angle of attack, which the command leads."""
+    """Second-order response of the angle of attack, for which the command has a lead."""
 
     frequency: Scalar = scalar(unit="rad/s", positive=True)
     damping: Scalar = scalar(positive=True)
 
 
 class ObserverStates(eqx.Module):
-    """What the law holds from cycle to cycle; its derivatives are over the velocity."""
+    """What the law holds from cycle to cycle; derivatives are over the velocity."""
 
     deviation: Scalar
-    """Of the angle of attack, u1, rad"""
+    """u1, deviation of the angle of attack, rad"""
     slope: Scalar
     """u1'"""
     second: Scalar
-    """u1'' under the last error"""
+    """u1'' with the last error"""
     drag_error_slope: Scalar
     """Estimate of xi2"""
     disturbance: Scalar
@@ -60,7 +61,7 @@ class ObserverStates(eqx.Module):
     drag_error: Scalar
     """xi1 at the last cycle, in units of gravity"""
     velocity: Scalar
-    """At the last cycle, in units of the circular one"""
+    """Velocity at the last cycle, in units of the circular velocity"""
     active: Scalar
     """1 where the angle of attack is modulated, else 0"""
     command: AngleOfAttackCommand
@@ -69,21 +70,23 @@ class ObserverStates(eqx.Module):
 class DynamicalModulation(AbstractSampledLaw[None, ObserverStates]):
     """Dynamical output feedback, equations (28) to (42).
 
-    The second derivative of the deviation of the angle of attack over the velocity is
-    commanded: it cancels the linear model of the reference, places the error of the drag,
-    and takes off the disturbance that an observer estimates from that error alone. The bank
-    law beside it is asked for k1 u1 + k2 eta2, which steers the deviation back.
+    The law commands the second derivative of the angle-of-attack deviation over the
+    velocity. This cancels the linear model about the reference, places the poles of the
+    drag error, and subtracts the disturbance that an observer estimates from that error
+    alone. The bank law is given the increment k1 u1 + k2 eta2, which brings the deviation
+    back.
 
-    At a guidance cycle the law goes from the velocity of the last one to the one that is
-    measured, with the error on a straight line between both, in midpoint steps.
+    At a guidance cycle the law integrates from the velocity of the last cycle to the
+    measured one, in midpoint steps. The error is interpolated linearly between both.
     """
 
     reference: Reference
-    """As of `plan_glide`"""
+    """Reference over the velocity, as from `plan_glide`"""
     domain: VelocityDomain
     gains: ModulationGains = eqx.field(default_factory=ModulationGains)
     lag: AttitudeLag | None = None
-    """Lag that the command leads, from the law's own states; None for no lead"""
+    """Attitude lag that the command compensates by a lead from the states of the law; None
+    for no lead"""
     gate: Gate = eqx.field(default_factory=Gate)
     cycle: FixedCycle = FixedCycle(0.1)
     substeps: int = eqx.field(default=4, static=True)
@@ -115,7 +118,7 @@ class DynamicalModulation(AbstractSampledLaw[None, ObserverStates]):
 
         active = self.gate.modulates(measurement)
         goes_on = active & (held.active > 0.0)
-        # At first nothing is known of slope and disturbance.
+        # At the start the estimates of slope and disturbance are zero.
         known = jnp.where(goes_on, 1.0, 0.0)
         way = jnp.where(goes_on, point.velocity - held.velocity, 0.0)
         first = jnp.where(goes_on, held.drag_error, error)
@@ -182,7 +185,7 @@ class DynamicalModulation(AbstractSampledLaw[None, ObserverStates]):
         return drag_tracked(self.reference, measurement)
 
     def _lead(self, measurement: Measurement, slope: Scalar, second: Scalar) -> Scalar:
-        """What takes the lag of the attitude off a deviation, rad."""
+        """Lead that compensates the attitude lag of a deviation, rad."""
         if self.lag is None:
             return jnp.zeros_like(slope)
         state, domain = measurement.state, self.domain
@@ -194,7 +197,7 @@ class DynamicalModulation(AbstractSampledLaw[None, ObserverStates]):
         return 2.0 * damping / frequency * rate + acceleration / frequency**2
 
     def _placed(self, model: Deviations, drag: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        """omega_n, tau1 and tau2 at a reference drag, m/s2."""
+        """omega_n, tau1 and tau2 at a reference drag (m/s2)."""
         gains, factor = self.gains, 1.0
         if gains.scheduled_at is not None:
             factor = gains.scheduled_at / drag

@@ -1,4 +1,4 @@
-"""Shapes of the bank over the rest of a flight, told by one number or by two."""
+"""Shapes of the bank over the rest of a flight, defined by one number or by two."""
 
 import math
 from abc import abstractmethod
@@ -16,14 +16,14 @@ from ..units import degree
 
 
 Numbers = Float[Array, " numbers"]
-"""One or two, which tell a bank over the rest of the flight"""
+"""One or two numbers that define the bank over the rest of the flight"""
 
 
 class AbstractBankShape(eqx.Module):
-    """The bank over the rest of the flight, told by one number or by two.
+    """Bank over the rest of the flight, defined by one number or by two.
 
-    They are corrected between bounds, within which every number is a bank. The first one
-    is such that more of it flies farther.
+    The numbers are corrected between bounds, within which each value gives a valid bank. A
+    larger first number gives a longer range.
     """
 
     bounds: ClassVar[tuple[tuple[float, float], ...]]
@@ -32,7 +32,7 @@ class AbstractBankShape(eqx.Module):
     @property
     @abstractmethod
     def numbers(self) -> Numbers:
-        """At the start, before there is anything to predict with."""
+        """Numbers at the start, before there is a prediction."""
 
     @abstractmethod
     def cos_bank(self, numbers: Numbers, index: Scalar, since: Scalar) -> Scalar:
@@ -40,16 +40,16 @@ class AbstractBankShape(eqx.Module):
 
         **Arguments:**
 
-        - `numbers`: as they are corrected.
-        - `index`: there.
-        - `since`: its value at the decision.
+        - `numbers`: the corrected numbers.
+        - `index`: value of the index of the law at which the bank is evaluated.
+        - `since`: value of the index at the decision.
         """
 
 
 class ConstantBankShape(AbstractBankShape):
-    """One bank for the rest of the flight. For capsules.
+    """Constant bank for the rest of the flight, for capsules.
 
-    Its cosine goes from that of the largest bank, with the number 0, to 1.
+    Its cosine goes from that of the largest bank, for the number 0, to 1, for the number 1.
     """
 
     bounds = ((0.0, 1.0),)
@@ -68,10 +68,10 @@ class ConstantBankShape(AbstractBankShape):
 
 
 class LinearBankShape(AbstractBankShape):
-    """A bank that goes linearly over the index to one at the end. For gliders.
+    """Bank that changes linearly over the index to a final bank, for gliders.
 
-    The first number is the bank now: with 0 it is the largest, with 1 the wings are level.
-    That at the end is given.
+    The number defines the bank now: 0 is the largest bank, 1 is wings level. The bank at
+    the end is fixed.
     """
 
     end: Scalar = scalar()
@@ -104,9 +104,9 @@ class LinearBankShape(AbstractBankShape):
 
 
 class TwoEndedBankShape(LinearBankShape):
-    """A linear bank of which both ends are free: it meets the altitude at the end as well.
+    """Linear bank with two free ends, which also meets the altitude at the end.
 
-    The second number is the bank at the end, likewise; `final` is where it begins.
+    The second number defines the bank at the end in the same way; it starts at `final`.
     """
 
     bounds = ((0.0, 1.0), (0.0, 1.0))
@@ -121,11 +121,11 @@ class TwoEndedBankShape(LinearBankShape):
 
 
 class GivenBankShape(AbstractBankShape):
-    """The cosine of a given bank, moved towards wings level or towards the largest bank.
+    """Prescribed cosine of the bank, shifted towards wings level or the largest bank.
 
-    With the number 0 it is as given, with 1 the wings are level all the way, with -1 the
-    bank is the largest, and the cosine is linear in between. A bank that was planned will
-    do, of which nothing else is tracked.
+    The number 0 gives the prescribed cosine, 1 wings level throughout, and -1 the largest
+    bank; the cosine is linear in between. A planned bank can be used, of which nothing
+    else is tracked.
     """
 
     bounds = ((-1.0, 1.0),)

@@ -1,4 +1,4 @@
-"""The step of one or two numbers, between bounds, that leaves the smallest misses."""
+"""Step of one or two numbers, within bounds, that minimises the remaining misses."""
 
 import jax
 import jax.numpy as jnp
@@ -15,17 +15,17 @@ def least_squares_step(
     lower: Numbers,
     upper: Numbers,
 ) -> Numbers:
-    """The step between bounds that makes misses + effects step smallest.
+    """The step within bounds that minimises the norm of misses + effects step.
 
-    Of one number, or of two: the best of the step that makes them zero, if it is within,
-    and of the best points of the four edges. Derivatives are those of the one that is
-    taken.
+    For two numbers it is the step that makes the misses zero, if it lies within the
+    bounds, and otherwise the best of the optimal points on the four edges. Derivatives are
+    those of the selected candidate.
     """
     if misses.shape[0] == 1:
         return within_bounds(-misses / effects[0], lower, upper)
     (a, b), (c, d) = effects
     regular = a * d - b * c != 0.0
-    # On both sides of what is chosen, so that no derivative comes from there.
+    # On both sides of the selection, so that the unused branch has no derivative.
     inside = -solve(jnp.where(regular, effects, jnp.eye(2)), misses)
     points = [inside]
     for fixed, free in ((0, 1), (1, 0)):
@@ -46,5 +46,5 @@ def least_squares_step(
 
 
 def within_bounds(x: Numbers, low: Numbers, high: Numbers) -> Numbers:
-    """Each number between its own bounds; `clamp` takes one number."""
+    """Each number clamped to its bounds; `clamp` takes one number."""
     return jnp.where(x < low, low, jnp.where(x > high, high, x))

@@ -1,4 +1,4 @@
-"""One law of two: an angle-of-attack law, and a law that turns the bank."""
+"""Composition of an angle-of-attack law and a bank law into one law."""
 
 from typing import Any
 
@@ -34,11 +34,11 @@ class BankLimits(eqx.Module):
     increment: Scalar = scalar(HALF_TURN, unit="rad", positive=True)
     """Largest change of the magnitude of the bank, up or down"""
     largest: Scalar = scalar(HALF_TURN, unit="rad", positive=True)
-    """Largest magnitude of the bank after it"""
+    """Largest magnitude of the bank after the change"""
 
 
 class Parts(eqx.Module):
-    """Memory, or what is held, of the two laws."""
+    """Memories, or held decisions, of the two laws."""
 
     angle_of_attack: Any
     bank: Any
@@ -47,26 +47,26 @@ class Parts(eqx.Module):
 def compose(
     angle_of_attack: AbstractLaw, bank: AbstractLaw, limits: BankLimits | None = None
 ) -> "ContinuousComposition | SampledComposition":
-    """One law of a law that commands the angle of attack and one that turns the bank.
+    """Compose a law that commands the angle of attack and one that commands the bank.
 
-    The angle-of-attack law acts first. The bank law then measures the commanded angle of
-    attack as `trim_angle_of_attack`, the one that is flown where it leaves the angle alone,
-    and turns the bank as it does by itself, lateral logic included. Last, the magnitude of
-    the bank is changed by the increment that the angle-of-attack law asks for, within the
-    limits; the side stays.
+    The angle-of-attack law acts first. The bank law then reads the commanded angle of
+    attack as `trim_angle_of_attack` and commands the bank as it does alone, lateral logic
+    included. Last, the magnitude of the bank is changed by the increment that the
+    angle-of-attack law requests, within the limits; the side is unchanged.
 
-    Each of the two is a continuous or a sampled law. If one of them is sampled the
-    composition is, and the other one acts at every instant. With `Sampled(compose(...),
-    period)` two continuous laws are held together.
+    Each of the two laws is continuous or sampled. If one of them is sampled the
+    composition is sampled, and a continuous law in it still acts at every instant.
+    `Sampled(compose(...), period)` holds the commands of two continuous laws together.
 
     **Arguments:**
 
     - `angle_of_attack`: a law whose command is an `AngleOfAttackCommand`.
     - `bank`: a law whose command is `Controls`, at the trim angle of attack.
-    - `limits`: of the change of the bank and of the bank after it; none by default.
+    - `limits`: limits of the change of the bank and of the bank after the change; none by
+      default.
 
-    **Raises:** `ValueError` if the guidance cycles of the two differ; and in flight for a
-    bank law that commands an angle of attack of its own.
+    **Raises:** `ValueError` if the guidance cycles of the two laws differ; also in flight,
+    if the bank law commands another angle of attack than the trim angle.
 
         law = compose(AngleOfAttackProfile(schedule), ObserverDragTracking(...))
     """
@@ -92,7 +92,7 @@ def compose(
 
 
 class ContinuousComposition(AbstractContinuousLaw[Parts]):
-    """Two continuous laws as one; see `compose`."""
+    """A composition of two continuous laws; see `compose`."""
 
     angle_of_attack: AbstractLaw
     bank: AbstractLaw
@@ -113,7 +113,7 @@ class ContinuousComposition(AbstractContinuousLaw[Parts]):
 
 
 class SampledComposition(AbstractSampledLaw[Parts, Parts]):
-    """Two laws as one, of which at least one is sampled; see `compose`."""
+    """A composition of two laws, at least one of them sampled; see `compose`."""
 
     angle_of_attack: AbstractLaw
     bank: AbstractLaw
@@ -161,7 +161,7 @@ Composition = ContinuousComposition | SampledComposition
 
 
 def _at(measurement: Measurement, wish: AngleOfAttackCommand) -> Measurement:
-    """What the bank law measures: its vehicle trims at the commanded angle of attack."""
+    """Measurement of the bank law: it trims at the commanded angle of attack."""
     return eqx.tree_at(
         lambda m: m.trim_angle_of_attack, measurement, wish.angle_of_attack
     )
@@ -170,7 +170,7 @@ def _at(measurement: Measurement, wish: AngleOfAttackCommand) -> Measurement:
 def _tracked(
     law: Composition, time: Scalar, measurement: Measurement, held: Parts
 ) -> Tracked | None:
-    """What both laws track; an angle-of-attack law moves no bank, and vice versa."""
+    """Outputs that both laws track, and the controls of both."""
     both = (
         law.angle_of_attack.tracked(time, measurement, held.angle_of_attack),
         law.bank.tracked(time, measurement, held.bank),
@@ -222,11 +222,11 @@ def _commanded(
 def _banked_more(
     cosine: Scalar, sine: Scalar, increment: Scalar, largest: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Cosine and sine of a bank whose magnitude is changed, to the same side.
+    """Cosine and sine of a bank with a changed magnitude, to the same side.
 
-    The side of a level bank is that of the sign of its zero, which `turned` gives it. A
-    surrogate that shares out a reversal has less lateral lift than its bank: the share
-    stays.
+    For a level bank the side is the sign of its zero, which `turned` sets. If a smooth
+    switching shares out a reversal, the lateral lift is less than that of the bank; this
+    share is unchanged.
     """
     magnitude = clamp(safe_arccos(cosine) + increment, 0.0, largest)
     whole = safe_sqrt(1.0 - cosine * cosine)
@@ -238,7 +238,7 @@ def _banked_more(
 
 
 def _require_trim(law: AbstractLaw, time: Scalar, measurement: Measurement) -> None:
-    """Refuse a bank law whose angle of attack would be overruled without a word."""
+    """Refuse a bank law whose angle of attack would be overruled silently."""
     if not flies_at_trim(law, time, measurement):
         raise ValueError(
             f"{type(law).__name__} commands an angle of attack of its own: beside an "
@@ -247,7 +247,7 @@ def _require_trim(law: AbstractLaw, time: Scalar, measurement: Measurement) -> N
 
 
 def flies_at_trim(law: AbstractLaw, time: Scalar, measurement: Measurement) -> bool:
-    """Whether a law leaves the angle of attack to the vehicle."""
+    """Whether a law commands the trim angle of attack of the vehicle."""
 
     def act(angle: Scalar) -> Controls:
         turned = eqx.tree_at(lambda m: m.trim_angle_of_attack, measurement, angle)

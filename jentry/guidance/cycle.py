@@ -1,4 +1,4 @@
-"""When a sampled law decides: its guidance cycle, which is data of the law."""
+"""Guidance cycles: when a sampled law decides. The cycle is a field of the law."""
 
 import math
 from abc import abstractmethod
@@ -11,7 +11,7 @@ from ..fields import Scalar
 
 
 class AbstractCycle(eqx.Module):
-    """How long a sampled law holds what it has decided."""
+    """How long a sampled law holds a decision."""
 
     period: eqx.AbstractVar[float]
     """The longest guidance cycle, s; static"""
@@ -41,10 +41,10 @@ class FixedCycle(AbstractCycle):
 
 
 class AbstractTimedDecision(eqx.Module):
-    """What a law holds whose cycle becomes shorter: the decision tells its duration."""
+    """A held decision that includes its duration, for a cycle that becomes shorter."""
 
     duration: eqx.AbstractVar[Scalar]
-    """How long it is held, s"""
+    """Time for which the decision is held, s"""
 
 
 class ShorteningCycle(AbstractCycle):
@@ -57,10 +57,10 @@ class ShorteningCycle(AbstractCycle):
     shorter: tuple[tuple[float, float], ...] = eqx.field(
         default=((120.0, 0.1), (15.0, 0.02)), static=True
     )
-    """Time to go inside which a shorter cycle holds, and the cycle, s. Each cycle must
-    divide the longer one, so that they stay on one clock"""
+    """Pairs of a time to go and the shorter cycle that applies inside it, s. Each cycle
+    must divide the longer one, so that all cycles share one clock"""
     freeze: float = eqx.field(default=0.1, static=True)
-    """Time to go inside which the last command is held, s"""
+    """Time to go inside which the last command is frozen, s"""
 
     def __check_init__(self):
         _check_period(self.period)
@@ -76,7 +76,7 @@ class ShorteningCycle(AbstractCycle):
                 )
 
     def duration(self, seconds_to_go: Scalar, before: Scalar) -> Scalar:
-        """Length of the cycle that begins, s; never longer than the one before."""
+        """Length of the cycle that begins, s; never longer than the previous one."""
         duration = before
         for limit, cycle in self.shorter:
             inside = seconds_to_go < limit

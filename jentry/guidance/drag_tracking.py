@@ -1,7 +1,7 @@
-"""Track a reference drag with and without measuring the drag rate.
+"""Drag tracking with and without measurement of the drag rate.
 
 Reference: H. Yan, Y. He, "Drag-Tracking Guidance for Entry Vehicles Without Drag Rate
-Measurement". The symbols of the paper are kept where an equation is implemented.
+Measurement". The code uses the symbols of the paper where it implements an equation.
 """
 
 import equinox as eqx
@@ -52,26 +52,26 @@ class ObserverState(eqx.Module):
 def drag_dynamics(
     model: OnboardModel, measurement: Measurement, angle_of_attack: Scalar
 ) -> BankedMotion:
-    """The drag, D' and D'' = f + g0 u with u = cos(bank), as modelled.
+    """Modelled motion of the drag: D, D' and D'' = f + g0 u with u = cos(bank).
 
-    The drag is the sensed one, and the lift is that by the lift-to-drag ratio of the
-    model. Any atmosphere, gravity and aerodynamics, in still air over a planet at rest,
-    at an angle of attack (rad) that is held.
+    The drag is the sensed one. The lift is the sensed drag times the lift-to-drag ratio of
+    the model. Any atmosphere, gravity and aerodynamics can be used, in still air over a
+    planet at rest, at a constant angle of attack (rad).
     """
     state = measurement.state
     lift = model.lift_to_drag(state, angle_of_attack) * measurement.drag
     if _is_of_the_paper(model):
         return _expanded(model, measurement, lift)
     flow = sensed_flow(model, angle_of_attack)
-    # Its rate is that which the flow has for it; the time does not enter.
+    # The rate of the drag is that of the flow; the time does not enter.
     time = jnp.zeros_like(measurement.drag)
     return twice_along(flow, lambda point: point.drag, measurement, time, lift)
 
 
 def _is_of_the_paper(model: OnboardModel) -> bool:
-    """Whether equations (8), (9) and (11) hold.
+    """Whether equations (8), (9) and (11) apply.
 
-    `benchmarks/costs.py` prints what a flight takes with them, and without.
+    `benchmarks/costs.py` prints the cost of a flight with them and without.
     """
     planet, vehicle = model.planet, model.vehicle
     return (
@@ -114,14 +114,14 @@ def _expanded(
 
 
 class Tracking(eqx.Module):
-    """What tracking the reference asks for at one instant."""
+    """Command that tracks the reference at one instant, and its errors."""
 
     u: Scalar
     """Cosine of the bank, within its limits"""
     x1: Scalar
     """Drag error, m/s2"""
     x2: Scalar
-    """Drag error rate that was fed back, m/s3"""
+    """Rate of the drag error that is fed back, m/s3"""
     excess: Scalar
     """Drag above the gate of the reference, m/s2"""
 
@@ -136,12 +136,12 @@ def track(
     switching: AbstractSwitching,
     scale: Scalar | float = 1.0,
 ) -> Tracking:
-    """Bank that tracks the reference: equation (14), with an observer equation (24).
+    """Bank that tracks the reference: equation (14), or (24) with an observer.
 
     The reference drag is multiplied by `scale`.
 
-    Below the gate of the reference, u is the bank of the reference: before the drag has
-    built up, and again at the end should it fall so low.
+    Below the gate of the reference, u is the planned bank of the reference. This applies
+    before the drag has built up, and again at the end if it falls so low.
     """
     angle = measurement.trim_angle_of_attack
     plant = drag_dynamics(model, measurement, angle)
@@ -153,7 +153,7 @@ def track(
         x2 = observed.drag_error_rate
     a, b, epsilon0 = gains.a, gains.b, gains.epsilon0
     feedback = -(a / (epsilon0 * epsilon0)) * x1 - (b / epsilon0) * x2
-    # D*'' itself contains u where the index does: its part moves over to g0.
+    # D*'' contains u if the index does: this part is moved to g0.
     g0 = plant.gain - scale * wanted.gain
     u = (-plant.drift + scale * wanted.drift + feedback) / g0
     excess = measurement.drag - reference.gate
@@ -171,8 +171,8 @@ def observe(
 ) -> ObserverState:
     """Rate of the observer's state, equation (25), driven by the unlimited command.
 
-    Below the gate the estimate follows the drag error and its rate stays as it is, so
-    that at the gate the observer starts from x1 and 0.
+    Below the gate the estimated drag error follows the actual one, and the estimate of its
+    rate is constant, so that at the gate the observer starts from x1 and 0.
     """
     a, b, epsilon0 = gains.a, gains.b, gains.epsilon0
     epsilon = observer.epsilon

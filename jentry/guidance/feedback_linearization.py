@@ -1,9 +1,10 @@
-"""Track a ground track over the energy with angle of attack and bank.
+"""Tracking of a ground track over the energy, with angle of attack and bank.
 
 Reference: S. Bharadwaj, A. V. Rao, K. D. Mease, "Entry Trajectory Tracking Law via
-Feedback Linearization", Journal of Guidance, Control, and Dynamics 21(5), 1998. The symbols
-of the paper are kept where an equation is implemented. Its heading angle is counted from
-east to the left and its bank is positive to the left; here both are positive to the right.
+Feedback Linearization", Journal of Guidance, Control, and Dynamics 21(5), 1998. The code
+uses the symbols of the paper where it implements an equation. In the paper the heading is
+counted from east to the left and the bank is positive to the left. Here both are positive
+to the right.
 """
 
 from abc import abstractmethod
@@ -30,7 +31,7 @@ from .tracking_gains import AbstractTrackingGains
 
 
 class AbstractTrackAngles(eqx.Module):
-    """The two angles that say where on the sphere a vehicle is: the outputs y1 and y2."""
+    """The two angles that locate a vehicle on the sphere: the outputs y1 and y2."""
 
     @abstractmethod
     def angles(self, planet: Planet, state: EntryState) -> tuple[Scalar, Scalar]:
@@ -55,7 +56,7 @@ class ReferencePlaneAngles(AbstractTrackAngles):
 
 
 class AttitudeBand(eqx.Module):
-    """What the law may command."""
+    """Limits of the command."""
 
     deviation: Scalar = scalar(unit="rad", positive=True)
     """Largest deviation of the angle of attack from the reference, to either side"""
@@ -64,15 +65,15 @@ class AttitudeBand(eqx.Module):
     largest: Scalar = scalar(unit="rad")
     """Largest angle of attack"""
     largest_bank: Scalar = scalar(unit="rad", range=(0.0, np.pi))
-    """To either side"""
+    """Largest bank to either side"""
 
 
 class GroundTrackModel(eqx.Module):
-    """What is differentiated: the motion on board over the energy, and its outputs.
+    """The onboard motion over the energy, with its outputs, which the law differentiates.
 
-    Energy is counted in units of `energy_span`, so that the numbers are of order one. The
-    drag is that at the reference angle of attack, equation (36): the bank is what steers
-    the drag, not the angle of attack.
+    Energy is in units of `energy_span`, so that the numbers are of order one. The drag is
+    that at the reference angle of attack, equation (36): the bank controls the drag, not
+    the angle of attack.
     """
 
     onboard: OnboardModel
@@ -85,7 +86,7 @@ class GroundTrackModel(eqx.Module):
     track_angles: AbstractTrackAngles = EarthFixedAngles()
 
     def energy(self, state: EntryState) -> Scalar:
-        """J/kg."""
+        """Energy per unit mass, J/kg."""
         return energy(self.onboard.planet, state)
 
     def outputs(self, state: EntryState) -> tuple[Scalar, Scalar]:
@@ -95,7 +96,7 @@ class GroundTrackModel(eqx.Module):
     def forces(
         self, state: EntryState, angle_of_attack: Scalar, factors: Factors
     ) -> tuple[Scalar, Scalar]:
-        """Specific lift and drag as modelled (m/s2), by the factors on them."""
+        """Modelled specific lift and drag (m/s2), multiplied by the factors."""
         air = measure(self.onboard.planet, self.onboard.vehicle, state, angle_of_attack)
         return factors.lift * air.lift, factors.drag * air.drag
 
@@ -118,7 +119,7 @@ class GroundTrackModel(eqx.Module):
         above: Scalar | None = None,
         right: Scalar | None = None,
     ) -> EntryState:
-        """Rates over the energy, equations (10) to (15), under given forces (m/s2)."""
+        """Rates over the energy, equations (10) to (15), under specified forces (m/s2)."""
         rates = rates_under(self.onboard.planet, state, -drag, above, right)
         per_rate = -self.energy_span / (state.velocity * drag)
         return jax.tree.map(lambda x: x * per_rate, rates)
@@ -127,8 +128,8 @@ class GroundTrackModel(eqx.Module):
 class OutputDynamics(eqx.Module):
     """The outputs and their derivatives over the energy, in units of its span.
 
-    y1''' = drift[0] + effect[0] . lift and y2'' = drift[1] + effect[1] . lift, with the
-    components of the lift upwards and to the right.
+    y1''' = drift[0] + effect[0] . lift and y2'' = drift[1] + effect[1] . lift. The
+    components of the lift are upwards and to the right.
     """
 
     downrange: tuple[Scalar, Scalar, Scalar]
@@ -156,20 +157,20 @@ class OutputDynamics(eqx.Module):
 
 
 class AbstractLinearization(eqx.Module):
-    """How the outputs are differentiated until the controls appear."""
+    """Method that differentiates the outputs until the controls appear."""
 
     @abstractmethod
     def dynamics(
         self, model: GroundTrackModel, state: EntryState, factors: Factors
     ) -> OutputDynamics:
-        """The outputs in a state, with what the lift does to them."""
+        """The outputs in a state, and the effect of the lift on them."""
 
 
 class FullLinearization(AbstractLinearization):
-    """Without small angles, by nested forward derivatives of equations (10) to (15).
+    """Exact linearization, by nested forward derivatives of equations (10) to (15).
 
-    In y1'' the lift appears too early, through the sines of flight-path angle and heading:
-    there it is the lift of the reference controls.
+    In y1'' the lift appears too early, through the sines of flight-path angle and heading.
+    There the lift of the reference controls is used.
     """
 
     @apart
@@ -210,10 +211,10 @@ class FullLinearization(AbstractLinearization):
 
 
 class SmallAngleLinearization(AbstractLinearization):
-    """As printed: small flight-path, crossrange and heading angles, equations (37) to (44).
+    """Small flight-path, crossrange and heading angles: equations (37) to (44).
 
     a of (43) is corrected: it misses 2 gamma (D + 2 g gamma) / (D^3 V^2 r^2). The drag
-    coefficient counts as constant along the reference angle of attack, as printed.
+    coefficient is constant along the reference angle of attack, as printed.
     """
 
     @apart
@@ -270,7 +271,7 @@ def _course(model: GroundTrackModel, state: EntryState) -> Scalar:
 
 
 class AbstractForceKnowledge(eqx.Module):
-    """What the law takes the actual lift and drag to be, in units of its model's."""
+    """How the law obtains the actual lift and drag, in units of those of its model."""
 
     @abstractmethod
     def factors(self, model: GroundTrackModel, measurement: Measurement) -> Factors:
@@ -278,7 +279,7 @@ class AbstractForceKnowledge(eqx.Module):
 
 
 class ModelledForces(AbstractForceKnowledge):
-    """The model is believed."""
+    """Lift and drag of the model, with factors of one."""
 
     def factors(self, model: GroundTrackModel, measurement: Measurement) -> Factors:
         one = jnp.ones_like(measurement.drag)
@@ -286,10 +287,10 @@ class ModelledForces(AbstractForceKnowledge):
 
 
 class MeasuredForces(AbstractForceKnowledge):
-    """The ratio of the sensed force to the model's, at the angle of attack that is flown.
+    """Ratio of the sensed force to that of the model at the actual angle of attack.
 
-    The command then depends on forces that depend on the command: fly it by
-    `Sampled(law, period)`, or with an attitude that takes its time.
+    The command then depends on forces that depend on the command. Use `Sampled(law,
+    period)`, or an attitude response with a lag.
     """
 
     def factors(self, model: GroundTrackModel, measurement: Measurement) -> Factors:
@@ -325,11 +326,11 @@ def along_reference(
     state: EntryState,
     factors: Factors | None = None,
 ) -> dict[str, Scalar]:
-    """The outputs in a state of the reference and their derivatives, by name.
+    """Outputs and their derivatives in a state of the reference, by name.
 
-    In rad, over the energy in units of its span, by the expressions of the law: so that
-    on the reference it commands the reference controls. The reference is flown under the
-    forces of the model by `factors`; none if not given.
+    The values are in rad, over the energy in units of its span. They are computed with the
+    expressions of the law, so that on the reference it commands the reference controls.
+    `factors` multiply the forces of the model along the reference; they are one by default.
     """
     one = jnp.ones_like(state.velocity)
     factors = Factors(one, one) if factors is None else factors
@@ -343,7 +344,7 @@ def along_reference(
 def _errors(
     seen: OutputDynamics, wanted: dict[str, Scalar]
 ) -> tuple[tuple[Scalar, Scalar, Scalar], tuple[Scalar, Scalar]]:
-    """Of the outputs and of their derivatives, from those of the reference."""
+    """Errors of the outputs and of their derivatives with respect to the reference."""
     y1, y1_1, y1_2 = seen.downrange
     y2, y2_1 = seen.crossrange
     downrange = (
@@ -357,12 +358,12 @@ def _errors(
 class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
     """Feedback linearization of downrange and crossrange, equations (48) to (54).
 
-    Memory is the integrals of (49).
+    Memory is the integrals of the errors in (49).
     """
 
     model: GroundTrackModel
     reference: QuinticTable
-    """What `along_reference` gives, over the energy (J/kg): by `plan_ground_track`"""
+    """Result of `along_reference` over the energy (J/kg), from `plan_ground_track`"""
     gains: AbstractTrackingGains
     band: AttitudeBand
     linearization: AbstractLinearization = FullLinearization()
@@ -409,15 +410,15 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
         measurement: Measurement,
         memory: TrackErrors,
     ) -> tuple[Controls, TrackErrors]:
-        """Command towards a reference, and the rate of the memory.
+        """Command that tracks a reference, and the rate of the memory.
 
         **Arguments:**
 
-        - `wanted`: what `along_reference` gives where the reference has the energy of the
-          vehicle.
-        - `model`: with the controls of that reference. The bounds of the angle of attack
-          stay about the reference of the law.
-        - `factors`: on lift and drag of the model.
+        - first argument: result of `along_reference` at the point of the reference that has
+          the energy of the vehicle.
+        - `model`: model with the controls of that reference. The bounds of the angle of
+          attack remain those about the reference of the law.
+        - `factors`: factors on lift and drag of the model.
         """
         state = measurement.state
         here = model.energy(state)
@@ -450,7 +451,7 @@ class GroundTrackTracking(AbstractContinuousLaw[TrackErrors]):
         above: Scalar,
         right: Scalar,
     ) -> Controls:
-        """Angle of attack and bank by (52) and (53), or within their bounds by (54)."""
+        """Angle of attack and bank by (52) and (53), or within their limits by (54)."""
         model, band = self.model, self.band
         reference = model.angle_of_attack(here)
         least = jnp.maximum(reference - band.deviation, band.least)

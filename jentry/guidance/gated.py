@@ -1,4 +1,4 @@
-"""A law that begins where there is air, and what is flown until then."""
+"""A law that starts at a sensed drag, with another law before."""
 
 from typing import TypeVar
 
@@ -15,12 +15,12 @@ Memory = TypeVar("Memory")
 
 
 class Gated(AbstractContinuousLaw[Memory]):
-    """A continuous law above a sensed drag; below it another one, without memory.
+    """A continuous law above a sensed drag; below it another law, without memory.
 
-    The memory of the law stays as it is where the drag is below. For laws that have no
-    gate of their own, such as those over the energy, which hardly falls before there is
-    drag. Which of the two commands is flown hangs on the sensed drag: under an ideal
-    attitude it has to be held, `Sampled(Gated(...), period)`.
+    The memory of the law is constant while the drag is below. `Gated` is for laws that have
+    no gate, such as those over the energy, which hardly falls before there is drag. The
+    sensed drag selects the command: with an ideal attitude response the command must be
+    held, `Sampled(Gated(...), period)`.
     """
 
     law: AbstractContinuousLaw[Memory]

@@ -1,4 +1,4 @@
-"""Damping of the phugoid: a bank that keeps to the glide of the one asked for."""
+"""Damping of the phugoid: a bank with feedback of the altitude rate of the glide."""
 
 import equinox as eqx
 import jax
@@ -14,31 +14,31 @@ from ..onboard.model import OnboardModel
 
 
 class GlideDamping(eqx.Module):
-    """Turns the bank so that a glide does not swing about its equilibrium.
+    """Corrects the bank so that a glide does not oscillate about its equilibrium.
 
-    In level flight at a bank the vehicle is pushed upwards by an acceleration s(h, v) of
-    the altitude and the velocity: lift, gravity and what the curved path takes off it.
-    Where s is zero it glides in equilibrium, and where it is not it swings about that,
-    with the frequency w and hardly damped. The glide itself descends at such a rate that s
-    stays zero while the drag slows it down,
+    In level flight at a bank the vehicle has an upward acceleration s(h, v), a function of
+    altitude and velocity: lift and centrifugal acceleration minus gravity. Where s is zero
+    the vehicle glides in equilibrium. Elsewhere it oscillates about the equilibrium with
+    the frequency w and almost no damping. The glide itself descends at such a rate that s
+    remains zero while the drag decelerates the vehicle,
 
         w^2 = -ds/dh        h'_glide = -(ds/dv) v' / (ds/dh)
 
     and the cosine of the bank becomes
 
-        cos(bank) = cos(bank asked for) - 2 ratio w (h' - h'_glide) / lift
+        cos(bank) = cos(requested bank) - 2 ratio w (h' - h'_glide) / lift
 
-    With the ratio of zero it is the bank that is asked for. Where the air has no such
-    frequency, as where it is too thin, it is that as well.
+    With a ratio of zero the bank is the requested one. It is also the requested one where
+    w^2 is not positive, for example where the air is too thin.
 
     The altitude rate of an equilibrium glide in the feedback is that of P. Lu, "Entry
     Guidance: A Unified Method", Journal of Guidance, Control, and Dynamics 37(3), 2014.
-    What is our own: the gain, which is a damping ratio, and derivatives that are exact for
-    any atmosphere and aerodynamics.
+    Beyond the paper: the gain is a damping ratio, and the derivatives are exact for any
+    atmosphere and aerodynamics.
     """
 
     ratio: Scalar = scalar(0.7, range=NOT_NEGATIVE)
-    """Of the damping, to the critical one"""
+    """Damping ratio: damping over critical damping"""
     lowest: Scalar = scalar(-1.0, range=(-1.0, 1.0))
     """Cosine of the largest bank"""
 
@@ -50,13 +50,13 @@ class GlideDamping(eqx.Module):
         angle_of_attack: Scalar,
         cosine: Scalar,
     ) -> Scalar:
-        """Cosine of the bank to fly.
+        """Cosine of the bank with damping.
 
         **Arguments:**
 
-        - `factors`: on the lift and the drag of the model.
-        - `angle_of_attack`: that is flown, rad.
-        - `cosine`: of the bank that is asked for.
+        - `factors`: factors on the lift and the drag of the model.
+        - `angle_of_attack`: actual angle of attack, rad.
+        - `cosine`: cosine of the requested bank.
         """
         scales = (
             model.vehicle.lift_scale * factors.lift,
@@ -75,7 +75,7 @@ class GlideDamping(eqx.Module):
                 state,
                 (altitude, velocity, nothing),
             )
-            # What the lift does to the side pushes nothing upwards.
+            # The lateral component of the lift has no upward effect.
             upwards = Controls(angle_of_attack, cosine, nothing)
             rates = entry_dynamics(model.planet, vehicle, level, upwards)
             return velocity * rates.flight_path_angle, rates.velocity
@@ -87,7 +87,7 @@ class GlideDamping(eqx.Module):
         over_velocity = slope(nothing, one, nothing)
         lift = slope(nothing, nothing, one)
         swings = (over_altitude < 0.0) & (lift > 0.0)
-        # On both sides of the `where`, so that no derivative comes from there.
+        # On both sides of the `where`, so that the unused branch has no derivative.
         square = jnp.where(swings, -over_altitude, 1.0)
         gliding = over_velocity * slows / square
         rises = state.velocity * sincos(state.flight_path_angle)[0]

@@ -1,4 +1,4 @@
-"""Where guided flight ends, for a law that predicts the rest of it."""
+"""End conditions of guided flight, for a law that predicts the rest of the flight."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ from ..world.planet import Planet
 
 
 class GuidedEnd(eqx.Module):
-    """Where guided flight ends, as the law believes it: at the first that is given.
+    """End conditions of guided flight, as the law assumes them: the first one met ends it.
 
     The ground ends a flight as well. A flight that has risen to the ceiling has skipped
     out, and would come down too far away.
@@ -29,7 +29,7 @@ class GuidedEnd(eqx.Module):
             )
 
     def margins(self, planet: Planet) -> tuple[Margin, ...]:
-        """The ends of a prediction; with a ceiling it is the last one."""
+        """Margins to the ends of a prediction; that to a ceiling, if any, is last."""
         found: list[Margin] = []
         velocity, energy_there, ceiling = self.velocity, self.energy, self.ceiling
         lowest = 0.0 if self.altitude is None else self.altitude
@@ -43,7 +43,7 @@ class GuidedEnd(eqx.Module):
         return tuple(found)
 
     def first(self) -> tuple[Scalar, Scalar]:
-        """Velocity and altitude at which it ends; without an altitude, at the ground."""
+        """Velocity and altitude that end the flight; the ground if no altitude is set."""
         assert self.velocity is not None
         return self.velocity, 0.0 if self.altitude is None else self.altitude
 

@@ -1,4 +1,4 @@
-"""Lateral logic: to which side a law banks, and when it reverses the bank."""
+"""Lateral logic: the side of the bank, and the times of bank reversals."""
 
 import math
 from abc import abstractmethod
@@ -25,34 +25,35 @@ Side = TypeVar("Side")
 
 
 class PredictedPassage(eqx.Module):
-    """How a law predicts that its destination will be passed."""
+    """Predicted crossrange error and time at the end, as computed by a law."""
 
     crossrange_error: Scalar
-    """At the end, m; NaN where the law cannot predict"""
+    """Crossrange error at the end, m; NaN if there is no prediction"""
     time: Scalar
-    """From now to the end, s; NaN where the law cannot tell"""
+    """Time from now to the end, s; NaN if unknown"""
 
 
 class Destination(eqx.Module):
-    """The point on the ground that a law steers to, as the law believes it."""
+    """The point on the ground that a law steers to, in the onboard model."""
 
     planet: Planet
     origin: EntryState
-    """Where downrange and crossrange are counted from, as in `ground_track`"""
+    """Origin from which downrange and crossrange are counted, as in `ground_track`"""
     downrange: Scalar
     """m"""
     crossrange: Scalar
     """m, positive to the left"""
     predicted: Callable[[Scalar], PredictedPassage] | None = None
-    """If the bank is of a sign from now on; None for a law that predicts no crossrange"""
+    """Prediction for a sign of the bank from now on; None if the law does not predict the
+    crossrange"""
 
 
 class AbstractLateralLogic(eqx.Module, Generic[Side]):
-    """The choice of the side to which a law banks; every law that turns a bank has one.
+    """Selects the side to which a law banks; every law that commands the bank has one.
 
     It decides at the start of a guidance cycle. Its memory, called the side, is a pytree
-    of numbers that is held until the next decision; what the law tracks has no part in it.
-    A logic whose side is None has nothing to decide, and can be flown without a cycle.
+    of numbers that is held until the next decision. It is separate from what the law
+    tracks. A logic whose side is None decides nothing and needs no guidance cycle.
     """
 
     @abstractmethod
@@ -67,13 +68,13 @@ class AbstractLateralLogic(eqx.Module, Generic[Side]):
         side: Side,
         destination: Destination | None,
     ) -> Side:
-        """The decision at the start of a guidance cycle.
+        """Decision at the start of a guidance cycle.
 
         **Arguments:**
 
         - `time`: s since the start.
-        - `side`: what was decided before.
-        - `destination`: where the law steers to; None if it has no such point.
+        - `side`: the previous decision.
+        - `destination`: point that the law steers to; None if it has no such point.
         """
 
     @abstractmethod
@@ -81,17 +82,17 @@ class AbstractLateralLogic(eqx.Module, Generic[Side]):
         """1 if the bank is to the right, -1 if it is to the left."""
 
     def reverses_at(self, side: Side) -> Scalar | float:
-        """Time of the reversal that is expected next, s since the start.
+        """Time of the next expected reversal, s since the start.
 
-        Infinite where none is, or where the logic does not look ahead. A law that heeds it,
-        `PredictorCorrector`, reverses the bank at this time, within a guidance cycle too:
-        the logic counts it as done at the next decision.
+        Infinite if no reversal is expected, or if the logic does not look ahead. A law that
+        uses this time, such as `PredictorCorrector`, reverses the bank at it, also within
+        a guidance cycle. The logic counts the reversal as done at the next decision.
         """
         return math.inf
 
 
 class FixedSide(AbstractLateralLogic[None]):
-    """Banks to one side for the whole flight: to the right if not told otherwise."""
+    """Banks to one side for the whole flight: to the right by default."""
 
     to_the_left: bool = eqx.field(default=False, static=True)
 
@@ -112,12 +113,12 @@ class FixedSide(AbstractLateralLogic[None]):
 
 
 class AbstractCorridor(AbstractLateralLogic[Scalar]):
-    """Reverses the bank at the edges of a corridor; the side is the sign of the bank."""
+    """Reverses the bank at the limits of a corridor; the side is the sign of the bank."""
 
     first_sign: eqx.AbstractVar[Scalar]
-    """Of the bank at the start: 1 to the right, -1 to the left"""
+    """Sign of the bank at the start: 1 to the right, -1 to the left"""
     switching: eqx.AbstractVar[AbstractSwitching]
-    """Of the sign, at an edge"""
+    """Switching of the sign at a limit"""
 
     def __check_init__(self):
         _check_sign(self.first_sign)
@@ -130,12 +131,13 @@ class AbstractCorridor(AbstractLateralLogic[Scalar]):
 
 
 class CrossrangeCorridor(AbstractCorridor):
-    """Reverses the bank when the flight would pass the destination of its law too far off.
+    """Reverses the bank if the predicted crossrange error at the destination is too large.
 
-    The crossrange there is predicted along the great circle that is flown now. It is left
-    alone where |crossrange error| <= floor + widening V^2. This corridor narrows along the
-    flight as what one bank can still change does, so that the reversals spread over the
-    flight: a wide corridor has few, a low floor ends close.
+    The crossrange is predicted along the present great circle. The corridor is
+    |crossrange error| <= floor + widening V^2, within which the bank is not reversed. It
+    narrows along the flight as the remaining crossrange capability does, so that the
+    reversals spread over the flight. A wide corridor gives few reversals; a low floor gives
+    a small final error.
     """
 
     floor: Scalar = scalar(unit="m", positive=True)
@@ -145,7 +147,7 @@ class CrossrangeCorridor(AbstractCorridor):
     switching: AbstractSwitching = Sharp()
 
     def half_width(self, velocity: Scalar) -> Scalar:
-        """m"""
+        """Half width of the corridor, m."""
         return self.floor + self.widening * velocity * velocity
 
     def update(
@@ -174,19 +176,19 @@ class CrossrangeCorridor(AbstractCorridor):
 
 
 class HeadingCorridor(AbstractCorridor):
-    """Reverses the bank when the heading is too far off the bearing of a target.
+    """Reverses the bank when the heading error to a target is too large.
 
-    The heading error is left alone up to a half width that is a piecewise linear function
-    of the velocity, constant beyond its ends; two points make it a straight line.
+    The bank is not reversed up to a half width, which is a piecewise linear function of the
+    velocity, constant beyond its ends. Two points make it a straight line.
     """
 
     longitude: Scalar = scalar(unit="rad")
-    """Of the target"""
+    """Longitude of the target"""
     latitude: Scalar = scalar(unit="rad", range=QUARTER)
-    """Of the target"""
+    """Latitude of the target"""
     radius: Scalar = scalar(unit="m", positive=True)
-    """Radius of the planet. Only a surrogate needs it, which shares a reversal out over the
-    distance by which the target would be passed"""
+    """Radius of the planet. Only a smooth switching needs it: it distributes a reversal
+    over the distance by which the target would be missed"""
     velocities: Vector = table(unit="m/s", positive=True, increasing=True)
     half_widths: Vector = table(unit="rad", positive=True)
     """Half widths of the corridor at the velocities"""
@@ -203,11 +205,11 @@ class HeadingCorridor(AbstractCorridor):
             )
 
     def half_width(self, velocity: Scalar) -> Scalar:
-        """rad"""
+        """Half width of the corridor, rad."""
         return jnp.interp(velocity, self.velocities, self.half_widths)
 
     def heading_error(self, state: EntryState) -> Scalar:
-        """Bearing of the target less the heading, rad in [-pi, pi].
+        """Bearing of the target minus the heading, rad in [-pi, pi].
 
         Positive if the target is to the right.
         """
@@ -226,13 +228,13 @@ class HeadingCorridor(AbstractCorridor):
         distance = self.radius * jnp.arctan2(
             jnp.sqrt(ahead * ahead + right * right), down
         )
-        # As a length, in which the surrogates measure how far a limit is exceeded.
+        # As a length, in which smooth switching measures how far a limit is exceeded.
         miss = jnp.arctan2(right, ahead) * distance
         half_width = self.half_width(state.velocity) * distance
         return reverse_bank(side, miss, half_width, self.switching)
 
     def _direction(self, state: EntryState) -> tuple[Scalar, Scalar, Scalar]:
-        """Unit vector to the target: along the heading, to its right, and upwards."""
+        """Components of the unit vector to the target: ahead, to the right, upwards."""
         sin_there, cos_there = sincos(self.latitude)
         sin_here, cos_here = sincos(state.latitude)
         sin_between, cos_between = sincos(self.longitude - state.longitude)
@@ -245,47 +247,46 @@ class HeadingCorridor(AbstractCorridor):
 
 
 class CountedSide(eqx.Module):
-    """The side, and how often it has changed."""
+    """The side, and the number of its changes."""
 
     sign: Scalar
     """1 to the right, -1 to the left"""
     reversals: Scalar
     reverses_at: Scalar | None = None
-    """Time of the next one that is expected, s; infinite for none"""
+    """Time of the next expected reversal, s; infinite for none"""
 
 
 class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
-    """Reverses the bank when that is predicted to end much nearer in crossrange.
+    """Reverses the bank when this is predicted to reduce the crossrange error by a factor.
 
-    In each guidance cycle the law predicts the crossrange error at the end for a bank that
-    keeps its side and for one that is reversed now. It is reversed where the second is
-    smaller by a factor. A reversal leaves at most that share of the error to the next one:
-    few of them are needed, and the last ones come late. Their number is limited.
+    In each guidance cycle the law predicts the crossrange error at the end for a bank
+    without reversal and for a bank that is reversed now. The bank is reversed if the second
+    error is smaller by `factor`. A reversal leaves at most that share of the error to the
+    next one: few are needed, and the last ones come late. Their number is limited.
 
-    The error kept, e, becomes that of a bank that is reversed now, e_r, the later it is
-    reversed, the less so: after a time t of the T to the end it is
+    Let e be the error without a reversal and e_r that of a reversal now. A reversal after a
+    time t of the time T to the end leads to the error
 
         e + (e_r - e) (1 - t / T)^2
 
-    under a constant push to the side. A logic that `foresees` tells by it when the bank
-    will be reversed next, for a law that predicts what its turning does to the range, and
-    when within a guidance cycle.
+    under a constant lateral acceleration. With `foresees` the logic computes from this the
+    time of the next reversal, for a law that predicts the effect of the reversal on the
+    range and that reverses the bank within a guidance cycle.
 
-    After K. M. Smith, "Predictive Lateral Logic for Numerical Entry Guidance Algorithms",
-    AAS/AIAA Space Flight Mechanics Meeting, 2016. It is for a law that predicts in three
-    dimensions.
+    Source: K. M. Smith, "Predictive Lateral Logic for Numerical Entry Guidance Algorithms",
+    AAS/AIAA Space Flight Mechanics Meeting, 2016. The law must predict in three dimensions.
     """
 
     factor: Scalar = scalar(3.0, range=(1.0, math.inf))
-    """By which the error of the reversed bank must be the smaller one"""
+    """Factor by which the error of the reversed bank must be smaller"""
     tolerance: Scalar = scalar(0.0, unit="m", range=NOT_NEGATIVE)
-    """Error below which the bank is left alone"""
+    """Error below which the bank is not reversed"""
     most: Scalar = scalar(6.0, range=NOT_NEGATIVE)
-    """Number of reversals"""
+    """Largest number of reversals"""
     first_sign: Scalar = scalar(1.0)
     """Side of the bank at the start: 1 to the right, -1 to the left"""
     foresees: bool = eqx.field(default=False, static=True)
-    """Whether it is told when the next reversal comes"""
+    """Whether the time of the next reversal is computed"""
 
     def __check_init__(self):
         _check_sign(self.first_sign)
@@ -305,8 +306,7 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
         if destination is None or destination.predicted is None:
             raise ValueError(
                 "PredictedCrossrange needs a law that predicts its crossrange, such as a "
-                "PredictorCorrector with dynamics=EntryDynamics(): take a "
-                "CrossrangeCorridor"
+                "PredictorCorrector: with this law take a CrossrangeCorridor"
             )
         if side.reverses_at is not None:
             done = time >= side.reverses_at
@@ -314,11 +314,11 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
                 jnp.where(done, -side.sign, side.sign),
                 side.reversals + jnp.where(done, 1.0, 0.0),
             )
-        # A loop: written twice, the prediction is most of what there is to compile.
+        # A loop: two copies of the prediction would nearly double what is compiled.
         sides = jnp.stack([side.sign, -side.sign])
         passages = lax.map(destination.predicted, sides)
         kept, reversed_now = passages.crossrange_error
-        # What is not a number is not smaller.
+        # NaN compares as not smaller.
         better = self.factor * jnp.abs(reversed_now) < jnp.abs(kept)
         turns = better & (jnp.abs(kept) > self.tolerance)
         turns &= side.reversals < self.most
@@ -340,8 +340,8 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
     def _expected(
         self, kept: Scalar, reversed_now: Scalar, time: Scalar, reversals: Scalar
     ) -> Scalar:
-        """When the error of a reversed bank will be the share of the kept one, beyond the
-        destination; infinite where that will not be."""
+        """Time until a reversal leads to an error of opposite sign that is smaller by
+        `factor`, s; infinite if this does not occur."""
         change = kept - reversed_now
         moves = change != 0.0
         square = (1.0 + 1.0 / self.factor) * kept / jnp.where(moves, change, 1.0)
@@ -353,7 +353,7 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
 
 
 class Reversals(eqx.Module):
-    """What is remembered of reversals at given velocities."""
+    """Memory of reversals at prescribed velocities."""
 
     sign: Scalar
     """Side of the bank: 1 to the right, -1 to the left"""
@@ -362,17 +362,17 @@ class Reversals(eqx.Module):
 
 
 _WAITING, _AHEAD, _DONE = 0.0, 1.0, 2.0
-"""The velocity has not been above that of the reversal; it has; it has fallen to it"""
+"""The velocity has not yet been above that of the reversal; has been above; has fallen to
+it"""
 
 
 class VelocityReversals(AbstractLateralLogic[Reversals]):
-    """Reverses the bank each time that the velocity has fallen to one of given values.
+    """Reverses the bank each time the velocity falls to one of the prescribed values.
 
-    Each value counts once, in the first guidance cycle that begins at or below it, and
-    only where the velocity has been above it before: so neither an entry that first
-    becomes faster nor one that begins below some of the values reverses too often. Two
-    values that are passed within one cycle are two reversals, which leave the side as it
-    was.
+    Each value counts once, in the first guidance cycle that begins at or below it, and only
+    if the velocity has been above it before. So neither an entry whose velocity increases
+    at first nor one that begins below some of the values has too many reversals. Two values
+    that are passed within one cycle are two reversals, which leave the side unchanged.
     """
 
     velocities: Vector = table(unit="m/s", positive=True)
@@ -420,7 +420,7 @@ class VelocityReversals(AbstractLateralLogic[Reversals]):
 
 
 def turned(controls: Controls, sign: Scalar | float) -> Controls:
-    """A command that banks to the right, on the side of a sign of the bank."""
+    """A command that banks to the right, changed to the side of `sign`."""
     return Controls(
         controls.angle_of_attack, controls.cos_bank, sign * controls.sin_bank
     )
@@ -434,8 +434,8 @@ def reverse_bank(
 ) -> Scalar:
     """Sign of the bank for a predicted crossrange miss (m, positive to the left).
 
-    Inside the corridor the sign stays. Outside it turns back: to the right, which is
-    positive, if the miss is to the left. A discrete choice, and so without derivative,
+    Inside the corridor the sign is unchanged. Outside it turns back: to the right, which is
+    positive, if the miss is to the left. The choice is discrete and has no derivative,
     unless the switching is `Smooth` or `SmoothReversals`; then the sign takes values
     between the two.
     """
@@ -446,10 +446,10 @@ def reverse_bank(
 def predicted_crossrange(
     planet: Planet, origin: EntryState, state: EntryState, distance: Scalar
 ) -> Scalar:
-    """Crossrange after a distance (m) along the great circle that is flown now, m.
+    """Crossrange after a distance (m) along the present great circle, m.
 
-    Counted from the origin as in `ground_track`; to first order in the crossrange, which
-    is small beside the planet's radius.
+    It is counted from the origin as in `ground_track`, to first order in the crossrange,
+    which is small beside the planet's radius.
     """
     sin_heading, cos_heading = sincos(state.heading)
     _, cos_latitude = sincos(state.latitude)

@@ -1,4 +1,7 @@
-"""What a guidance law is: two protocols. Only this file asks which of them a law is."""
+"""The two protocols of a guidance law: continuous and sampled.
+
+Only this file tests which of the two a law is.
+"""
 
 from abc import abstractmethod
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
@@ -21,45 +24,48 @@ Held = TypeVar("Held")
 
 
 class AbstractLaw(eqx.Module):
-    """A guidance law: gains, limits, reference and its own idea of the world.
+    """A guidance law: its gains, limits, reference and onboard model.
 
-    A law reads a `Measurement`, never the truth, and remembers nothing itself: its
-    memory travels beside the state of the vehicle. It is one of two kinds, below.
+    A law reads a `Measurement`, never the true state. It stores nothing itself: its memory
+    is carried beside the state of the vehicle. A law is either continuous
+    (`AbstractContinuousLaw`) or sampled (`AbstractSampledLaw`).
 
-    The forces are sensed at the attitude that is flown. With an ideal attitude that is the
-    command of the same instant. Hence its angle of attack may not depend on the forces: a
-    flight with such a law is refused. `Sampled` breaks the loop, since the forces are then
-    those of the angle of attack that is held, and so does an attitude that takes its time.
+    The forces are sensed at the actual attitude. With an ideal attitude response that is
+    the command of the same instant, so the commanded angle of attack must not depend on
+    the sensed forces: a flight with such an algebraic loop is refused. `Sampled` breaks
+    the loop, since the forces are then those at the held angle of attack. An attitude
+    response with a lag also breaks it.
 
-    A law that turns the bank alone commands `measurement.trim_angle_of_attack`. One that
-    chooses the angle of attack alone commands an `AngleOfAttackCommand`, and flies beside
-    a bank law: `compose`.
+    A law that commands the bank alone commands `measurement.trim_angle_of_attack` with it.
+    A law that commands the angle of attack alone returns an `AngleOfAttackCommand` and is
+    composed with a bank law: see `compose`.
     """
 
     keeps: ClassVar[tuple[type[AbstractPathConstraint], ...]] = ()
-    """Path constraints whose limits the law keeps. A scenario that has such constraints,
-    and none of them with a limit, is flown with a warning"""
+    """Path constraints whose limits the law respects. If a scenario has such constraints
+    and none of them has a limit, a warning is issued"""
 
     def tracked(
         self, time: Scalar, measurement: Measurement, held: Any
     ) -> "Tracked | None":
-        """What the law makes follow a reference, and by which controls.
+        """Outputs that the law makes track a reference, and the controls that it uses.
 
-        None for a law that has no such outputs, or does not say. `linearize` counts
-        deviations in these errors, and finds the transmission zeros of the vehicle from
-        these controls to them. `held` is what a sampled law holds, else None.
+        None for a law that has no such outputs or does not report them. `linearize`
+        expresses deviations in these errors and computes the transmission zeros of the
+        vehicle from these controls to them. `held` is what a sampled law holds, else None.
         """
         return None
 
 
 class Tracked(eqx.Module):
-    """What a law makes follow its reference."""
+    """Outputs that a law makes track its reference."""
 
     errors: tuple[tuple[Scalar, ...], ...]
-    """For each output its error and those derivatives of it along the flight that the law
-    feeds back, as it believes them; over any variable, such as time or energy"""
+    """For each output, its error and those derivatives of it along the flight that the law
+    feeds back, as the law estimates them. The derivatives are over any variable, such as
+    time or energy"""
     by: tuple[str, ...] = eqx.field(static=True)
-    """Controls that do it: "angle_of_attack", "bank_angle" or both"""
+    """Controls that track them: "angle_of_attack", "bank_angle" or both"""
 
     def __check_init__(self):
         known = "angle_of_attack", "bank_angle"
@@ -71,22 +77,23 @@ class Tracked(eqx.Module):
 
 
 class AngleOfAttackCommand(eqx.Module):
-    """What an angle-of-attack law commands; `compose` gives it a bank law beside it."""
+    """Command of an angle-of-attack law; `compose` combines it with a bank law."""
 
     angle_of_attack: Scalar = scalar(unit="rad")
     bank_increment: Scalar | None = optional_scalar(unit="rad")
-    """By how much more the bank law should bank than by itself, rad; None for not at all.
-    A law that modulates the angle of attack about a schedule steers its mean back by it,
-    with feedback of the deviation and of its rate"""
+    """Increment of the bank over the command of the bank law, rad; None for no increment.
+    A law that modulates the angle of attack about a schedule uses it to bring the mean
+    angle of attack back to the schedule, with feedback of the deviation and of its rate"""
 
 
 Command = Controls | AngleOfAttackCommand
 
 
 class AbstractContinuousLaw(AbstractLaw, Generic[Memory]):
-    """A law that acts at every instant; its memory, if any, obeys a differential equation.
+    """A law that computes its command at every instant.
 
-    Memory is a pytree of floats, integrated with the motion by the same solver.
+    Its memory, if any, is a pytree of floats that obeys a differential equation. The same
+    solver integrates the memory and the motion.
     """
 
     @abstractmethod
@@ -100,7 +107,7 @@ class AbstractContinuousLaw(AbstractLaw, Generic[Memory]):
         """Command, and the time derivative of the memory."""
 
 
-if TYPE_CHECKING:  # an abstract field would be the first argument of every such law
+if TYPE_CHECKING:  # as a field it would be the first argument of every subclass
 
     class _Turning:
         lateral: AbstractLateralLogic
@@ -111,10 +118,10 @@ else:
 
 
 class AbstractBankLaw(AbstractContinuousLaw[Memory], _Turning):
-    """A continuous law that turns the bank, to the side that its lateral logic chooses.
+    """A continuous law that commands the bank, to the side that its lateral logic selects.
 
-    The law says how it banks to the right. A lateral logic that decides does so at the
-    guidance cycle, which `Sampled(law, period)` gives it.
+    The law computes the command for a bank to the right. A lateral logic that makes
+    decisions needs a guidance cycle, which `Sampled(law, period)` provides.
     """
 
     @abstractmethod
@@ -137,34 +144,33 @@ class AbstractBankLaw(AbstractContinuousLaw[Memory], _Turning):
 
 
 class AbstractSampledLaw(AbstractLaw, Generic[Memory, Held]):
-    """A law with a guidance cycle: at its start it decides, and holds the decision.
+    """A law that decides at the start of each guidance cycle and holds the decision.
 
-    What was decided (a command, a bank sign, a scale factor) is `held`; between the
-    decisions the law may still act on it continuously, with a memory of its own as a
-    continuous law has.
+    The decision (a command, a bank sign, a scale factor) is `held`. Between decisions the
+    law may still act on it continuously, with a memory like that of a continuous law.
     """
 
     cycle: eqx.AbstractVar[AbstractCycle]
     """`FixedCycle` or `ShorteningCycle`"""
 
     def caveats(self, held: Held) -> dict[str, Scalar]:
-        """What a reader of the results must know of how the law decided; by name.
+        """Reasons to doubt the decisions of the law, by name.
 
-        Each is a share from 0 to 1, such as of the decisions that lacked what the law
-        decides by. They stand in `Flight.caveats` and in the results of a campaign, and
-        it is said where one is not zero.
+        Each is a share from 0 to 1, such as the share of decisions that lacked a
+        prediction. The caveats appear in `Flight.caveats` and in the results of a
+        campaign. Those that are not zero are reported.
         """
         return {}
 
     @abstractmethod
     def init(self, measurement: Measurement) -> tuple[Memory, Held]:
-        """Memory, and what is held before the first cycle."""
+        """Memory, and the held decision before the first cycle."""
 
     @abstractmethod
     def update(
         self, time: Scalar, measurement: Measurement, memory: Memory, held: Held
     ) -> tuple[Memory, Held]:
-        """The decision at the start of a cycle; the memory may jump with it."""
+        """Decision at the start of a cycle; the memory may jump with it."""
 
     @abstractmethod
     def __call__(
@@ -174,19 +180,19 @@ class AbstractSampledLaw(AbstractLaw, Generic[Memory, Held]):
 
 
 class HeldCommand(eqx.Module):
-    """A command that is held through a guidance cycle."""
+    """A command that is held through a guidance cycle, with the side of the bank."""
 
     command: Command
     side: Any
-    """What the lateral logic of the law decided; None where it has nothing to decide"""
+    """Decision of the lateral logic of the law; None if it decides nothing"""
 
 
 class Sampled(AbstractSampledLaw[Memory, HeldCommand]):
     """A continuous law whose command is held through each guidance cycle.
 
-    Its memory (an observer, a filter) goes on continuously. As the period tends to zero
-    the flight tends to that of the continuous law, at first order. The lateral logic of
-    an `AbstractBankLaw` decides at the cycle.
+    The memory of the law (an observer, a filter) is still integrated continuously. As the
+    period tends to zero, the flight converges to that of the continuous law, at first
+    order. The lateral logic of an `AbstractBankLaw` decides at the guidance cycle.
     """
 
     law: AbstractContinuousLaw[Memory]
@@ -237,13 +243,13 @@ class Sampled(AbstractSampledLaw[Memory, HeldCommand]):
 
 
 def kept_constraints(law: AbstractLaw) -> tuple[type[AbstractPathConstraint], ...]:
-    """Path constraints whose limits a law keeps, or a law that it is made of."""
+    """Path constraints whose limits a law, or a law that it contains, respects."""
     parts = [part for part in vars(law).values() if isinstance(part, AbstractLaw)]
     return (*law.keeps, *(kept for part in parts for kept in kept_constraints(part)))
 
 
 def begun(law: AbstractLaw, measurement: Measurement) -> tuple[Any, Any]:
-    """Memory at the start of guidance, and what a sampled law holds; else None."""
+    """Memory and held decision at the start of guidance; the latter None if continuous."""
     if isinstance(law, AbstractSampledLaw):
         memory, held = _pair(law, "init", law.init(measurement))
         return memory, held
@@ -258,7 +264,7 @@ def decided(
     memory: Any,
     held: Any,
 ) -> tuple[Any, Any]:
-    """What a sampled law decides at the start of a cycle: memory, and what it holds."""
+    """Memory and held decision of a sampled law after its decision at a cycle start."""
     after = _pair(law, "update", law.update(time, measurement, memory, held))
     for what, given, before in zip(
         ("memory", "decision"), after, (memory, held), strict=True
@@ -285,7 +291,7 @@ def commanded(
 ) -> tuple[Kind, Any]:
     """Command of a law of either kind, and the time derivative of its memory.
 
-    Raises `ValueError` for a command that is not of the class that it must have here.
+    **Raises:** `ValueError` if the command is not of the class `kind`.
     """
     if isinstance(law, AbstractSampledLaw):
         given = law(time, measurement, memory, held)
@@ -328,21 +334,21 @@ def _pair(law: AbstractLaw, method: str, given: Any) -> tuple[Any, Any]:
 
 
 def _require_like(law: AbstractLaw, what: str, given: Any, memory: Any) -> None:
-    """Refuse what cannot take the place of another pytree, or be its rate."""
+    """Refuse a pytree that differs in structure or shapes from the one before."""
     shapes = [jax.tree.map(jnp.shape, tree) for tree in (given, memory)]
     if jax.tree.structure(given) != jax.tree.structure(memory):
         shapes = [jax.tree.structure(tree) for tree in (given, memory)]
     if shapes[0] != shapes[1]:
         raise ValueError(
-            f"the {what} of {type(law).__name__} is {shapes[0]}: it must be like what "
-            f"was before, {shapes[1]}"
+            f"the {what} of {type(law).__name__} is {shapes[0]}: it must be like the "
+            f"one before, {shapes[1]}"
         )
 
 
 def reads_forces_between_cycles(law: AbstractLaw, state: EntryState) -> bool:
     """Whether a law uses its sensed forces at other times than its guidance cycles.
 
-    Taken from what the law computes; a continuous law has no cycles.
+    This follows from the computation of the law. A continuous law has no cycles: True.
     """
     if isinstance(law, AbstractContinuousLaw):
         return True

@@ -1,17 +1,17 @@
-"""The lift within its limits that comes nearest to what two objectives ask for.
+"""The lift within its limits that comes nearest to two required components.
 
-A law that tracks a ground track asks for two components of the lift: `above`, in the
+A law that tracks a ground track requires two components of the lift: `above`, in the
 vertical plane, and `right`, across it. With the lift between two bounds and the bank
-within a limit to either side, what can be flown is a sector of a ring, and the lift L and
-the bank s in it are those with the smallest
+within a limit to either side, the feasible lift vectors form a sector of a ring. The lift
+L and the bank s are those in the sector that minimise
 
     eta (L cos s - above)^2 + (1 - eta) (L sin s - right)^2,
 
 equation (54) of S. Bharadwaj, A. V. Rao, K. D. Mease, "Entry Trajectory Tracking Law via
 Feedback Linearization", Journal of Guidance, Control, and Dynamics 21(5), 1998.
 
-All places where the smallest value can lie are looked at, without a branch: the inside,
-the two arcs and the two straight edges with their corners.
+All candidates for the minimum are evaluated, without a branch: the inside, the two arcs
+and the two straight edges with their corners.
 """
 
 from abc import abstractmethod
@@ -27,7 +27,7 @@ from ..fields import Flag, Scalar, scalar
 
 
 class Lift(eqx.Module):
-    """A specific lift, and the bank at which it is flown."""
+    """A specific lift and its bank."""
 
     lift: Scalar
     """m/s2"""
@@ -36,33 +36,33 @@ class Lift(eqx.Module):
 
 
 class LiftBounds(eqx.Module):
-    """What can be flown: a ring sector."""
+    """Feasible lift vectors: a sector of a ring."""
 
     least: Scalar
     """Smallest specific lift, m/s2, positive"""
     largest: Scalar
     """Largest specific lift, m/s2"""
     largest_bank: Scalar
-    """To either side, rad, below half a turn"""
+    """Largest bank to either side, rad, below half a turn"""
 
 
 class AbstractTradeoff(eqx.Module):
-    """Which of two components of the lift is given up where not both can be flown."""
+    """Rule for the compromise between two components of the lift if both are infeasible."""
 
     @abstractmethod
     def nearest(self, above: Scalar, right: Scalar, bounds: LiftBounds) -> Lift:
-        """The lift within bounds that is nearest to two components, m/s2."""
+        """The lift within bounds that is nearest to two components (m/s2)."""
 
 
 class EqualTradeoff(AbstractTradeoff):
-    """Both components count the same, eta = 0.5: the nearest point of a ring sector."""
+    """Both components have the same weight, eta = 0.5: the nearest point of the sector."""
 
     def nearest(self, above: Scalar, right: Scalar, bounds: LiftBounds) -> Lift:
         least, largest = bounds.least, bounds.largest
         sin_most, cos_most = sincos(bounds.largest_bank)
         total, cosine, sine = _polar(above, right)
         inside = cosine >= cos_most
-        # Beyond the limit of the bank the edge on the same side is the nearer one.
+        # Beyond the limit of the bank the edge on the same side is nearer.
         sine_there = jnp.where(right < 0.0, -sin_most, sin_most)
         along = above * cos_most + right * sine_there
         return Lift(
@@ -73,11 +73,11 @@ class EqualTradeoff(AbstractTradeoff):
 
 
 class WeightedTradeoff(AbstractTradeoff):
-    """The vertical component counts eta and the horizontal one 1 - eta."""
+    """The vertical component has the weight eta and the horizontal one 1 - eta."""
 
     eta: Scalar = scalar(range=(0.001, 0.999))
     """Weight of the component in the vertical plane. At 0 and at 1 one of the components
-    would not count at all, and there would be no nearest lift"""
+    would have no weight, and the nearest lift would not be unique"""
 
     def nearest(self, above: Scalar, right: Scalar, bounds: LiftBounds) -> Lift:
         least, largest = bounds.least, bounds.largest
@@ -110,22 +110,23 @@ class WeightedTradeoff(AbstractTradeoff):
 
 
 _STEPS = 12
-"""Of Newton's method on a convex function that is at most one where it begins"""
+"""Steps of Newton's method on a convex function that is at most one at the start"""
 _TINY = 1e-12
-"""Of components in units of the lift; an exact zero has no side"""
+"""Smallest magnitude of a component in units of the lift; an exact zero has no sign"""
 
 
 def _stationary(
     above: Scalar, right: Scalar, up: Scalar, across: Scalar
 ) -> list[tuple[Scalar, Scalar]]:
-    """Cosine and sine where the distance of a unit circle to a point is stationary.
+    """Cosine and sine at stationary distances of the unit circle to a point, as weighted.
 
-    Not where it is largest. With the multiplier m of cos^2 + sin^2 = 1 these are cos =
-    up above / (up + m) and sin = across right / (across + m), and the sum of their
-    squares falls to one as m grows beyond both poles: the nearest point. Between the
-    poles it is convex, and is one at two places or at none, each on a side of its
-    minimum. Newton's method begins where one of the squares is one already: from there
-    it comes nearer from one side. Whatever it ends at, its direction can be flown.
+    The largest distance is left out. With the multiplier m of cos^2 + sin^2 = 1 the
+    solutions are cos = up above / (up + m) and sin = across right / (across + m). For m
+    beyond both poles the sum of their squares falls as m grows; where it is one is the
+    nearest point. Between the poles the sum is convex. It is one at two places or at none,
+    one on each side of its minimum. Newton's method starts where one of the squares alone
+    is one, and from there it converges from one side. Whatever the result, its direction
+    is feasible.
     """
     above = jnp.where(jnp.abs(above) < _TINY, _TINY, above)
     right = jnp.where(jnp.abs(right) < _TINY, _TINY, right)
@@ -147,16 +148,16 @@ def _stationary(
     ]
 
     def direction(start: Scalar) -> tuple[Scalar, Scalar]:
-        # In a loop, whose result is one number for all that is made of it: near a pole
-        # two computations of it would round to different directions.
+        # In a loop, whose result is one number for all later uses: near a pole two separate
+        # computations of it would round to different directions.
         m = lax.stop_gradient(newton(excess, lax.stop_gradient(start), _STEPS).x)
         value, slope = excess(m)
         slope = lax.stop_gradient(jnp.where(slope == 0.0, 1.0, slope))
-        # The derivative of the implicit function; its value moves nothing.
+        # The derivative of the implicit function; the value is not changed.
         step = value / slope
         m = m - (step - lax.stop_gradient(step))
         first, second = up + m, across + m
-        # A search that found nothing may have gone anywhere.
+        # A search without a result may have diverged.
         size = jnp.maximum(jnp.abs(first), jnp.abs(second))
         size = jnp.where(size == 0.0, 1.0, size)
         first, second = first / size, second / size
@@ -169,7 +170,7 @@ def _stationary(
 
 
 def _polar(above: Scalar, right: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Length, cosine and sine; straight up for a length of zero."""
+    """Length, cosine and sine; straight up for zero length."""
     square = above * above + right * right
     nothing = square == 0.0
     total = jnp.sqrt(jnp.where(nothing, 1.0, square))

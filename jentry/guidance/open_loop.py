@@ -1,4 +1,4 @@
-"""Flying profiles of the controls without feedback."""
+"""Open-loop laws: profiles of the controls without feedback."""
 
 import jax.numpy as jnp
 
@@ -13,7 +13,7 @@ from .law import AbstractBankLaw, AbstractContinuousLaw
 
 
 class BankProfile(AbstractBankLaw[None]):
-    """Cosine of the bank as a function of velocity, at one angle of attack.
+    """Cosine of the bank as a function of velocity, at a constant angle of attack.
 
     The cosine is clipped to [-1, 1].
     """
@@ -21,7 +21,7 @@ class BankProfile(AbstractBankLaw[None]):
     cos_bank: AbstractProfile
     """Cosine of the bank over velocity (m/s)"""
     angle_of_attack: Scalar | None = optional_scalar(unit="rad")
-    """Angle of attack; None for that at which the vehicle trims"""
+    """Angle of attack; None for the trim angle of attack"""
     lateral: AbstractLateralLogic = FixedSide()
 
     def init(self, measurement: Measurement) -> None:
@@ -37,9 +37,9 @@ class BankProfile(AbstractBankLaw[None]):
 
 
 def vertical_lift_command(cos_bank: Scalar, angle_of_attack: Scalar) -> Controls:
-    """Bank to the right with a wanted cosine, the wish clipped to [-1, 1].
+    """Command that banks to the right, with the cosine clipped to [-1, 1].
 
-    The sine has derivative zero where the wish is clipped.
+    The sine has derivative zero where the cosine is clipped.
     """
     clipped = jnp.clip(cos_bank, -1.0, 1.0)
     inside = jnp.abs(clipped) < 1.0
@@ -52,10 +52,10 @@ class ControlProfiles(AbstractContinuousLaw[None]):
 
     index: AbstractIndex
     planet: Planet
-    """Of which the index is one, as that of an onboard model"""
+    """Planet for which the index is evaluated, such as that of an onboard model"""
     angle_of_attack: AbstractProfile | None
-    """rad, over the index; None for the angle at which the vehicle trims, or that of the
-    law beside which this one flies, see `compose`"""
+    """rad, over the index; None for the trim angle of attack, or for that of the law with
+    which this one is composed, see `compose`"""
     bank: AbstractProfile
     """rad, over the index; positive to the right"""
 

@@ -1,4 +1,4 @@
-"""Path constraints in flight: the bank that keeps them, whatever a law would bank."""
+"""Path constraints in flight: bounds of the bank that respect their limits."""
 
 from collections.abc import Callable
 
@@ -17,37 +17,37 @@ from ..onboard.navigation import Measurement
 
 
 class BankBounds(eqx.Module):
-    """Between which cosines of the bank a limit is kept."""
+    """Bounds of the cosine of the bank between which a limit is respected."""
 
     lower: Scalar
     upper: Scalar
 
     def kept(self, cos_bank: Scalar) -> Scalar:
-        """A cosine moved between them; where they exclude each other it is the lower one,
-        which keeps the vehicle out of denser air."""
+        """A cosine clamped to the bounds. If the bounds exclude each other it is the lower
+        one, which brings the vehicle out of denser air."""
         cosine = jnp.minimum(cos_bank, self.upper)
         return clamp(jnp.maximum(cosine, self.lower), -1.0, 1.0)
 
 
 class PathLimits(eqx.Module):
-    """Keeps the path constraints of a scenario below their limits by the bank.
+    """Respects the path constraints of a scenario by bounding the bank.
 
     Along the flight the second derivative of a constrained quantity q is affine in the
-    cosine of the bank. That is bounded so that
+    cosine of the bank. The cosine is bounded so that
 
         q'' + 2 w q' + w^2 (q - limit) <= 0
 
-    under which a quantity that comes no faster than by w times what is left to the limit
-    tends to the limit and does not exceed it. It acts at the guidance cycle, on the model
-    with the factors that were sensed; the whole factor of the drag is taken for one of the
-    density, which is what is least known. A limit that the full lift up cannot keep is
-    broken all the same: the peaks of the flight say so.
+    Under this condition a quantity whose rate is at most w times the margin to its limit
+    tends to the limit and does not exceed it. The bounds are computed at the guidance
+    cycle, for the model with the sensed factors. The factor of the drag is attributed to
+    the density, which is the least known. A limit that full lift up cannot respect is
+    exceeded, which the peaks of the flight show.
 
-    The rate q' is that under the bank that is wished. It goes with the bank itself for the
-    equilibrium glide alone, by a share of the order of the path angle.
+    The rate q' is that under the requested bank. Only for the equilibrium glide does it
+    depend on the bank itself, by a share of the order of the flight-path angle.
 
-    An exponential control barrier function: Q. Nguyen, K. Sreenath, American Control
-    Conference, 2016. Constraints that are integrals are not kept.
+    This is an exponential control barrier function: Q. Nguyen, K. Sreenath, American
+    Control Conference, 2016. Constraints that are integrals are not covered.
     """
 
     frequency: Scalar = scalar(0.05, unit="1/s", positive=True)
@@ -61,14 +61,14 @@ class PathLimits(eqx.Module):
         controls: Callable[[EntryState], Controls],
         dynamics: AbstractDynamics = EntryDynamics(),
     ) -> BankBounds:
-        """For the state that is measured.
+        """Bounds of the bank for the measured state.
 
         **Arguments:**
 
-        - `controls`: that the law would fly, over the state.
+        - `controls`: controls that the law requests, as a function of the state.
         - `dynamics`: equations of motion.
 
-        **Raises:** `ValueError` where no constraint has a limit.
+        **Raises:** `ValueError` if no constraint has a limit.
         """
         limited = {
             name: constraint
@@ -103,13 +103,13 @@ class PathLimits(eqx.Module):
 
         now = controls(state).cos_bank
 
-        # Of all of them at once: what they share is differentiated once.
+        # For all constraints at once: their common parts are differentiated once.
         def slopes(state: EntryState) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
             here, along = jax.jvp(values, (state,), (rates(state, now),))
             return along, here
 
         level = rates(state, jnp.zeros_like(now))
-        # The difference before the derivative: where the bank moves nothing it is zero.
+        # Difference before derivative: where the bank has no effect it is exactly zero.
         turn = jax.tree.map(jnp.subtract, rates(state, jnp.ones_like(now)), level)
         along, second, here = jax.linearize(slopes, state, has_aux=True)
         every = zip(

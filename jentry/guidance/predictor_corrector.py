@@ -1,12 +1,13 @@
-"""Numerical predictor-corrector: the bank with which the rest of the flight ends there.
+"""Numerical predictor-corrector: finds the bank that ends the flight at the target.
 
-In each guidance cycle the onboard model is flown to the end under a bank that is a function
-of one number or of two, and Newton's method corrects them so that it ends at the range of
-the target, and at its altitude. There is no reference to track.
+In each guidance cycle the onboard model is propagated to the end of guided flight. The bank
+is a function of one number or of two. Newton's method corrects the numbers so that the
+predicted flight ends at the range of the target and, with two numbers, at its altitude.
+There is no reference to track.
 
-After P. Lu, "Entry Guidance: A Unified Method", Journal of Guidance, Control, and Dynamics
-37(3), 2014, and what it stands on. What is our own: the derivative of the prediction is
-exact, and so the derivative of the flight.
+Source: P. Lu, "Entry Guidance: A Unified Method", Journal of Guidance, Control, and
+Dynamics 37(3), 2014, and the papers that it builds on. Beyond the paper: the derivative of
+the prediction is exact, and so is the derivative of the flight.
 """
 
 import dataclasses
@@ -64,70 +65,72 @@ from .range_network import RangeNetwork
 
 
 _FAR = 100.0
-"""Times `least_effect`: from so large a miss the first number goes its largest step, where
-the slope does not tell"""
+"""Miss, in units of `least_effect`, beyond which the first number takes its largest step if
+the slope is too small to use"""
 
 
 class _End(NamedTuple):
-    """Whether a predicted flight has an end that counts."""
+    """Whether a predicted flight has a valid end, and whether it skips out."""
 
     is_there: Flag
     skips: Flag
-    """It goes too far, however far"""
+    """The flight goes too far, by an unknown distance"""
 
 
 class Corrected(eqx.Module):
-    """What is decided at a guidance cycle."""
+    """Decision at a guidance cycle."""
 
     numbers: Numbers
-    """Those of the shape"""
+    """Numbers of the shape"""
     since: Scalar
     """Value of the index at the decision, from which the shape is counted"""
     side: Any
-    """What the lateral logic decided"""
+    """Decision of the lateral logic"""
     bounds: BankBounds
-    """Within which the path constraints are kept"""
+    """Bounds of the bank under which the path constraints hold"""
     estimate: AbstractFactorEstimate
     wind: WindEstimate | None
-    """What is known of the wind; None where it is not estimated"""
+    """Wind estimate; None if the wind is not estimated"""
     decisions: Scalar
-    """How many corrections there have been"""
+    """Number of corrections so far"""
     without_prediction: Scalar
-    """How many of them found no end, and left the numbers as they were"""
+    """Number of corrections that found no end and left the numbers unchanged"""
 
 
 class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
-    """Flies the bank with which the onboard model ends at the range of the target.
+    """Commands the bank with which the onboard model ends at the range of the target.
 
-    At the start of a cycle the sensed lift and drag are compared with those of the model,
-    at the angle of attack that is flown. Under these factors the rest of the flight is
-    predicted to the first of the ends that guided flight has, from the measured state. A
-    few safeguarded Newton steps, with the exact derivative of the prediction, correct the
-    numbers of the bank's shape. Each goes at most `largest_step` and stays within the
-    bounds of the shape; what cannot be reached ends at a bound. A prediction that skips
-    out, or is still flying after all of its steps, is one that goes too far. One that is
-    not finite leaves the numbers as they are.
+    At the start of a cycle the sensed lift and drag are compared with those of the model
+    at the actual angle of attack. With the resulting factors the rest of the flight is
+    predicted from the measured state to the first end condition of `end`. A few safeguarded
+    Newton steps, with the exact derivative of the prediction, correct the numbers of the
+    bank shape. Each step is at most `largest_step` and stays within the bounds of the
+    shape. If the target cannot be reached, a number ends at a bound. A prediction that
+    skips out, or that is still flying after all its steps, counts as one that goes too far.
+    A prediction that is not finite leaves the numbers unchanged.
 
-    The range is predicted in three dimensions, over a rotating planet as well, as if the
-    bank kept its side: the downrange at the end is to be that of the target, both counted
-    from its origin. Or it is predicted in the vertical plane (`in_space=False`), where the
-    range to go is the arc to the target: this costs half as much, and for a vehicle that
-    turns far to the sides it is the better guess of what reversals will make of its path.
-    Of the rotation of the planet that counts there which is about the axis of the great
-    circle that is flown.
+    With `in_space=True` the range is predicted in three dimensions, also over a rotating
+    planet, for a bank that does not change sign. The predicted downrange at the end must
+    equal that of the target, both counted from the origin of the target. With
+    `in_space=False` the range is predicted in the vertical plane, and the range to go is
+    the arc to the target. This costs half as much. For a vehicle that turns far to the
+    sides it is also the better estimate of the range with bank reversals. In the vertical
+    plane only that component of the planet's rotation counts which is about the axis of
+    the flown great circle.
 
-    Where `turning` says how a bank turns that takes its time, the prediction flies that,
-    and the reversal that the lateral logic tells of; without `turning` it flies none that
-    is to come. Meanwhile the lift goes through upwards: the bank before has to make up for
-    it, since after the last reversal there may be no time to.
+    If `turning` models the time that the vehicle takes to turn its bank, the prediction
+    includes it, and it includes the next reversal that the lateral logic expects. Without
+    `turning` the prediction has no future reversal. During a reversal the lift passes
+    through the upward direction. The bank before the reversal must compensate for this,
+    since there may be no time to do so after the last reversal.
 
-    What the derivative of a flight means: between two flights that are near each other
-    guidance cycles come at the same times, and steps are clipped or not in the same
-    cycles. Where a number saturates it has no derivative, as it should. Reversals of the
-    bank, and the cycles from which on there is air and in which `least_effect` is passed,
-    are discrete. A reversal that is foreseen comes at the next stage of a step, and the
-    derivative is that between two stages: it has what the prediction makes of another time,
-    and not the other time itself.
+    The derivative of a flight has the following meaning. Two neighbouring flights have
+    guidance cycles at the same times, and their steps are clipped in the same cycles. A
+    saturated number has no derivative, as it should. Three things are discrete: bank
+    reversals, the cycle at which the drag first exceeds `gate`, and the cycle at which
+    `least_effect` is passed. A foreseen reversal takes effect at the next stage of an
+    integration step, and the derivative is that between two stages: it includes the effect
+    of the reversal time on the prediction, but not the shift of the reversal itself.
     """
 
     model: OnboardModel
@@ -135,53 +138,55 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     end: GuidedEnd
     lateral: AbstractLateralLogic
     aim: Aim | TargetOfScenario = TargetOfScenario()
-    """Where it flies to; a shape with two numbers meets the altitude too"""
+    """Where the law aims; a shape with two numbers also meets the altitude"""
     angle_of_attack: AbstractProfile | None = None
-    """rad, over the index; None for the angle of attack at which the vehicle trims, which
-    is then taken for the rest of the flight too"""
+    """rad, over the index; None for the trim angle of attack of the vehicle, which is then
+    assumed for the rest of the flight"""
     damping: GlideDamping | None = None
-    """Of the phugoid, in the prediction as well as in flight; None where the bank is that
-    of the shape alone"""
+    """Damping of the phugoid, in the prediction and in flight; None for the bank of the
+    shape alone"""
     limits: PathLimits | None = None
-    """Of the bank, by the path constraints of the scenario"""
+    """Limits of the bank that follow from the path constraints of the scenario"""
     turning: BankTurning | None = None
-    """How the vehicle turns its bank, which the prediction flies then, from the bank that
-    is sensed and through the next reversal that the lateral logic expects. None where
-    commands are flown at once"""
+    """Model of how the vehicle turns its bank. The prediction then starts from the sensed
+    bank and includes the next reversal that the lateral logic expects. None if commands
+    take effect at once"""
     index: AbstractIndex = EnergyIndex()
-    """Of the shape and of the angle of attack"""
+    """Index of the shape and of the angle-of-attack profile"""
     estimator: AbstractFactorEstimator = eqx.field(default_factory=FactorEstimator)
     wind: WindEstimator | None = None
-    """Of the wind, by the flow sensors of the scenario; None where that of the model is
-    believed. What is seen of a head wind is then none of the factors'"""
+    """Estimator of the wind from the flow sensors of the scenario; None to assume the wind
+    of the model. With an estimator, an estimated head wind does not enter the factors"""
     gate: Scalar = scalar(0.2, unit="m/s2", positive=True)
-    """Sensed drag below which the number stays: there is nothing to steer by"""
+    """Sensed drag below which the numbers stay unchanged, since there is too little lift"""
     least_effect: Scalar = scalar(100.0, unit="m", positive=True)
-    """Change of the range for one of the first number, below which the numbers stay. It can
-    do less and less, and at last the opposite: more lift ends sooner, and higher"""
+    """Change of the range per unit of the first number, below which the numbers stay
+    unchanged. Near the end the effect decreases and finally changes sign, since with more
+    lift the flight ends sooner and higher"""
     altitude_weight: Scalar = scalar(0.1, positive=True)
-    """Of an error of the altitude beside one of the range, where both cannot be met"""
+    """Weight of the altitude error beside the range error, if both cannot be met"""
     largest_step: Scalar = scalar(0.3, positive=True)
-    """Of the number, in one correction"""
+    """Largest change of a number in one correction"""
     cycle: FixedCycle = FixedCycle(2.0)
     network: RangeNetwork | None = None
-    """In place of the prediction, for a constant bank; where it knows nothing, the number
-    stays, and the side. One of the vertical plane leaves what a lateral logic predicts to
-    the model"""
+    """Network that replaces the prediction, for a constant bank. Where it has no answer,
+    the number and the side stay unchanged. With a network of the vertical plane, the model
+    still predicts for the lateral logic"""
     in_space: bool = eqx.field(default=True, static=True)
-    """Whether the range is predicted in three dimensions, with the bank on its side to the
-    end, or in the vertical plane. What a lateral logic predicts is in three dimensions"""
+    """Whether the range is predicted in three dimensions, with the bank on its present side
+    to the end, or in the vertical plane. Predictions for the lateral logic are always in
+    three dimensions"""
     foresees_limits: bool = eqx.field(default=False, static=True)
-    """Whether the limits bound the bank in the prediction too, at the start of each of its
-    steps as in flight at each guidance cycle, of which `step` is the period. Else it has
-    none, and the numbers go by a bank that is not flown where the limits bind. What is
-    foreseen costs several times as much"""
+    """Whether the limits also bound the bank in the prediction, at the start of each of its
+    steps as in flight at each guidance cycle; `step` must equal the period. If False, the
+    prediction has no limits, and where they are active the numbers are corrected for a
+    bank that is not flown. True costs several times as much"""
     corrections: int = eqx.field(default=2, static=True)
-    """In one guidance cycle; each is a prediction"""
+    """Corrections in one guidance cycle; each needs a prediction"""
     step: float = eqx.field(default=3.0, static=True)
-    """Of a prediction, s"""
+    """Step of a prediction, s"""
     steps: int = eqx.field(default=200, static=True)
-    """At most, in a prediction"""
+    """Largest number of steps in a prediction"""
 
     def __check_init__(self):
         if self.corrections < 1:
@@ -386,7 +391,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         return _banked_to(cosine, wanted.angle_of_attack, sign), ()
 
     def caveats(self, held: Corrected) -> dict[str, Scalar]:
-        """Share of the corrections without a prediction, and those of the estimate."""
+        """Share of the corrections without a prediction, and caveats of the estimate."""
         share = held.without_prediction / jnp.maximum(held.decisions, 1.0)
         return {"decisions_without_prediction": share} | held.estimate.caveats()
 
@@ -400,14 +405,15 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         in_space: bool,
         reverses_in: Scalar | float = math.inf,
     ) -> Prediction:
-        """The rest of the flight as the model flies it, with numbers of the shape.
+        """Rest of the flight as predicted with the onboard model, for given shape numbers.
 
         **Arguments:**
 
-        - `sign`: of the bank; in the vertical plane it tells how the bank turns, if that
-          takes a time.
-        - `in_space`: in three dimensions, or in the vertical plane, from longitude zero.
-        - `reverses_in`: time to a reversal of a bank that takes a time to turn, s.
+        - `sign`: sign of the bank; in the vertical plane it only matters for a bank that
+          takes time to turn.
+        - `in_space`: whether to predict in three dimensions, or in the vertical plane from
+          longitude zero.
+        - `reverses_in`: time to a reversal, for a bank that takes time to turn, s.
         """
         model, state = self.model, measurement.state
         now = self.index.value(model.planet, time, state)
@@ -474,7 +480,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     ) -> WindEstimate:
         if measurement.air_velocity is None:
             raise ValueError(
-                "the PredictorCorrector estimates the wind, and nothing tells it of the "
+                "the PredictorCorrector estimates the wind, and no sensor measures the "
                 "flow: give the scenario flow_sensors, such as FlowSensors(), or leave "
                 "wind at None"
             )
@@ -483,7 +489,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         return wind.update(before, mean, state, measurement.air_velocity)
 
     def _in_wind(self, learnt: WindEstimate | None) -> "PredictorCorrector":
-        """The law that believes in the wind as it is estimated."""
+        """The law with the estimated wind in its model."""
         assert self.wind is not None and learnt is not None
         planet = self.model.planet
         blows = dataclasses.replace(planet, wind=self.wind.wind(planet.wind, learnt))
@@ -491,10 +497,10 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         return dataclasses.replace(self, model=model, wind=None)
 
     def range_to_go(self, state: EntryState) -> Scalar:
-        """Arc to the target, m; negative where it lies behind."""
+        """Arc to the target, m; negative if the target lies behind."""
         radius, aim = self.model.planet.radius, known_aim(self.aim)
         downrange, crossrange = ground_track(self.model.planet, aim.origin, state)
-        # By half angles: a small distance from its own cosine would be lost in rounding.
+        # By half angles: the cosine of a small distance would lose it in rounding.
         along = sincos(0.5 * (aim.downrange - downrange) / radius)[0]
         across = sincos(0.5 * (aim.crossrange - crossrange) / radius)[0]
         _, here = sincos(crossrange / radius)
@@ -505,7 +511,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     def _side(
         self, time: Scalar, held: Corrected
     ) -> tuple[Scalar | float, Scalar | float]:
-        """Sign of the bank at a time, and in which time it changes."""
+        """Sign of the bank at a time, and the time until it changes."""
         sign = self.lateral.sign(held.side)
         at = self.lateral.reverses_at(held.side)
         if isinstance(at, float):
@@ -537,8 +543,8 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         sign: Scalar | float,
         reverses_in: Scalar | float,
     ) -> tuple[Numbers, Scalar]:
-        """The numbers after the corrections of a cycle, and 1 if the last prediction told
-        nothing, else 0."""
+        """Numbers after the corrections of a cycle, and 1 if the last prediction had no
+        result, else 0."""
         planet, shape, most = self.model.planet, self.shape, self.largest_step
         aim = known_aim(self.aim)
         to_go = self.range_to_go(measurement.state)
@@ -577,7 +583,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             )
             missed_by, effect = misses[0], effects[0, 0]
             ends, skips = end
-            # On both sides of the `where`, so that no derivative comes from there.
+            # On both sides of the `where`, so that the unused branch has no derivative.
             tells = ends & (effect > self.least_effect)
             best = least_squares_step(
                 jnp.where(tells, misses, 0.0),
@@ -604,9 +610,9 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         numbers: Numbers,
         sign: Scalar | float,
     ) -> tuple[EntryState, Flag]:
-        """Where the flight ends, by the network, and whether that is known."""
+        """End of the flight by the network, and whether the network has an answer."""
         state, angle = measurement.state, measurement.trim_angle_of_attack
-        # The number of a shape whose largest bank is half a turn, as it has been trained.
+        # Number of a shape whose largest bank is half a turn, as the network was trained.
         nothing = jnp.zeros_like(numbers[0])
         number = 0.5 * (1.0 + self.shape.cos_bank(numbers, nothing, nothing))
         known, end = factors.at(state.altitude), self.end.first()
@@ -634,13 +640,13 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
 
 
 _INSIDE = 1.0 - 1e-6
-"""Cosine of 0.08 degrees, from where on an angle keeps the derivative by it that it has
-there: that of the sine would go beyond all bounds"""
+"""Cosine of 0.08 degrees. Beyond it the derivative of the angle is held at its value there,
+since that of the arccosine grows without bound"""
 
 
 def _bank_of(cosine: Scalar) -> Scalar:
-    """Magnitude of the bank, rad. By a cosine of 1 too it has a derivative, of which that
-    of the cosine of the bank is 1: else a number at its bound would stay there."""
+    """Magnitude of the bank, rad. It has a derivative also at a cosine of 1, such that
+    cos(bank) has the derivative 1. Otherwise a number at its bound would stay there."""
     inside = clamp(cosine, -_INSIDE, _INSIDE)
     return arccos(cosine + lax.stop_gradient(inside - cosine))
 
@@ -666,9 +672,9 @@ def _with_effects(
 ) -> tuple[Numbers, Float[Array, "numbers numbers"], _End]:
     """The misses, and how each number (columns) changes them.
 
-    The motion is flown once for all of the numbers, or `in_turn` for one after the other:
-    what is long beside the equations of motion would be computed again with each operation
-    on the derivatives.
+    The motion is propagated once for all the numbers, or with `in_turn` once for each. A
+    computation that is long beside the equations of motion would otherwise be repeated
+    with each operation on the derivatives.
     """
 
     def along(direction: Numbers) -> tuple[Numbers, Numbers, _End]:

@@ -1,7 +1,7 @@
-"""Track a flight in the vertical plane by linear-quadratic regulation over the time to go.
+"""Linear-quadratic tracking of a flight in the vertical plane, over the time to go.
 
-The regulator is solved by Legendre pseudospectral collocation, once for gains that are
-stored, or again and again in flight, for the horizon that is left.
+Legendre pseudospectral collocation solves the regulator, either once for stored gains or
+repeatedly in flight for the remaining horizon.
 
 Reference: D.-W. Lee, K.-R. Cho, H. Yan, "Re-Entry Trajectory Tracking Via an Inverse
 Dynamics Method", KSME International Journal 18(9), 2004, section 4.
@@ -37,17 +37,17 @@ from .open_loop import vertical_lift_command
 
 
 class DeviationWeights(eqx.Module):
-    """What squares of deviations cost, without dimensions: the diagonal of Q, or of P_f.
+    """Costs of squared deviations, without dimensions: the diagonal of Q, or of P_f.
 
-    Altitude and downrange count in radii of the planet, the velocity in that of a circular
-    orbit at the surface, the path angle in rad.
+    Altitude and downrange are in units of the planet's radius, the velocity in units of the
+    circular velocity at the surface, the flight-path angle in rad.
     """
 
     altitude: Scalar = scalar(1.0, range=NOT_NEGATIVE)
     velocity: Scalar = scalar(1.0, range=NOT_NEGATIVE)
     flight_path_angle: Scalar = scalar(1.0, range=NOT_NEGATIVE)
     downrange: Scalar | None = optional_scalar(range=NOT_NEGATIVE)
-    """None for a regulator that lets the downrange go as it does: the paper's"""
+    """None for a regulator that does not control the downrange, as in the paper"""
 
     @property
     def diagonal(self) -> Vector:
@@ -61,8 +61,8 @@ class DeviationWeights(eqx.Module):
 class Regulator(eqx.Module):
     """Linear-quadratic regulation of a flight about its reference, over the time to go.
 
-    The cost is (26), with the time in units of that in which a circular orbit at the
-    surface goes through one radian.
+    The cost is (26). The unit of time is that in which a circular orbit at the surface
+    covers one radian.
     """
 
     model: LongitudinalModel
@@ -74,12 +74,12 @@ class Regulator(eqx.Module):
     )
     """P_f"""
     control: Scalar = scalar(1.0, positive=True)
-    """R: of lift over drag"""
+    """R: weight of the lift-to-drag ratio"""
     aim: Aim | TargetOfScenario | None = None
-    """Whose origin the downrange is counted from: `TargetOfScenario()` where the downrange
-    has weights, and None where it has none"""
+    """Aim from whose origin the downrange is counted: `TargetOfScenario()` if the downrange
+    has weights, None if it has none"""
     degree: int = eqx.field(default=10, static=True)
-    """Of the polynomials in each part of the reference"""
+    """Degree of the polynomials in each part of the reference"""
 
     def __check_init__(self):
         weighed = self.underway.downrange is not None
@@ -98,7 +98,7 @@ class Regulator(eqx.Module):
 
     @property
     def weights(self) -> Weights:
-        """As matrices."""
+        """The weights as matrices."""
         return Weights(
             jnp.diag(self.underway.diagonal),
             jnp.reshape(self.control, (1, 1)),
@@ -110,23 +110,23 @@ class Regulator(eqx.Module):
         return Units.of(self.model.onboard.planet)
 
     def system(self, part: Any, time: Scalar) -> tuple[Array, Array]:
-        """A and B of (24) in a part of the reference, at a time without dimensions."""
+        """A and B of (24) in a part of the reference, at a time, without dimensions."""
         n = self.underway.diagonal.shape[0]
         here = self.reference.in_part(part, time * self.units.time)
         a, b = linearized(self.model, here.state, here.lift_to_drag_up)
         return a[:n, :n], b[:n]
 
     def ends(self, time: Scalar | float = 0.0) -> Vector:
-        """Of the parts that are left at a time (s), without dimensions. Those that are
-        behind have no length."""
+        """Ends of the parts that remain at a time (s), without dimensions. Parts that are
+        past have zero length."""
         return jnp.maximum(self.reference.ends, time) / self.units.time
 
     def plans(self, time: Scalar | float) -> Plan:
-        """The optimal motion in each part that is left at a time, s."""
+        """The optimal motion in each part that remains at a time, s."""
         return collocated_plans(self.system, self.weights, self.ends(time), self.degree)
 
     def deviation(self, time: Scalar, state: EntryState) -> Vector:
-        """From the reference of the time (s), without dimensions."""
+        """Deviation from the reference at a time (s), without dimensions."""
         n = self.underway.diagonal.shape[0]
         origin = None if self.aim is None else known(self.aim).origin
         here = LongitudinalState.of(self.model.onboard.planet, state, origin)
@@ -136,7 +136,7 @@ class Regulator(eqx.Module):
     def commanded(
         self, time: Scalar, measurement: Measurement, change: Scalar
     ) -> Controls:
-        """Bank to the right for a change of the lift over drag of the reference."""
+        """Bank to the right for a change of the reference lift-to-drag ratio."""
         wanted = self.reference.at(time).lift_to_drag_up + change
         angle = measurement.trim_angle_of_attack
         there = self.model.onboard.lift_to_drag(measurement.state, angle)
@@ -144,10 +144,10 @@ class Regulator(eqx.Module):
 
 
 class GainSchedule(eqx.Module):
-    """Gains over the time: of a lift over drag, by deviations without dimensions."""
+    """Gains of the lift-to-drag ratio on deviations without dimensions, over the time."""
 
     ends: Vector = table(unit="s", increasing=True)
-    """Of the parts, shape (parts + 1,)"""
+    """Ends of the parts, shape (parts + 1,)"""
     gains: Float[Array, "parts nodes states"] = table()
     """K at the Legendre-Gauss-Lobatto nodes of each part"""
 
@@ -159,18 +159,18 @@ class GainSchedule(eqx.Module):
 
 
 _SPLIT = 8
-"""Into how many parts each of the reference is split for its gains"""
+"""Number of parts into which each part of the reference is split for its gains"""
 _HALVINGS = 16
-"""Of the last one of these"""
+"""Number of times that the last of these parts is halved"""
 
 
 def plan_gains(regulator: Regulator) -> GainSchedule:
     """Gains at all times, by one collocation of the whole flight.
 
-    K is M W_2 over W_1 of (57) and (58), whatever the deviation at the start of a part. As
-    a quotient it bends more than these: each part of the reference is split, and with large
-    weights at the end, to which K then grows with one over the time to go, the last one is
-    halved again and again. Differentiable in the weights.
+    K is M W_2 over W_1 of (57) and (58), for any deviation at the start of a part. Being a
+    quotient, it has larger curvature than W_1 and W_2, so each part of the reference is
+    split. With large final weights K also grows with one over the time to go, so the last
+    part is halved repeatedly. The gains are differentiable in the weights.
     """
     reference = regulator.reference
     starts, end = reference.ends[:-1], reference.ends[-1]
@@ -190,14 +190,14 @@ def plan_gains(regulator: Regulator) -> GainSchedule:
 
 
 class StoredGainTracking(AbstractBankLaw[None]):
-    """The regulator with gains that are known before the flight.
+    """The regulator with gains that are computed before the flight.
 
-    The lift over drag is u*(t) - K(t) (x - x*(t)), all of them over the time.
+    The lift-to-drag ratio is u*(t) - K(t) (x - x*(t)), with the time as index.
     """
 
     regulator: Regulator
     gains: GainSchedule
-    """By `plan_gains`"""
+    """Gains from `plan_gains`"""
     lateral: AbstractLateralLogic = FixedSide()
 
     def __check_init__(self):
@@ -220,26 +220,26 @@ class StoredGainTracking(AbstractBankLaw[None]):
 
 
 class ControlPlan(eqx.Module):
-    """Changes of the lift over drag for the rest of the flight."""
+    """Changes of the lift-to-drag ratio for the rest of the flight."""
 
     ends: Vector
-    """Of the parts that are left, s, shape (parts + 1,)"""
+    """Ends of the remaining parts, s, shape (parts + 1,)"""
     changes: Float[Array, "parts nodes"]
-    """At the Legendre-Gauss-Lobatto nodes"""
+    """Changes at the Legendre-Gauss-Lobatto nodes"""
 
     def at(self, time: Scalar) -> Scalar:
-        """At a time, s."""
+        """Change of the lift-to-drag ratio at a time, s."""
         part = interval(self.ends, time)
         x = on_nodes(self.ends[part], self.ends[part + 1], time)
         return interpolate(self.changes[part], x)
 
 
 class PseudospectralTracking(AbstractSampledLaw[None, ControlPlan]):
-    """The regulator solved in flight, for the horizon that is left at each guidance cycle.
+    """The regulator, solved in flight at each guidance cycle for the remaining horizon.
 
-    From the measured deviation the optimal changes of the control for the rest of the
-    flight are found by one linear system in each part of the reference; they are flown,
-    without feedback, until the next cycle.
+    From the measured deviation the law computes the optimal changes of the control for the
+    rest of the flight, with one linear system in each part of the reference. These changes
+    are applied, without feedback, until the next cycle.
     """
 
     regulator: Regulator

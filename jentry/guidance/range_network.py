@@ -1,9 +1,10 @@
-"""A network in place of the prediction: how far a flight at a constant bank goes.
+"""A network that replaces the prediction of the range at a constant bank.
 
-In three dimensions too: over a planet at rest, in still air, a bank that keeps its side
-bends the path alike in every direction, and to the other side as its mirror image. Where
-the flight ends, seen along the great circle that is flown now, is a matter of what the
-range depends on as well; neither latitude nor heading has a part in it.
+A network can also predict in three dimensions. Over a planet at rest, in still air, a bank
+that does not change sign bends the path in the same way in every direction, and a bank to
+the other side gives the mirror image. The end of the flight relative to the present great
+circle therefore depends on the same inputs as the range. Latitude and heading do not
+matter.
 """
 
 import dataclasses
@@ -46,7 +47,7 @@ OUTPUT_ACROSS = (
 
 
 _ALTITUDES, _VELOCITY = (20e3, 50e3), 3000.0
-"""m and m/s, where `basis` looks at the model"""
+"""Altitudes (m) and velocity (m/s) at which `basis` evaluates the model"""
 
 BASIS = (
     "velocity at the end, m/s",
@@ -61,39 +62,41 @@ BASIS = (
 )
 
 _SAME = 1e-6
-"""Share by which what a network is of may differ, by rounding"""
+"""Relative tolerance, for rounding, in the comparison with the basis of a network"""
 
 
 class Answer(NamedTuple):
-    """What a network says of a flight."""
+    """Prediction of a network for a flight."""
 
     range: Scalar
-    """Arc on the surface to the end, m; in three dimensions along the great circle that is
-    flown now, as a downrange"""
+    """Arc on the surface to the end, m; in three dimensions the downrange along the present
+    great circle"""
     across: Scalar
-    """From that great circle to the end, m, to the side of the bank; 0 in the plane"""
+    """Distance of the end from that great circle to the side of the bank, m; 0 in the
+    vertical plane"""
     knows: Flag
-    """Whether all that it has read is within the ranges of its training"""
+    """Whether all inputs are within the ranges of the training"""
 
 
 class RangeNetwork(eqx.Module):
-    """The range of the rest of a flight, by a network that has learnt predictions.
+    """Range of the rest of a flight, by a network that was trained on predictions.
 
-    It gives the mean deceleration to the end, (v^2 - v_f^2) / (2 range), of which the
-    logarithm goes over to that of the drag as the end comes near. It is of one model, one
-    end and one shape of the bank: asked about another model or another end it knows
-    nothing, and so it does beyond the ranges of its training.
+    The output of the network is the logarithm of the mean deceleration to the end, (v^2 -
+    v_f^2) / (2 range). It tends to the logarithm of the drag as the end comes near. A
+    network is valid for one model, one end condition and one shape of the bank. For
+    another model or end, and beyond the ranges of its training, it has no answer.
 
-    In three dimensions a second network tells how far the bank leads to the side. It gives
-    the factor on sin(bank) ln(v / v_f) times the range ahead, which goes over to half of
-    L/D as the end comes near, where gravity is small beside the drag.
+    In three dimensions a second network predicts the displacement to the side of the bank.
+    Its output is the logarithm of a factor on sin(bank) ln(v / v_f) times the range ahead.
+    The factor tends to half of L/D as the end comes near, where gravity is small beside
+    the drag.
     """
 
     network: Network
     of: Vector = table()
-    """What it has been trained for, as `basis` tells it"""
+    """Model and end condition for which the network was trained, as from `basis`"""
     across: Network | None = None
-    """To the side of the bank; None of the vertical plane"""
+    """Network of the displacement to the side; None for a network of the vertical plane"""
 
     def __check_init__(self):
         if self.of.shape != (len(BASIS),):
@@ -110,12 +113,12 @@ class RangeNetwork(eqx.Module):
 
     @property
     def in_space(self) -> bool:
-        """Whether it has learnt predictions in three dimensions."""
+        """Whether the network was trained on predictions in three dimensions."""
         return self.across is not None
 
     @property
     def networks(self) -> tuple[Network, ...]:
-        """That of the range and, in three dimensions, that to the side."""
+        """The network of the range and, in three dimensions, that of the displacement."""
         return (self.network,) if self.across is None else (self.network, self.across)
 
     def __call__(
@@ -127,9 +130,9 @@ class RangeNetwork(eqx.Module):
         number: Scalar,
         end: tuple[Scalar, Scalar],
     ) -> Answer:
-        """Where a flight from a state ends at a constant bank, and whether that is known.
+        """End of a flight from a state at a constant bank, and whether it is known.
 
-        `end` is the velocity (m/s) and the altitude (m) at the first of which it ends.
+        `end` is the velocity (m/s) and the altitude (m); the first that is met ends it.
         """
         read = features(model, state, angle_of_attack, factors, number)
         square = state.velocity**2 - end[0] ** 2
@@ -138,7 +141,7 @@ class RangeNetwork(eqx.Module):
         knows = same & (square > 0.0) & (model.planet.rotation_rate == 0.0)
         for network in self.networks:
             knows &= network.knows(read)
-        # On both sides of what is chosen, so that no derivative comes from out there.
+        # On both sides of the selection, so that the unused branch has no derivative.
         inside = jnp.where(knows, read, self.network.input_mean)
         square = jnp.where(knows, square, 0.0)
         ahead = range_of(square, self.network(inside))
@@ -150,10 +153,10 @@ class RangeNetwork(eqx.Module):
     def place(
         self, planet: Planet, state: EntryState, answer: Answer, sign: Scalar | float
     ) -> EntryState:
-        """Where such a flight from a state ends, with a bank of a sign.
+        """Place at which the flight of an answer ends, for a sign of the bank.
 
-        Of the state only the place has that of the end: in the vertical plane, as of a
-        prediction, a longitude from zero on.
+        Only longitude and latitude of the returned state are those of the end. In the
+        vertical plane the longitude counts from zero, as in a prediction.
         """
         if not self.in_space:
             return dataclasses.replace(state, longitude=answer.range / planet.radius)
@@ -164,23 +167,23 @@ class RangeNetwork(eqx.Module):
 
 
 def range_of(square: Scalar, output: Scalar) -> Scalar:
-    """Range, m, of the output of its network. `square` is v^2 - v_f^2, m2/s2."""
+    """Range, m, from the output of its network. `square` is v^2 - v_f^2, m2/s2."""
     return 0.5 * square * jnp.exp(-output)
 
 
 def full_turn(number: Scalar, velocities: Scalar) -> Scalar:
-    """By which a path turns at a lift-to-drag ratio of 1, if all else is small, rad.
+    """Angle by which a path turns at a lift-to-drag ratio of 1 without other effects, rad.
 
     **Arguments:**
 
-    - `number`: of the bank, whose cosine is 2 `number` - 1.
-    - `velocities`: that now over that at the end.
+    - `number`: number of the bank, whose cosine is 2 `number` - 1.
+    - `velocities`: ratio of the present velocity to that at the end.
     """
     return 2.0 * safe_sqrt(number * (1.0 - number)) * jnp.log(velocities)
 
 
 def across_of(ahead: Scalar, turn: Scalar, output: Scalar) -> Scalar:
-    """Arc to the side, m, of that ahead, of `full_turn` and of the output."""
+    """Arc to the side, m, from the arc ahead (m), `full_turn` and the network's output."""
     return ahead * turn * jnp.exp(output)
 
 
@@ -190,10 +193,10 @@ def basis(
     angle_of_attack: Scalar,
     end: tuple[Scalar, Scalar],
 ) -> Vector:
-    """What a prediction stands on besides where it begins, in the order of `BASIS`.
+    """Parameters of a prediction other than its initial state, in the order of `BASIS`.
 
-    Lift and drag are looked at in two places, so that they tell the air as well. Of the
-    state only what these have nothing to do with counts.
+    Lift and drag are evaluated at two altitudes, so that they also characterise the
+    atmosphere. The values do not depend on the altitude and velocity of `state`.
     """
     require_still_air(model.planet, "a network of the range")
     seen = []
@@ -215,7 +218,7 @@ def features(
     factors: Factors,
     number: Scalar,
 ) -> Float[Array, " inputs"]:
-    """What the network reads, in the order of `INPUTS`."""
+    """Inputs of the network, in the order of `INPUTS`."""
     believed = measure(model.planet, model.vehicle, state, angle_of_attack)
     return jnp.stack(
         [

@@ -1,7 +1,7 @@
-"""Track a reference drag that is rescaled each cycle to fly the range to go.
+"""Tracking of a reference drag that is scaled each cycle to fly the range to go.
 
 Beyond H. Yan, Y. He, "Drag-Tracking Guidance for Entry Vehicles Without Drag Rate
-Measurement", in the same family: between the cycles it is their law with the observer.
+Measurement". Between the cycles the law is that of the paper with the observer.
 """
 
 from typing import Any
@@ -36,30 +36,30 @@ from .switching import AbstractSwitching, Sharp
 
 
 _NEWTON_STEPS = 4
-"""From the end of the reference; with half of its density to twice of it the fourth is
-the last that matters: the miss at the end of a flight changes by less than a metre."""
+"""Newton steps, which start from the end of the reference. For half to twice the density,
+further steps change the miss at the end of a flight by less than a metre."""
 
 
 class ScaleLimits(eqx.Module):
-    """How far the reference drag may be scaled, and until when."""
+    """Bounds of the scale of the reference drag, and the last range at which it changes."""
 
     lower: Scalar = scalar(positive=True)
     upper: Scalar = scalar(positive=True)
     last_range: Scalar = scalar(unit="m", positive=True)
-    """The scale is held when less than this is to go. It must exceed g h_s / D at the
-    end: nearer than that more drag no longer shortens the flight, because what it takes
-    from the range it gives back by an end that is lower."""
+    """Range to go below which the scale is held. It must exceed g h_s / D at the end. Below
+    g h_s / D more drag no longer shortens the flight: the flight then ends lower, which
+    adds as much range."""
 
 
 class HeldScale(eqx.Module):
-    """What is held through a guidance cycle."""
+    """Decision that is held through a guidance cycle."""
 
     scale: Scalar
-    """K, of the reference drag"""
+    """K, scale of the reference drag"""
     lift_factor: Scalar
     """Sensed over modelled lift-to-drag ratio"""
     side: Any
-    """What the lateral logic decided"""
+    """Decision of the lateral logic"""
 
 
 def scale_to_reach(
@@ -74,28 +74,29 @@ def scale_to_reach(
 ) -> Scalar:
     """Scale K of the reference drag that flies the range to go until the predicted end.
 
-    The range flown over an energy interval is the integral of cos(gamma) r0 / (r D), so
-    that the drag K D* flies 1/K of what the reference flies between the same energies:
+    The range flown over an energy interval is the integral of cos(gamma) r0 / (r D). The
+    drag K D* therefore flies 1/K of the range of the reference between the same energies:
 
         K range_to_go = S*(E_end) - S*(E)
 
     On the profile, D = K D*(E) is also q D_m(h, V), the drag of the onboard model times
-    the sensed factor q, at every altitude and velocity: this ties K to where the flight
-    ends. It does so at the end altitude, still faster, or at the end velocity, still
-    higher; which one comes first is told by the sign of the error of the profile
-    through the corner, where both are met. From there Newton's method looks for the
-    end along one of the two, with the energy above the corner as unknown. The error is
-    such (convex one way, concave the other) that it comes near from one side.
+    the sensed factor q, at every altitude and velocity. This relates K to the end of the
+    flight. The flight ends either at the end altitude with a higher velocity or at the end
+    velocity with a higher altitude. The sign of the range error of the profile through the
+    corner, where both end conditions are met, determines which end comes first. From the
+    corner Newton's method searches for the end along one of the two conditions, with the
+    energy above the corner as unknown. The error is convex along one and concave along the
+    other, such that the iteration converges from one side.
+
+    The result is NaN where the search meets a value that is not finite.
 
     **Arguments:**
 
-    - `range_flown`: S*, by the reference, over the energy; m.
-    - `energy`: now, J/kg.
+    - `range_flown`: S*, range flown by the reference, over the energy; m.
+    - `energy`: present energy, J/kg.
     - `range_to_go`: m.
     - `drag_factor`: q, sensed drag over that of the onboard model.
-    - `angle_of_attack`: of the rest of the flight, rad.
-
-    NaN where the search meets what is not finite.
+    - `angle_of_attack`: angle of attack for the rest of the flight, rad.
     """
     planet = model.planet
     require_still_air(planet, "the range of a scaled reference")
@@ -104,7 +105,7 @@ def scale_to_reach(
     flown = range_flown(energy)
 
     def through(altitude: Scalar, kinetic: Scalar) -> tuple[Scalar, Scalar]:
-        """Error in range of the profile that ends here (m), and its scale."""
+        """Range error of the profile that ends here (m), and its scale."""
         end = kinetic + planet.gravity.potential(planet.radius + altitude)
         there = eqx.tree_at(
             lambda s: (s.altitude, s.velocity),
@@ -139,21 +140,20 @@ def scale_to_reach(
 
 
 class RangeTracking(AbstractSampledLaw[ObserverState, HeldScale]):
-    """Drag tracking with an observer, of a reference scaled to fly the range to go.
+    """Drag tracking with an observer, of a reference that is scaled to the range to go.
 
-    Between cycles these are equations (24) and (25) with K D* in place of D*. A cycle
-    decides, from the drag on at which the reference is tracked:
+    Between cycles the law is equations (24) and (25) with K D* in place of D*. At a
+    guidance cycle, once the drag exceeds the gate of the reference, it decides:
 
-    - the scale K, see `scale_to_reach`, with the sensed drag over the modelled one. The
-      observer's estimates of the drag error D - K D* jump with K, so that it sees no
-      step.
-    - the lift-to-drag ratio by which the bank is computed: the sensed one.
+    - the scale K, see `scale_to_reach`, with the ratio of the sensed to the modelled drag.
+      The estimates of the observer for the drag error D - K D* jump with K, so that the
+      observer sees no step.
+    - the lift-to-drag ratio with which the bank is computed: the sensed one.
 
-    And from the start on
+    From the start of guidance it also decides:
 
-    - the side to which it banks, by its lateral logic; with a `CrossrangeCorridor` the
-      bank is reversed when the crossrange at which the flight would pass the aim leaves
-      the corridor.
+    - the side of the bank, by its lateral logic. With a `CrossrangeCorridor` the bank is
+      reversed when the predicted crossrange at the aim leaves the corridor.
     """
 
     gains: ErrorGains
@@ -161,7 +161,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, HeldScale]):
     reference: DragReference
     """Drag over energy"""
     range_flown: AbstractProfile
-    """Range that the reference has flown (m) over energy"""
+    """Range flown by the reference (m) over the energy"""
     model: OnboardModel
     limits: ScaleLimits
     lateral: AbstractLateralLogic
@@ -209,7 +209,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, HeldScale]):
             self.range_flown,
             self.model,
             self.reference.index.value(planet, time, state),
-            # Where it is not used it may be zero, of which the derivative is not finite.
+            # Where it is not used it may be zero, at which the derivative is not finite.
             jnp.where(scales, range_to_go, aim.downrange),
             measurement.drag / believed.drag,
             angle,
@@ -235,7 +235,7 @@ class RangeTracking(AbstractSampledLaw[ObserverState, HeldScale]):
         memory: ObserverState,
         jump: Scalar,
     ) -> ObserverState:
-        """The estimates of D - K D* and of its rate after K has jumped."""
+        """The estimates of D - K D* and of its rate after a jump of K."""
         nothing = jnp.zeros_like(jump)
         angle = measurement.trim_angle_of_attack
         wanted = self.reference.at(time, measurement, self.model, angle, nothing)

@@ -1,8 +1,8 @@
-"""Re-plan a ground track on board: the predictive half of predictive/tracking guidance.
+"""Onboard re-planning of a ground track, the predictive half of the guidance.
 
 The law of S. Bharadwaj, A. V. Rao, K. D. Mease, "Entry Trajectory Tracking Law via
 Feedback Linearization", Journal of Guidance, Control, and Dynamics 21(5), 1998, tracks a
-reference that is given. Re-planning is left to others by the paper: all here is our own.
+fixed reference. The paper does not cover re-planning: everything here is beyond the paper.
 """
 
 import dataclasses
@@ -41,16 +41,16 @@ from .law import AbstractSampledLaw
 Shares = Float[Array, " 3"]
 """The coefficients of an adjustment in units of their limits"""
 Miss = Float[Array, " 2"]
-"""Downrange and crossrange of the end from that of the reference, m"""
+"""Downrange and crossrange of the end minus those of the reference, m"""
 
 
 class AdjustedProfile(AbstractProfile):
-    """A profile times a factor, and shifted."""
+    """A profile, multiplied by a factor and shifted."""
 
     profile: AbstractProfile
     factor: Scalar = scalar(1.0)
     shift: Scalar = scalar(0.0)
-    """In the unit of the profile"""
+    """Shift in the unit of the profile"""
 
     def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         value, first, second = self.profile.with_derivatives(index)
@@ -62,15 +62,15 @@ class AdjustedProfile(AbstractProfile):
 
 
 class Adjustment(eqx.Module):
-    """By how much the reference controls are changed, or may be at most."""
+    """Change of the reference controls, or its largest magnitude."""
 
     angle_of_attack: Scalar = scalar(unit="rad")
     """Added to the reference angle of attack"""
     bank_factor: Scalar = scalar()
     """Added to the factor on the reference bank, which is one"""
     bank: Scalar = scalar(unit="rad")
-    """Added to the bank, positive to the right: it turns the vehicle to one side, before
-    a reversal as behind it"""
+    """Added to the bank, positive to the right. It turns the vehicle to one side, before
+    and after a reversal"""
 
     def applied(self, model: GroundTrackModel) -> GroundTrackModel:
         """A model with the reference controls changed."""
@@ -85,49 +85,51 @@ class Adjustment(eqx.Module):
 
 
 class OwnReference(eqx.Module):
-    """The reference motion that is flown on board beside the flight, or its rate."""
+    """Reference motion that the law integrates on board during the flight, or its rate."""
 
     state: EntryState
-    """At the energy of the vehicle"""
+    """State of the reference at the energy of the vehicle"""
     errors: TrackErrors
-    """Integrals of the errors of the vehicle from it"""
+    """Integrals of the errors of the vehicle with respect to it"""
 
 
 class Replanned(eqx.Module):
-    """What is decided at a guidance cycle."""
+    """Decision at a guidance cycle."""
 
     adjustment: Adjustment
     estimate: AbstractFactorEstimate
-    """Of the factors on lift and drag of the model"""
+    """Estimate of the factors on lift and drag of the model"""
     decisions: Scalar
-    """How many there have been"""
+    """Number of decisions so far"""
     without_prediction: Scalar
-    """How many of them left the adjustment as it was, since no end was predicted"""
+    """Number of decisions without a predicted end, which left the adjustment unchanged"""
 
 
 class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
-    """Track a reference that is planned again in each guidance cycle.
+    """Tracks a reference that is planned again in each guidance cycle.
 
-    At the start of a cycle lift and drag are compared with those of the model, at the
-    angle of attack that is flown. The ratios hold through the cycle, so that the angle of
-    attack does not depend on the forces of the same instant. Under them, and under the
-    reference controls with three coefficients changed (`Adjustment`), the rest of the
+    At the start of a cycle the sensed lift and drag are compared with those of the model at
+    the actual angle of attack. The ratios are held through the cycle, so that the angle of
+    attack does not depend on the forces of the same instant. With these ratios, and with
+    three coefficients that change the reference controls (`Adjustment`), the rest of the
     flight is predicted over the energy from the measured state. One damped Gauss-Newton
-    step, of minimum norm in units of the limits, takes the coefficients towards where the
-    prediction ends in downrange and crossrange where the reference of the law does. The
-    next cycle goes on from there: after the first few the steps are small.
+    step corrects the coefficients so that the prediction ends at the downrange and
+    crossrange of the reference. The step has the minimum norm in units of the limits. The
+    next cycle continues from these coefficients, so after the first cycles the steps are
+    small.
 
-    Within the cycle the motion of the model under the changed controls is integrated from
-    the same state beside the flight, and the law tracks this motion in place of its table.
-    The bounds of the angle of attack stay about the reference angle of attack of the law,
-    unchanged. What cannot be reached within the limits is missed. A prediction without an
-    end leaves the coefficients as they are.
+    Within the cycle the law integrates the motion of the model under the changed controls
+    from the measured state, and tracks this motion in place of its table. The bounds of
+    the angle of attack remain those about the reference angle of attack of the law. Errors
+    that cannot be removed within the limits remain. A prediction without an end leaves the
+    coefficients unchanged.
 
-    Memory is the motion that is tracked, and the integrals of the errors from it. Both
-    begin again at each decision: where the ratios change along the flight, the plan is of
-    where the vehicle is, and a reference that went on from elsewhere would not end there.
+    Memory is the reference motion and the integrals of the errors with respect to it. Both
+    restart at each decision. Where the ratios change along the flight, the plan starts from
+    the present state, and a reference that continued from elsewhere would not end at the
+    target.
 
-    Source: re-planning, left to others by the paper.
+    Source: beyond the paper, which does not cover re-planning.
     """
 
     law: GroundTrackTracking
@@ -138,16 +140,16 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
     largest_step: Scalar = scalar(0.3, positive=True)
     """Largest change of a coefficient at one decision, in units of its limit"""
     least_effect: Scalar = scalar(20.0, unit="m", positive=True)
-    """Where a coefficient, changed by its limit, moves the end by less than this, it is
-    left as it is: damping of Levenberg's"""
+    """Effect of a coefficient, changed by its limit, on the end below which the coefficient
+    is left unchanged: Levenberg damping"""
     least_share: Scalar = scalar(0.3, range=NOT_NEGATIVE)
-    """Likewise for less than this share of the miss: near the end, where what is missed
-    cannot be reached any more"""
+    """Threshold as in `least_effect`, but as a share of the miss. It matters near the end,
+    where the miss can no longer be removed"""
     estimator: AbstractFactorEstimator = eqx.field(default_factory=FactorEstimator)
     cycle: FixedCycle = FixedCycle(10.0)
     steps: int = eqx.field(default=100, static=True)
-    """Of a prediction. At the start one is to be shorter over the energy than a reversal
-    of the bank takes; towards the end they become as much shorter as the way to go"""
+    """Number of steps of a prediction. At the start a step should be shorter over the
+    energy than a bank reversal. The steps become shorter in proportion to the way to go"""
 
     def __check_init__(self):
         if not isinstance(self.law.force_knowledge, ModelledForces):
@@ -225,14 +227,14 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
         )
 
     def caveats(self, held: Replanned) -> dict[str, Scalar]:
-        """Share of the decisions without a prediction of the end, and the estimate's."""
+        """Share of the decisions without a predicted end, and caveats of the estimate."""
         share = held.without_prediction / jnp.maximum(held.decisions, 1.0)
         return {"decisions_without_prediction": share} | held.estimate.caveats()
 
     def predicted(
         self, state: EntryState, factors: AbstractFactors, adjustment: Adjustment
     ) -> Prediction:
-        """The flight of the model from a state to the end, under changed controls."""
+        """Predicted flight of the model from a state to the end, under changed controls."""
         model = adjustment.applied(self.law.model)
 
         def command(time: Scalar, state: EntryState) -> Controls:
@@ -255,7 +257,7 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
     def _adjusted(
         self, state: EntryState, factors: AbstractFactors, before: Adjustment
     ) -> tuple[Adjustment, Flag]:
-        """The next adjustment, and whether a prediction told which."""
+        """The next adjustment, and whether a prediction had an end."""
         model = self.law.model
         radius = model.onboard.planet.radius
         read = self.law.reference.with_derivatives(self.end)
@@ -284,7 +286,7 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
 def _with_effects(
     missed: Callable[[Shares], tuple[Miss, Count]], shares: Shares
 ) -> tuple[Miss, Float[Array, "3 2"], Count]:
-    """The miss and how each coefficient changes it: the motion itself is flown once."""
+    """The miss, and the effect of each coefficient; the motion is propagated once."""
 
     def along(direction: Shares) -> tuple[Miss, Miss, Count]:
         return jax.jvp(missed, (shares,), (direction,), has_aux=True)

@@ -1,9 +1,9 @@
-"""The Shuttle's entry guidance: drag is tracked by the bank and the angle of attack.
+"""The Shuttle's entry guidance: drag tracking with the bank and the angle of attack.
 
 Reference: J. C. Harpold, C. A. Graves, "Shuttle Entry Guidance", Journal of the
 Astronautical Sciences 27(3), 1979, in the form in which R. Zhang, H. Li, R. Zhang,
-"Angle-of-Attack Modulation in Trajectory Tracking for a Reusable Launch Vehicle", compare
-with it. The paper prints no gains: these are like the Shuttle's.
+"Angle-of-Attack Modulation in Trajectory Tracking for a Reusable Launch Vehicle", use it
+for comparison. The paper prints no gains: these are similar to the Shuttle's.
 """
 
 import equinox as eqx
@@ -22,15 +22,15 @@ from .open_loop import vertical_lift_command
 
 
 class Gate(eqx.Module):
-    """When guidance begins, and from when on the angle of attack is modulated."""
+    """Conditions from which guidance and angle-of-attack modulation begin."""
 
     drag: Scalar = scalar(0.05 * standard_gravity, unit="m/s2", positive=True)
-    """Sensed drag from which on there is guidance"""
+    """Sensed drag above which the law guides"""
     velocity: Scalar = scalar(7200.0, unit="m/s", positive=True)
-    """From which on, downwards, the angle of attack is modulated"""
+    """Velocity at and below which the angle of attack is modulated"""
 
     def guides(self, measurement: Measurement):
-        """Whether the bank law guides."""
+        """Whether the bank is guided."""
         return measurement.drag > self.drag
 
     def modulates(self, measurement: Measurement):
@@ -54,15 +54,16 @@ class BankGains(eqx.Module):
     rate_power: Scalar = scalar(-0.58146)
     least_rate: Scalar = scalar(0.0025)
     least_modulated: Scalar = scalar(0.00133)
-    """In place of `least_rate` while the angle of attack is modulated"""
+    """Used in place of `least_rate` while the angle of attack is modulated"""
     largest_rate: Scalar = scalar(0.014)
     modulated: Scalar = scalar(0.75)
     """Factor on C17 while the angle of attack is modulated"""
 
     def at(self, drag: Scalar, modulates) -> tuple[Scalar, Scalar]:
-        """On the error of the drag (s2/m), and on that of the altitude rate (s/m).
+        """Gains on the errors of the drag (s2/m) and of the altitude rate (s/m).
 
-        Of the sensed drag (m/s2), and of whether the angle of attack is modulated.
+        `drag` is the sensed drag (m/s2). `modulates` is true while the angle of attack is
+        modulated.
         """
         in_feet = jnp.maximum(drag / foot, 1e-3)
         c16 = jnp.clip(
@@ -75,18 +76,18 @@ class BankGains(eqx.Module):
 
 
 class ShuttleBank(AbstractBankLaw[None]):
-    """Bank for a lift over drag that is fed back from drag and altitude rate.
+    """Bank for a vertical lift-to-drag ratio with feedback of drag and altitude rate.
 
-    (L/D) cos(bank) = that of the reference + C16 (D - D_ref) + C17 (hdot_ref - hdot), with
-    the sensed lift over drag. Before guidance begins a bank is held.
+    (L/D) cos(bank) = reference value + C16 (D - D_ref) + C17 (hdot_ref - hdot), with the
+    sensed lift-to-drag ratio. Before guidance begins the bank is constant.
     """
 
     reference: Reference
-    """Over the velocity: lift_to_drag_up, drag (m/s2) and altitude_rate (m/s)"""
+    """Columns over the velocity: lift_to_drag_up, drag (m/s2) and altitude_rate (m/s)"""
     gains: BankGains = eqx.field(default_factory=BankGains)
     gate: Gate = eqx.field(default_factory=Gate)
     first_bank: Scalar = scalar(30.0 * degree, unit="rad")
-    """Before guidance begins"""
+    """Bank before guidance begins"""
     largest_bank: Scalar = scalar(80.0 * degree, unit="rad")
     lateral: AbstractLateralLogic = FixedSide()
 
@@ -104,7 +105,7 @@ class ShuttleBank(AbstractBankLaw[None]):
         climbs = state.velocity * sincos(state.flight_path_angle)[0]
         up = wanted["lift_to_drag_up"][0] + c16 * (measurement.drag - drag)
         up = up + c17 * (rate - climbs)
-        # Before there is air nothing is sensed, and the ratio is not asked for.
+        # Before guidance begins the sensed lift may be zero; the ratio is not used.
         guides = self.gate.guides(measurement)
         lift = jnp.where(guides, measurement.lift, 1.0)
         least, first = sincos(self.largest_bank)[1], sincos(self.first_bank)[1]
@@ -114,24 +115,24 @@ class ShuttleBank(AbstractBankLaw[None]):
 
 
 class ShuttleModulation(AbstractContinuousLaw[None]):
-    """Angle of attack at which the drag would be that of the reference, at once.
+    """Angle of attack at which the present drag would equal that of the reference.
 
-    alpha = alpha measured + C_D (D_ref / D - 1) / (f dC_D/dalpha), by the drag coefficient
-    at the reference angle of attack: how the motion answers is left out. Fly it by
-    `Sampled(law, period)` within `compose`.
+    alpha = measured alpha + C_D (D_ref / D - 1) / (f dC_D/dalpha), with the drag
+    coefficient at the reference angle of attack. The response of the motion is neglected.
+    Use it as `Sampled(law, period)` within `compose`.
     """
 
     reference: Reference
-    """Over the velocity: angle_of_attack (rad) and drag (m/s2)"""
+    """Columns over the velocity: angle_of_attack (rad) and drag (m/s2)"""
     model: OnboardModel
     divisor: Scalar = scalar(1.0, positive=True)
     """f"""
     bank_gain: Scalar = scalar(4.0)
-    """Bank for a deviation of the measured angle of attack from the reference, rad/rad"""
+    """Bank increment per deviation of the angle of attack from the reference, rad/rad"""
     dead_band: Scalar = scalar(0.0, unit="m/s2")
-    """Error of the drag within which the angle of attack stays as it is"""
+    """Drag error within which the angle of attack is not changed"""
     limit: Scalar = scalar(60.0 * degree, unit="rad", positive=True)
-    """Largest change of the measured angle of attack that is commanded at once"""
+    """Largest commanded change of the measured angle of attack"""
     gate: Gate = eqx.field(default_factory=Gate)
 
     def init(self, measurement: Measurement) -> None:
@@ -163,6 +164,6 @@ class ShuttleModulation(AbstractContinuousLaw[None]):
 
 
 def drag_tracked(reference: Reference, measurement: Measurement) -> Tracked:
-    """The error of the drag, which the angle of attack makes small."""
+    """The drag error, which the law reduces with the angle of attack."""
     wanted = reference.over_index(measurement.state.velocity)
     return Tracked(((measurement.drag - wanted["drag"][0],),), ("angle_of_attack",))

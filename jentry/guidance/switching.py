@@ -1,8 +1,8 @@
-"""Where a law switches: limits of its command, its gate, reversals of its bank.
+"""Switching of a law: limits of its command, its gate, and its bank reversals.
 
-A sharp switch is what flies. A smooth one is a surrogate for tuning: behind a sharp limit
-the command no longer moves with the gains, and no gradient tells what a gate is worth, or
-what it does to a flight that its bank is reversed one guidance cycle later.
+Sharp switching is the law itself. Smooth switching is a surrogate for tuning. Behind a
+sharp limit the command does not depend on the gains, and no gradient shows the effect of a
+gate or of a bank reversal that is delayed by one guidance cycle.
 """
 
 from abc import abstractmethod
@@ -18,19 +18,19 @@ from ..fields import Scalar, scalar
 
 
 _NEGLIGIBLE = 1e-16
-"""Of a share of one"""
+"""Share, out of one, below which a value has no effect"""
 
 
 class AbstractSwitching(eqx.Module):
-    """How a law limits its command and how it begins."""
+    """How a law limits its command, opens its gate and reverses its bank."""
 
     shares_reversals: eqx.AbstractClassVar[bool]
-    """Whether the sign of the bank takes values between -1 and 1, so that there is less
-    lift than a bank has; else a flight that has less is stopped (`Outcome.NOT_A_BANK`)"""
+    """Whether the sign of the bank takes values between -1 and 1, so that the lift is less
+    than that of the bank. Otherwise such a flight is stopped (`Outcome.NOT_A_BANK`)"""
 
     @abstractmethod
     def limited(self, command: Scalar) -> Scalar:
-        """A wish for a cosine, within [-1, 1]."""
+        """A requested cosine, limited to [-1, 1]."""
 
     @abstractmethod
     def beyond(self, excess: Scalar, chosen: Scalar, otherwise: Scalar) -> Scalar:
@@ -38,11 +38,11 @@ class AbstractSwitching(eqx.Module):
 
     @abstractmethod
     def reversed(self, sign: Scalar, wanted: Scalar, excess: Scalar) -> Scalar:
-        """Sign of the bank: `wanted` where a limit is exceeded (by m), else as it was."""
+        """Sign of the bank: the new one if a limit is exceeded (by m), else unchanged."""
 
 
 class Sharp(AbstractSwitching):
-    """Clipped at the limits, begun and reversed at once: the exact law."""
+    """Clipped at the limits, with instant gates and reversals: the exact law."""
 
     shares_reversals: ClassVar[bool] = False
 
@@ -57,14 +57,14 @@ class Sharp(AbstractSwitching):
 
 
 class Smooth(AbstractSwitching):
-    """Switching with rounded corners, for gradients; never what is reported.
+    """Smooth switching, for gradients; results are never reported with it.
 
-    The command bends over `command` before and behind its limits, and the gate opens
-    over `gate` on both of its sides. As these go to zero the law becomes the sharp one.
+    The command bends over a width `command` at its limits, and the gate opens over `gate`
+    on both sides. As these widths go to zero the law becomes the sharp one.
 
-    Reversals are those of `SmoothReversals`. With the command bent as well, near its
-    limits there is lateral lift that the sharp law has not: where reversals are what
-    matters, leave the limits sharp.
+    Reversals are those of `SmoothReversals`. Since the command is also smoothed, it has
+    lateral lift near its limits that the sharp law does not have. If reversals are the
+    subject, use sharp limits.
     """
 
     shares_reversals: ClassVar[bool] = True
@@ -73,7 +73,7 @@ class Smooth(AbstractSwitching):
     """Width of the rounded corner of the cosine of the bank"""
     gate: Scalar = scalar(0.2, unit="m/s2", positive=True)
     reversal: Scalar = scalar(2000.0, unit="m", positive=True)
-    """Width over the predicted crossrange"""
+    """Width in predicted crossrange over which a reversal is distributed"""
 
     def limited(self, command: Scalar) -> Scalar:
         # The integral of the difference of two logistic steps at the limits. Far behind
@@ -85,7 +85,7 @@ class Smooth(AbstractSwitching):
         return clamp(bent, -1.0, 1.0)
 
     def beyond(self, excess: Scalar, chosen: Scalar, otherwise: Scalar) -> Scalar:
-        # Where one of them does not count, it may not be finite either.
+        # The branch that has no effect may not be finite.
         share = jax.nn.sigmoid(excess / self.gate)
         chosen = jnp.where(share < _NEGLIGIBLE, 0.0, chosen)
         otherwise = jnp.where(share >= 1.0, 0.0, otherwise)
@@ -96,22 +96,25 @@ class Smooth(AbstractSwitching):
 
 
 class SmoothReversals(AbstractSwitching):
-    """Sharp limits and a sharp gate, and reversals that are shared out between cycles.
+    """Sharp limits and a sharp gate, with reversals that are distributed over cycles.
 
-    The sharp law reverses in the first guidance cycle that begins outside the corridor, so
-    that the instant of a reversal is a staircase of whatever moves it: flat, with jumps of
-    one period, of which a derivative sees nothing. Here a cycle that begins outside by the
-    excess e turns the share e / `reversal` of the lateral lift over, and all of it from
-    e = `reversal` on. Let the excess grow by r in a cycle, and the limit be crossed a share
-    f of a period before the cycle begins, so that e = f r. With `reversal` = r that cycle
-    turns the share f, and the next one the rest: the impulse of the lateral lift is that of
-    a reversal one period after the crossing, whatever f is. It moves with the crossing, as
-    the instant of the sharp law (half a period after the crossing) does in the mean over f.
+    The sharp law reverses in the first guidance cycle that begins outside the corridor. The
+    time of a reversal is therefore a staircase function of every parameter: it is constant,
+    with jumps of one period, and its derivative is zero. Here a cycle that begins outside
+    the corridor by the excess e reverses the share e / `reversal` of the lateral lift, and
+    all of it for an excess of `reversal` or more.
+
+    Let the excess grow by r in a cycle, and let the limit be crossed a share f of a period
+    before the cycle begins, so that e = f r. With `reversal` = r this cycle reverses the
+    share f, and the next one the rest. The impulse of the lateral lift is that of a
+    reversal one period after the crossing, for any f. It moves with the crossing. The time
+    of the sharp reversal (half a period after the crossing) does so in the mean over f.
+
     With another `reversal` the delay depends on f, but without a jump, so that the mean of
-    the derivatives is still the derivative of the mean: of this law, which for a wide
-    `reversal` is another one than the sharp law. With one below r the sign swings to and
-    fro, and the derivatives grow beyond all use: r is up to 500 m on Mars, and 300 m are
-    too few. With 2000 m the derivatives of the mean square of the crossrange are within
+    the derivatives is still the derivative of the mean. This is that of the smooth law,
+    which differs from the sharp law for a wide `reversal`. With a `reversal` below r the
+    sign oscillates, and the derivatives become useless: r is up to 500 m on Mars, and 300 m
+    are too few. With 2000 m the derivatives of the mean square of the crossrange are within
     two standard errors of differences of the sharp law for gains and the floor of the
     corridor, and three times as large for its widening.
     """
@@ -119,7 +122,7 @@ class SmoothReversals(AbstractSwitching):
     shares_reversals: ClassVar[bool] = True
 
     reversal: Scalar = scalar(2000.0, unit="m", positive=True)
-    """Width in predicted crossrange: more than it moves against its limit in a cycle"""
+    """Width in predicted crossrange; larger than the change of the excess in a cycle"""
 
     def limited(self, command: Scalar) -> Scalar:
         return Sharp().limited(command)
@@ -132,7 +135,7 @@ class SmoothReversals(AbstractSwitching):
 
 
 def shares_reversals(law: Any) -> bool:
-    """Whether any switching of a law shares reversals out."""
+    """Whether any switching of a law distributes reversals over cycles."""
 
     def is_switching(node: Any) -> bool:
         return isinstance(node, AbstractSwitching)

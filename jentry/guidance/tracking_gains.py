@@ -1,4 +1,4 @@
-"""Gains of the feedback of a ground track: constant, or by eigenvalues over the energy."""
+"""Gains for tracking a ground track: constant, or by eigenvalues over the energy."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from ..fields import Scalar, Vector, table
 class AbstractTrackingGains(eqx.Module):
     """Gains of equation (49), which may depend on the energy.
 
-    The energy counts in units of `GroundTrackModel.energy_span`.
+    The gains are for the energy in units of `GroundTrackModel.energy_span`.
     """
 
     @abstractmethod
@@ -24,17 +24,17 @@ class AbstractTrackingGains(eqx.Module):
 
 
 class TrackingGains(AbstractTrackingGains):
-    """Gains of equation (49) that are constant.
+    """Constant gains of equation (49).
 
-    The energy falls, so that errors die out with eigenvalues in the right half plane:
-    the signs alternate, beginning with a negative one.
+    Since the energy falls, errors decay with eigenvalues in the right half plane. The
+    signs of the gains therefore alternate, beginning with a negative one.
     """
 
     downrange: Vector = table()
-    """k11 to k14, shape (4,): of the second derivative, the first, the error and its
-    integral"""
+    """k11 to k14, shape (4,): gains on the second and first derivative of the error, the
+    error and its integral"""
     crossrange: Vector = table()
-    """k21 to k23, shape (3,): of the first derivative, the error and its integral"""
+    """k21 to k23, shape (3,): gains on the first derivative, the error and its integral"""
 
     def __check_init__(self):
         for name, count in (("downrange", 4), ("crossrange", 3)):
@@ -49,17 +49,17 @@ class TrackingGains(AbstractTrackingGains):
     def from_eigenvalues(
         cls, downrange: Sequence[Any], crossrange: Sequence[Any]
     ) -> "TrackingGains":
-        """Gains by the real eigenvalues of (50), four, and (51), three, per energy span.
+        """Gains for four real eigenvalues of (50) and three of (51), per energy span.
 
-        Differentiable in them. Positive eigenvalues are stable.
+        The gains are differentiable in the eigenvalues. Positive eigenvalues are stable.
 
-        **Raises:** `ValueError` for another number of eigenvalues.
+        **Raises:** `ValueError` for a wrong number of eigenvalues.
         """
         return cls(_polynomial(downrange), _polynomial(crossrange))
 
 
 def _polynomial(roots: Sequence[Any]) -> Vector:
-    """Coefficients of the polynomial with given roots, without the leading one."""
+    """Coefficients of the polynomial with these roots, without the leading one."""
     coefficients = [jnp.asarray(1.0)]
     for root in roots:
         shifted = [*coefficients, jnp.zeros(())]
@@ -69,19 +69,19 @@ def _polynomial(roots: Sequence[Any]) -> Vector:
 
 
 class ScheduledEigenvalues(AbstractTrackingGains):
-    """Gains by the real eigenvalues of (50) and (51), which go with the energy.
+    """Gains by real eigenvalues of (50) and (51) that vary with the energy.
 
-    They are straight lines between the energies at which they are given, and constant
-    beyond. In units of one over the energy span, as those of
-    `TrackingGains.from_eigenvalues`: those of a frozen energy are stable.
+    The eigenvalues are interpolated linearly between the energies of the table, and
+    constant beyond. Their unit is one over the energy span, as in
+    `TrackingGains.from_eigenvalues`. The loop frozen at any energy is stable.
     """
 
     energy: Vector = table(unit="J/kg", increasing=True)
     """Shape (n,)"""
     downrange: Float[Array, "n 4"] = table(positive=True)
-    """Of (50) at these energies"""
+    """Eigenvalues of (50) at these energies"""
     crossrange: Float[Array, "n 3"] = table(positive=True)
-    """Of (51) at these energies"""
+    """Eigenvalues of (51) at these energies"""
 
     def __check_init__(self):
         for name, count in (("downrange", 4), ("crossrange", 3)):

@@ -1,4 +1,4 @@
-"""How a network learns: steps of an optimizer on samples, some hundreds at once."""
+"""Trains a network: steps of an optimizer on samples, in reports of some hundred steps."""
 
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -14,16 +14,16 @@ from ..onboard.network import Network
 
 
 Layers = tuple[tuple[Array, ...], tuple[Array, ...]]
-"""Weights and biases of a network: what is trained of it"""
+"""Weights and biases of a network, which are trained"""
 
 Loss = Callable[[Network, Array], Array]
-"""Mean loss of a network on some of the samples, by their indices"""
+"""Function of a network and indices of samples: the mean loss on these samples"""
 
 _REPORT_EVERY = 500
-"""Steps"""
+"""Number of steps between reports"""
 
 _BATCH = 2048
-"""Samples of a step of Adam"""
+"""Number of samples in a step of Adam"""
 
 
 def descended(
@@ -38,16 +38,16 @@ def descended(
     part: int,
     report: Callable[[str], None],
 ) -> Network:
-    """A network after Adam on batches, and then L-BFGS on a part of the samples.
+    """Train a network with Adam on batches, and then with L-BFGS on a part of the samples.
 
-    L-BFGS is what the last digits take: Adam alone stays ten times as far off.
+    L-BFGS reduces the error to a tenth of what Adam alone achieves.
 
     **Arguments:**
 
-    - `train`: indices of the samples to learn from.
-    - `warm_up`: steps of Adam, on 2048 samples each.
-    - `iterations`: of L-BFGS, on `part` samples.
-    - `report`: is told how it goes.
+    - `train`: indices of the training samples.
+    - `warm_up`: number of steps of Adam, with 2048 samples each.
+    - `iterations`: number of iterations of L-BFGS, with `part` samples.
+    - `report`: function that is called with lines of text on the progress.
     """
     some = jax.random.permutation(part_key, train)[:part]
 
@@ -72,8 +72,10 @@ def descended(
 
 
 def robust(error: Array) -> Array:
-    """sqrt(1 + e^2) - 1 in the mean: quadratic below an error of 1 and linear above, so
-    that the few flights near a limit do not rule the others."""
+    """Mean of sqrt(1 + e^2) - 1, which is quadratic below an error of 1 and linear above.
+
+    The few flights near a limit therefore do not dominate the loss.
+    """
     return jnp.mean(jnp.sqrt(1.0 + error * error) - 1.0)
 
 
@@ -88,9 +90,9 @@ def _steps(
     layers: Layers,
     keys: Key[Array, " steps"],
 ) -> Iterator[tuple[int, Layers, Array]]:
-    """Steps done, layers, and mean loss over the last hundred of them, now and then.
+    """Number of steps, layers, and mean loss of the last hundred steps, at intervals.
 
-    Each step is on the samples that `batch` makes of its key.
+    Each step uses the samples that `batch` selects with the key of the step.
     """
 
     optimizer = optax.with_extra_args_support(optimizer)
@@ -118,7 +120,7 @@ def _steps(
 
 
 def _value_and_gradient(loss, layers: Layers, state: Any) -> tuple[Array, Any]:
-    """As the line search has left them in the state, if the optimizer has one."""
+    """Loss and gradient, taken from the state if a line search has stored them there."""
     if optax.tree.get(state, "value") is None:
         return jax.value_and_grad(loss)(layers)
     value, gradient = optax.value_and_grad_from_state(loss)(layers, state=state)

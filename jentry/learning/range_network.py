@@ -1,8 +1,8 @@
-"""Training of networks that predict where a flight ends, on predictions of the model.
+"""Trains networks that predict where a flight ends, on predictions of the onboard model.
 
-Flights of the predictor-corrector say where a vehicle comes along. About these places the
-rest of the flight is predicted, as the law would, under banks of all sizes: in the vertical
-plane, or in three dimensions with the bank to the right.
+Flights of the predictor-corrector show which states occur. From states close to these the
+rest of the flight is predicted, as the law would do, for banks of all sizes: in the
+vertical plane, or in three dimensions with the bank to the right.
 """
 
 import time
@@ -49,43 +49,45 @@ from .descent import descended, robust
 
 
 INTERVAL = 4.0
-"""s between the places of a flight"""
+"""Time between the places of a flight, s"""
 
 LEAST = 1e3
-"""m to the end, below which there is nothing left to correct"""
+"""Range to go below which there is nothing left to correct, m"""
 
 _NEAR = 100e3
-"""m to the end, within which the error is told apart"""
+"""Range to go below which the error is also reported separately, m"""
 
 _RIGHT = 20.0, 0.002
-"""m, and share of the range: unit of the error in the loss. An error far from the end is
-corrected on the way"""
+"""Unit of the error in the loss: a constant (m) plus a share of the range. The law corrects
+an error far from the end later in the flight"""
 
 _MOVED = {"altitude": 1000.0, "velocity": 50.0, "flight_path_angle": 0.02}
-"""Deviation by which a place is moved: m, m/s, rad"""
+"""Standard deviations by which the states of places are varied: m, m/s, rad"""
 
 _BEYOND = 0.05
-"""Of numbers from 0 to 1: so many are at either bound"""
+"""Extension of the interval from 0 to 1 on both sides from which numbers are drawn. They
+are then clipped, so that some lie at the bounds"""
 
 _FACTORS = 0.1
-"""Deviation by which the logarithms of the factors are moved"""
+"""Standard deviation by which the logarithms of the factors are varied"""
 
 
 class RangeSamples(eqx.Module):
-    """Predictions; every array has them in front."""
+    """Predictions of the range. The first axis of every array is over the samples."""
 
     states: EntryState
     factors: Factors
     numbers: Float[np.ndarray, " n"]
-    """Of the constant bank"""
+    """Numbers that define the constant bank"""
     ranges: Float[np.ndarray, " n"]
-    """m; in three dimensions along the great circle flown at the beginning"""
+    """Range, m; in three dimensions along the great circle of the initial heading"""
     across: Float[np.ndarray, " n"]
-    """From that great circle to the end, m, to the side of the bank; 0 in the plane"""
+    """Distance of the end from that great circle, m, positive to the side of the bank; 0 in
+    the plane"""
     flights: np.ndarray
-    """Number of the flight that each has its place from"""
+    """Number of the flight from which the place of each sample is taken"""
     left_out: dict[str, int] = eqx.field(static=True)
-    """Predictions that are not among these, by the reason"""
+    """Number of predictions that were left out, by reason"""
 
     def __len__(self) -> int:
         return len(self.flights)
@@ -96,7 +98,7 @@ class RangeSamples(eqx.Module):
 
 
 class _Place(NamedTuple):
-    """From where, and how, a flight is predicted."""
+    """Initial state, factors and number of the bank of a prediction."""
 
     state: EntryState
     factors: Factors
@@ -113,15 +115,15 @@ def predict_samples(
     *,
     solver: AbstractSolver = FixedStep(),
 ) -> RangeSamples:
-    """Fly the law dispersed, and predict from places about those flights.
+    """Fly dispersed flights with the law, and predict from places close to these flights.
 
     **Arguments:**
 
-    - `scenario`: flown by a `PredictorCorrector`, in the vertical plane or in three
-      dimensions as its predictions are.
-    - `flights`: from the entry.
-    - `again`: predictions, each from a place of one of these flights, moved a little, with
-      factors that are moved too, and with any bank.
+    - `scenario`: scenario with a `PredictorCorrector`. Its flights are in the vertical
+      plane or in three dimensions, like the predictions of the law.
+    - `flights`: number of flights from the entry.
+    - `again`: number of predictions. Each starts at a place of one of these flights, with
+      varied state and factors, and with any bank.
     """
     law = _law(scenario)
     keys = jax.random.split(key, 5)
@@ -147,7 +149,7 @@ def predict_samples(
             (estimate.lift, estimate.drag), jax.random.split(keys[3]), strict=True
         )
     )
-    # At the bounds as well, where a number stays that saturates.
+    # Some lie at the bounds, since a number of the law can saturate there.
     drawn = jax.random.uniform(keys[4], (again,), float, -_BEYOND, 1.0 + _BEYOND)
     numbers = np.clip(np.asarray(drawn), 0.0, 1.0)
     places = _Place(state, Factors(jnp.asarray(lift), jnp.asarray(drag)), numbers)
@@ -177,22 +179,21 @@ def _law(scenario: Scenario) -> PredictorCorrector:
         )
     if not isinstance(law.shape, ConstantBankShape) or law.shape.lowest != -1.0:
         raise ValueError(
-            f"the shape of the bank is {law.shape}: the range is learnt of a "
-            "ConstantBankShape with lowest=-1.0"
+            f"the shape of the bank is {law.shape}: the range can be learnt for a "
+            "ConstantBankShape with lowest=-1.0 only"
         )
     planet = law.model.planet
     if planet.rotation_rate != 0.0 or not isinstance(planet.wind, StillAir):
         raise ValueError(
-            "predictions are learnt that are alike in every direction, over a planet at "
-            f"rest and in still air: that of the model turns by {planet.rotation_rate} "
+            "predictions must not depend on the direction, so that the planet must be at "
+            f"rest with still air: that of the model turns by {planet.rotation_rate} "
             f"rad/s, and its wind is {type(planet.wind).__name__}"
         )
     return law
 
 
 def _predicted(law: PredictorCorrector, place: _Place) -> tuple[Scalar, Scalar, Flag]:
-    """Range of one prediction, how far it leads to the side of the bank, and whether it
-    has an end at all."""
+    """Range of a prediction, its distance to the side of the bank, and whether it ends."""
     state = place.state
     angle = law.model.vehicle.trim_angle_of_attack
     sensed = measure(law.model.planet, law.model.vehicle, state, angle)
@@ -214,42 +215,41 @@ def _predicted(law: PredictorCorrector, place: _Place) -> tuple[Scalar, Scalar, 
 
 
 class TrainedRange(eqx.Module):
-    """A network, and how well it predicts flights that it was not trained on."""
+    """A trained network, with its errors on held-out flights."""
 
     network: RangeNetwork
     cards: dict[str, dict[str, Any]] = eqx.field(static=True)
-    """By name: that of the range, `range`, or in three dimensions those of the range
-    `ahead` and `across`"""
+    """Descriptions of the networks by name: `range`, or in three dimensions `ahead` and
+    `across`"""
 
     @property
     def networks(self) -> dict[str, Network]:
-        """By name, as the cards."""
+        """Networks by the names of `cards`."""
         return dict(zip(self.cards, self.network.networks, strict=True))
 
 
 class _Lesson(NamedTuple):
-    """A length that a network is to learn; every array is over the samples."""
+    """A length that a network learns. The first axis of every array is over the samples."""
 
     purpose: str
     output: str
     lengths: Array
-    """m"""
+    """Length of each sample, m"""
     of_output: Callable[[Array, Array], Scalar]
-    """The length, of the output of the network for some of the samples and of their
-    indices, m"""
+    """Function of outputs of the network and of the indices of their samples: lengths, m"""
     outputs: Array
-    """Those that give the lengths; not finite where a length has none"""
+    """Outputs that give the lengths; not finite where no output gives the length"""
 
 
 class _Class(NamedTuple):
-    """What every network learns from; every array has the samples in front."""
+    """Training data of all networks. The first axis of every array is over the samples."""
 
     read: Array
-    """Inputs"""
+    """Inputs of the networks"""
     ranges: Array
-    """m"""
+    """Range of each sample, m"""
     out: np.ndarray
-    """Which are held out"""
+    """Whether each sample is held out"""
 
 
 def train_range_network(
@@ -264,19 +264,20 @@ def train_range_network(
     held_out: float = 0.1,
     report: Callable[[str], None] = lambda line: None,
 ) -> TrainedRange:
-    """Fit networks to predictions: Adam to begin with, then L-BFGS on a part of them.
+    """Fit networks to predictions with Adam, and then with L-BFGS on a part of them.
 
-    The loss is that of `robust`, of the error in units that grow with the range. In three
-    dimensions one network learns the range ahead, and another one that to the side. One
-    share of the flights, with all places about them, is held out and tells the error.
+    The loss is `robust` of the error, in units that grow with the range. In three
+    dimensions one network learns the distance ahead, and another one the distance to the
+    side. A share of the flights, with all samples that belong to them, is held out to
+    measure the error.
 
     **Arguments:**
 
-    - `hidden`: neurons of the hidden layers.
-    - `warm_up`: steps of Adam.
-    - `iterations`: of L-BFGS, on `part` samples.
-    - `held_out`: share of the flights.
-    - `report`: is told how it goes.
+    - `hidden`: number of neurons in each hidden layer.
+    - `warm_up`: number of steps of Adam.
+    - `iterations`: number of iterations of L-BFGS, with `part` samples.
+    - `held_out`: share of the flights that is held out.
+    - `report`: function that is called with lines of text on the progress.
     """
     law = _law(scenario)
     end = law.end.first()
@@ -306,7 +307,7 @@ def train_range_network(
         )
     }
     if law.in_space:
-        # Without a bank to the side there is nothing to learn, and no number that says so.
+        # Without a bank to the side the distance is zero, and its logarithm not finite.
         lessons["across"] = _Lesson(
             ACROSS,
             OUTPUT_ACROSS,
@@ -338,7 +339,7 @@ def train_range_network(
     def asked(state: EntryState, factors: Factors, number: Array):
         return network(law.model, state, angle, factors, number, end)
 
-    # As it is asked in flight: what leads to the side has the error of the range ahead.
+    # As in flight: the distance to the side includes the error of the predicted range.
     answers = jax.tree.map(np.asarray, asked(*jax.tree.map(jnp.asarray, given)))
     held = taught.out & answers.knows
     near = samples.ranges[held] < _NEAR
@@ -379,7 +380,7 @@ def _taught(
     part: int,
     report: Callable[[str], None],
 ) -> Network:
-    """A network that has learnt a length."""
+    """Train a network to predict a length."""
     read, ranges, out = samples
     network_key, _, batch_key, part_key = jax.random.split(key, 4)
     inside = np.flatnonzero(~out)

@@ -1,4 +1,4 @@
-"""Training of a network that predicts the velocity at the target, on flown samples."""
+"""Trains a network that predicts the velocity at the target, on samples of flights."""
 
 import time
 from collections.abc import Callable
@@ -25,7 +25,7 @@ from .velocity_samples import Samples
 
 
 class Trained(eqx.Module):
-    """A network, and how well it predicts flights that it was not trained on."""
+    """A trained network, with its errors on held-out vehicles."""
 
     predictor: NetworkPredictor
     card: dict[str, Any] = eqx.field(static=True)
@@ -44,18 +44,18 @@ def train_predictor(
     held_out: float = 0.1,
     report: Callable[[str], None] = lambda line: None,
 ) -> Trained:
-    """Fit a network to samples: Adam to begin with, then L-BFGS on a part of them.
+    """Fit a network to samples with Adam, and then with L-BFGS on a part of them.
 
-    The loss is that of `robust`, of the error in m/s. One share of the vehicles, with all
-    their samples, is held out and tells the error.
+    The loss is `robust` of the error in m/s. A share of the vehicles, with all their
+    samples, is held out to measure the error.
 
     **Arguments:**
 
-    - `hidden`: neurons of the hidden layers.
-    - `warm_up`: steps of Adam, on 2048 samples each.
-    - `iterations`: of L-BFGS, on `fitted` samples.
-    - `held_out`: share of the vehicles.
-    - `report`: is told how it goes.
+    - `hidden`: number of neurons in each hidden layer.
+    - `warm_up`: number of steps of Adam, with 2048 samples each.
+    - `iterations`: number of iterations of L-BFGS, with `fitted` samples.
+    - `held_out`: share of the vehicles that is held out.
+    - `report`: function that is called with lines of text on the progress.
     """
     began = time.perf_counter()
     glide = bezier_law(scenario).glide(scenario.constraints)

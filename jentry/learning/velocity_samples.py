@@ -1,7 +1,7 @@
-"""Flights of the simulator from which a network learns the velocity at the target.
+"""Simulated flights from which a network learns the velocity at the target.
 
-From the entry, and again from places along those flights with another curve, so that the
-network also knows what a re-planned flight meets.
+Flights start at the entry. Further flights start at places along these with another curve,
+so that the samples include flights that are planned again on the way.
 """
 
 import dataclasses
@@ -29,23 +29,26 @@ from ..planning.bezier_curve import K1, K2, bezier_law
 
 
 INTERVAL = 20.0
-"""s between the samples of a flight"""
+"""Time between the samples of a flight, s"""
 
 
 class Samples(eqx.Module):
-    """Situations on the way, and how the flights ended; every array has them in front."""
+    """Situations along flights, and the final velocities of these flights.
+
+    The first axis of every array is over the samples.
+    """
 
     situations: Situation
     final_velocity: Float[np.ndarray, " n"]
-    """m/s"""
+    """Velocity at the end of the flight, m/s"""
     flights: np.ndarray
-    """Number of the flight that each is of"""
+    """Number of the flight of each sample"""
     vehicles: np.ndarray
-    """Number of the vehicle that flies: the same where one flies again"""
+    """Number of the vehicle of each sample; a second flight of a vehicle has its number"""
     at_entry: np.ndarray
-    """Whether it is where the vehicle entered"""
+    """Whether each sample is at the entry of its vehicle"""
     left_out: dict[str, int] = eqx.field(static=True)
-    """Flown samples that are not among these, by the reason"""
+    """Number of samples that were left out, by reason"""
 
     def __len__(self) -> int:
         return len(self.flights)
@@ -67,20 +70,21 @@ def fly_samples(
     on_curve: bool = True,
     solver: AbstractSolver = FixedStep(),
 ) -> Samples:
-    """Fly the law without velocity control, dispersed, and sample the flights.
+    """Fly dispersed flights with the law without velocity control, and sample them.
 
     **Arguments:**
 
-    - `dispersions`: of what the network is to know, wider than it will meet; those of
-      lift and drag as factors of the vehicle.
-    - `flights`: from the entry.
-    - `again`: from places along those, with the third control point moved at random.
-    - `between`: velocities at the target (m/s) of the flights that count; all if not
-      given.
-    - `on_curve`: leave out the flights that did not keep to the curve. At a limit of the
-      angle of attack they leave it, and their end is another function of where they
-      began: their velocity is then far from that of the curve, from which holding the
-      command through the guidance cycles takes it by 12 m/s at most.
+    - `dispersions`: dispersions that the network must cover, wider than in use. Lift and
+      drag are dispersed as factors of the vehicle.
+    - `flights`: number of flights from the entry.
+    - `again`: number of flights from places along these, with a random change of the third
+      control point.
+    - `between`: range of velocities at the target (m/s) of the flights that count; None for
+      all flights.
+    - `on_curve`: whether to leave out flights that left the curve at a limit of the angle
+      of attack, since their end depends on the start in another way. They are recognised by
+      a final velocity far from that of the curve. On the curve the difference, which is due
+      to commands held over guidance cycles, is 12 m/s at most.
     - `solver`: as for `fly`.
     """
     first_key, second_key = jax.random.split(key)
@@ -112,7 +116,7 @@ def fly_samples(
 
 
 class _Flown(NamedTuple):
-    """Where in the history of a campaign there is something to learn from."""
+    """Places in the histories of a campaign that become samples."""
 
     flight: np.ndarray
     place: np.ndarray
@@ -152,7 +156,7 @@ def _samples(
     vehicles: np.ndarray,
     before: int,
 ) -> Samples:
-    """At all times of the flights that count, which are numbered from `before` on."""
+    """Samples at all places of `flown`. The flights are numbered from `before` on."""
     law = bezier_law(scenario)
     history = campaign.flights.history
     assert history is not None
@@ -183,7 +187,7 @@ def _moved_inputs(
     chosen: np.ndarray,
     key: Key[Array, ""],
 ) -> dict[str, np.ndarray]:
-    """Starts at some samples, with another third control point, by address."""
+    """Inputs by address for flights from samples, with a moved third control point."""
     law = bezier_law(scenario)
     history = campaign.flights.history
     assert history is not None
@@ -208,4 +212,4 @@ def _moved_inputs(
 
 
 _OFF_CURVE = 20.0
-"""m/s"""
+"""Difference of the final velocity above which a flight has left the curve, m/s"""

@@ -1,4 +1,4 @@
-"""Floor 9: the missions, a folder each."""
+"""Floor 9: the missions, one folder for each."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,13 +43,13 @@ ALL = {
 def find_mission(name: str | Path) -> Mission:
     """A mission by its name, or one of your own by its file.
 
-    A name is one of jentry's missions, or one that an installed package offers in the
-    entry-point group `jentry.missions`. A file is a path that ends in `.py`; it defines
-    `MISSION`. It may import other files of its folder.
+    A name is that of one of jentry's missions, or of a mission that an installed package
+    offers in the entry-point group `jentry.missions`. A file is a path that ends in `.py`.
+    It defines `MISSION`, and may import other files of its folder.
 
-    **Raises:** `ValueError` for an unknown name, with the nearest ones; for a file that
-    cannot be imported, with the line, or defines no mission; for a name that two
-    missions have.
+    **Raises:** `ValueError` for an unknown name, with the nearest names; for a file that
+    cannot be imported, with the line; for a file that defines no mission; and for a name
+    that two missions have.
 
         find_mission("mars-drag-tracking")
         find_mission("missions/my_lander.py")
@@ -78,7 +78,7 @@ def find_mission(name: str | Path) -> Mission:
 
 
 def every_mission() -> Iterator[Mission | ValueError]:
-    """Every mission of jentry and of installed packages, or why one cannot be had."""
+    """Every mission of jentry and of installed packages, or the error of its import."""
     for name in dict.fromkeys((*ALL, *packaged_missions())):
         try:
             yield find_mission(name)
@@ -87,6 +87,6 @@ def every_mission() -> Iterator[Mission | ValueError]:
 
 
 def _places(name: str) -> list[str]:
-    """Where there are missions of a name."""
+    """Descriptions of all missions with a name."""
     own = [f"the mission {name} of jentry"] if name in ALL else []
     return own + sorted(map(where_from, packaged_missions().get(name, ())))

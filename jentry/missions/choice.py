@@ -1,4 +1,4 @@
-"""What of a mission is flown: its law, one of its cases, in some of its worlds."""
+"""Choice of a law, a case and worlds of a mission."""
 
 import dataclasses
 import re
@@ -7,21 +7,22 @@ from typing import Any
 
 
 AXES = "law", "case", "world"
-"""What is chosen of a mission, independently of each other"""
+"""Independent choices that define a flight of a mission"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Choice:
     """A law, a case and worlds of a mission by their names.
 
-    A law that is not given is the mission's own. Without a case the flight starts as the
-    mission says, and without a world planet, vehicle and sensors are as it says.
+    If no law is given, it is the first law of the mission. Without a case, start and target
+    are those of the mission. Without a world, planet, vehicle and sensors are those of the
+    mission.
     """
 
     law: str | None = None
     case: str | None = None
     worlds: tuple[str, ...] = ()
-    """In the order in which they are applied"""
+    """Names of the worlds, in the order in which they are applied"""
 
     @classmethod
     def given(
@@ -30,9 +31,10 @@ class Choice:
         case: Any = None,
         world: Any = None,
     ) -> "Choice":
-        """Of names; a world may be one name, or several.
+        """The choice from names; `world` may be one name or several.
 
-        Raises `ValueError` for what is no name, and for a world that is given twice.
+        Raises `ValueError` for an argument that is not a name, and for a world that is
+        given twice.
         """
         several = world is None or isinstance(world, str)
         worlds = (() if world is None else (world,)) if several else world
@@ -52,9 +54,9 @@ class Choice:
 
     @classmethod
     def of(cls, text: str) -> "Choice":
-        """As it is written: `tracking case 3 world us-1976`. The inverse of `str`.
+        """The choice from its text, such as `tracking case 3 world us-1976`.
 
-        Raises `ValueError` for what is written otherwise.
+        This is the inverse of `str`. Raises `ValueError` for a text of another form.
         """
         form = r"(?P<law>\S+)?(?: ?case (?P<case>\S+))?(?P<worlds>(?: ?world \S+)*)"
         found = re.fullmatch(form, text)
@@ -74,17 +76,17 @@ class Choice:
 
     @property
     def folder(self) -> str:
-        """Its name as one of a folder."""
+        """Name of the choice for a folder."""
         return str(self).replace(" ", "-")
 
     @property
     def labels(self) -> dict[str, Any]:
-        """What results and configuration files say of it: what is chosen, and no more."""
+        """The choice as results and configuration files store it, without open choices."""
         told = {"law": self.law, "case": self.case, "world": list(self.worlds) or None}
         return {axis: names for axis, names in told.items() if names is not None}
 
     def over(self, other: "Choice") -> "Choice":
-        """This, and where it leaves something open the other one."""
+        """This choice, completed by the other one where it leaves something open."""
         return Choice(
             other.law if self.law is None else self.law,
             other.case if self.case is None else self.case,

@@ -1,4 +1,4 @@
-"""What a mission is: a scenario with a name, its dispersions and its published table."""
+"""A mission: scenarios with a name, dispersions and published values."""
 
 import dataclasses
 import re
@@ -21,7 +21,7 @@ Change = Callable[[Scenario], Scenario]
 
 _NAME = re.compile(r"\w[\w.-]*")
 _RESERVED = "all", "case", "world"
-"""What no law, case or world is called, since commands mean something else by it"""
+"""Names that no law, case or world may have, since commands use them otherwise"""
 
 _EXAMPLES = {
     "laws": "scenario",
@@ -43,7 +43,7 @@ _MEANT = {
 
 @dataclasses.dataclass(frozen=True)
 class PublishedValue:
-    """A number that a paper prints of its runs, and how the same is taken from ours."""
+    """A number that a paper prints for its runs, and the statistic that computes it."""
 
     name: str
     value: float
@@ -54,7 +54,7 @@ class PublishedValue:
 
 @dataclasses.dataclass(frozen=True)
 class Mission:
-    """A system, whole: what flies, what of it is uncertain, what has been published.
+    """A vehicle, an entry and a target, with laws, cases, worlds and dispersions.
 
     MISSION = Mission(
         name="my-lander",
@@ -63,61 +63,62 @@ class Mission:
         dispersions={"all": dispersions},
     )
 
-    A file that defines `MISSION` is flown by `jentry fly my_lander.py`; a package that
-    names its own in the entry-point group `jentry.missions`, by `jentry fly my-lander`.
+    `jentry fly my_lander.py` flies a file that defines `MISSION`. `jentry fly my-lander`
+    flies the mission of a package that names it in the entry-point group
+    `jentry.missions`.
     """
 
     name: str
-    """Name of letters, digits, dots, dashes and underscores: results go to such a folder"""
+    """Name of letters, digits, dots, dashes and underscores; a folder of results has it"""
     title: str
     laws: Mapping[str, Callable[[], Scenario]]
-    """The scenario under each guidance law; the first is the mission's own"""
+    """Functions that return the scenario under each law; the first is the default"""
     cases: Mapping[str, Change] = dataclasses.field(default_factory=dict)
-    """Other starts and targets: each a function of a scenario, whatever its law"""
+    """Functions that change the start or the target of a scenario with any law"""
     worlds: Mapping[str, Change] = dataclasses.field(default_factory=dict)
-    """Other planets, vehicles and sensors: likewise. Where a law's model is to know of
-    it, the function changes that as well"""
+    """Functions that change planet, vehicle or sensors of a scenario with any law. If the
+    onboard model shall include the change, the function changes that model too"""
     dispersions: Mapping[str, Callable[[], Mapping[str, Dispersion]]] = (
         dataclasses.field(default_factory=dict)
     )
-    """Readings of the dispersion table; the first is the mission's own. Functions, so
-    that importing a mission makes no array"""
+    """Functions that return tables of dispersions; the first is the default. They are
+    functions so that importing a mission makes no array"""
     source: str = ""
     """The paper, if there is one"""
     gains: tuple[str, ...] = ("guidance.gains", "guidance.observer")
-    """What `jentry tune` tunes unless told otherwise: addresses, or the beginnings of
-    some; those that a law does not have are left out"""
+    """Default gains of `jentry tune`: addresses, or beginnings of addresses; those that a
+    law does not have are left out"""
     tuned_for: tuple[str, ...] = ()
-    """What `jentry tune --of` is unless told otherwise, such as `drag_deviation=0.5`; the
-    misses where it is empty"""
+    """Default of `jentry tune --of`, such as `drag_deviation=0.5`; empty for the misses"""
     modes_faster_than: float | None = None
-    """Modes of the closed loop, in rad/s, whose least damping every `jentry tune` tells;
-    None for a mission whose tuning does not tell any"""
+    """Frequency, rad/s, above which `jentry tune` reports the least damping of the modes of
+    the closed loop; None if it reports none"""
     problems: Mapping[str, Callable[[], FlightProblem]] = dataclasses.field(
         default_factory=dict
     )
-    """What `jentry optimize` can be asked; the first is the mission's own"""
+    """Functions that return problems for `jentry optimize`; the first is the default"""
     train: Callable[..., dict[str, dict[str, Any]]] | None = None
-    """Function that trains the mission's networks: it takes a folder, a seed and options,
-    and returns the model cards by name"""
+    """Function that trains the networks of the mission. It takes a folder, a seed and
+    options, and returns the model cards by name"""
     figures: Mapping[str, DrawFigure] = dataclasses.field(
         default_factory=lambda: dict(USUAL)
     )
-    """What `jentry monte-carlo` draws of its campaigns, by name: functions of
+    """Figures that `jentry monte-carlo` draws of campaigns, by name: functions of
     `jentry.plots.FigureData`, such as those of `jentry.plots.USUAL` and `GLIDE`"""
     published: tuple[PublishedValue, ...] = ()
     published_note: str = ""
     published_law: str = ""
     published_dispersions: str = ""
-    """Reading of the dispersions that the published values belong to"""
+    """Name of the dispersions of the published values"""
     published_runs: int = 1000
-    """Number of runs of the published statistics: the size of the sets beside them"""
+    """Number of runs of the published statistics, and size of the sets beside them"""
     former_variants: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    """How what earlier versions called a variant is chosen now, as `Choice.of` reads it,
-    where that is not the law of the same name: for stored campaigns"""
+    """Present choices, as texts for `Choice.of`, by the names that earlier versions called
+    variants. They serve stored campaigns; a variant that is now a law with its name is
+    left out"""
     code: Mapping[str, str] = dataclasses.field(default_factory=dict)
-    """Digests of the files of a mission of one's own when it was imported, by name;
-    filled in by `find_mission`, stored with results, compared on resumption"""
+    """Digests of the files of your own mission when it was imported, by name.
+    `find_mission` sets them; they are stored with results and compared on resumption"""
 
     def __post_init__(self):
         if not _NAME.fullmatch(self.name):
@@ -152,12 +153,15 @@ class Mission:
             )
 
     def problem(self, name: str | None = None) -> FlightProblem:
-        """What `jentry optimize` is asked by a name. Raises `ValueError` if unknown."""
+        """The problem of `jentry optimize` with a name, or the first one.
+
+        Raises `ValueError` for an unknown name.
+        """
         return _build(self.problems, name, "problem", self.name)
 
     @property
     def labels(self) -> dict[str, Any]:
-        """What the results are known by: the mission's name, and its code if any."""
+        """Labels of the results: the name of the mission, and its code if there is any."""
         return {"mission": self.name} | ({"code": dict(self.code)} if self.code else {})
 
     @needs_float64
@@ -167,12 +171,12 @@ class Mission:
         case: str | None = None,
         world: str | Iterable[str] | None = None,
     ) -> Scenario:
-        """The nominal scenario under a law, in a case and in a world, or in several.
+        """The nominal scenario under a law, in a case and in one or several worlds.
 
-        The mission's own law if none is given.
+        The default is the first law of the mission, without a case and a world.
 
-        Raises `ValueError` for an unknown name, for what is no scenario, and for a law, a
-        case and worlds that do not go together.
+        Raises `ValueError` for an unknown name, for a function that does not return a
+        scenario, and for a law, a case and worlds that cannot be combined.
 
             find_mission("x-33").scenario("with-range", case="3")
         """
@@ -180,7 +184,7 @@ class Mission:
 
     @needs_float64
     def scenario_of(self, choice: Choice | str) -> Scenario:
-        """That of a choice, or of what `Choice.of` reads; see `scenario`."""
+        """The nominal scenario of a choice or of its text (`Choice.of`); see `scenario`."""
         choice = Choice.of(choice) if isinstance(choice, str) else choice
         law = _choose(self.laws, choice.law, "law", self.name)
         changes = [("case", choice.case, self.cases)] if choice.case is not None else []
@@ -199,7 +203,7 @@ class Mission:
             return with_leaves(scenario)
 
     def complete(self, choice: Choice) -> Choice:
-        """The choice with the mission's own law where it has none."""
+        """The choice, with the first law of the mission if it has none."""
         return choice.over(Choice(next(iter(self.laws))))
 
     def _scenario(self, made: Any, axis: str) -> Scenario:
@@ -211,9 +215,9 @@ class Mission:
         return made
 
     def dispersion_table(self, reading: str | None = None) -> Mapping[str, Dispersion]:
-        """The table of dispersions of a reading.
+        """The table of dispersions with a name, or the first one.
 
-        Raises `ValueError` for an unknown reading, and for what is no dispersion.
+        Raises `ValueError` for an unknown name, and for an entry that is not a dispersion.
         """
         table = _build(self.dispersions, reading, "dispersions", self.name)
         for name, dispersion in table.items():
@@ -228,7 +232,7 @@ class Mission:
 def _build(
     options: Mapping[str, Callable[[], Any]], name: str | None, what: str, mission: str
 ) -> Any:
-    """What is built under a name, or under the first."""
+    """The result of the function with a name, or of the first function."""
     build = _choose(options, name, what, mission)
     with known_numbers():
         return build()
@@ -249,5 +253,5 @@ def _choose(
 
 
 def standard_deviation(values: Any) -> float:
-    """Standard deviation of a sample: divided by the number less one."""
+    """Standard deviation of a sample, with the divisor n - 1."""
     return float(np.std(values, ddof=1))

@@ -1,8 +1,8 @@
-"""What the missions of the NPCG Toolbox share: the Earth, the errors, the linear bank.
+"""Common parts of the missions of the NPCG Toolbox: the Earth, dispersions, linear bank.
 
 The Earth is that of the examples `Earth_Apollo10` and `Earth_CAVH` of the NPCG Toolbox of
-Iowa State University (Y. Lee, D. Y. Lee, B. Wie, 2024); the air is "Hicks 2009" there. What
-is uncertain is all our own, in round numbers, and so are step and ceiling.
+Iowa State University (Y. Lee, D. Y. Lee, B. Wie, 2024), which calls the air "Hicks 2009".
+The dispersions, the step and the ceiling are our own round numbers.
 """
 
 import equinox as eqx
@@ -22,11 +22,11 @@ from ..world.us_standard_atmosphere import USStandardAtmosphere1976
 
 
 ROTATION_RATE = 7.292115e-5
-"""rad/s, of WGS 84; the toolbox has a turn in 86 400 s, which is 0.3 % slower"""
+"""Rotation rate, rad/s, of WGS 84; the toolbox has one turn in 86 400 s, 0.3 % slower"""
 CEILING = 125.0 * km
-"""Above which a flight has skipped out"""
+"""Altitude above which a flight has skipped out"""
 STEP = 0.5
-"""s; the bank is smooth within a guidance cycle"""
+"""Length of a step, s; the bank is smooth within a guidance cycle"""
 
 
 def earth(heating_coefficient: float, heating_exponent: int | float = 3) -> Planet:
@@ -50,9 +50,9 @@ def linear_bank(
     largest: float,
     kind: type[LinearBankShape] = LinearBankShape,
 ) -> LinearBankShape:
-    """Over the energy, from the bank now to that at the end, rad.
+    """Bank that is linear over the energy, from the present bank to that at the end, rad.
 
-    `first` is where it begins, before the first correction.
+    `first` is the present bank before the first correction.
     """
     return kind(
         end=energy(planet, end),
@@ -63,7 +63,7 @@ def linear_bank(
 
 
 def through_us_1976(scenario: Scenario) -> Scenario:
-    """Through the US Standard Atmosphere, while the law believes the exponential one."""
+    """US Standard Atmosphere 1976; the onboard model has the exponential atmosphere."""
     return eqx.tree_at(
         lambda s: s.planet.atmosphere, scenario, USStandardAtmosphere1976()
     )
@@ -76,7 +76,7 @@ def _initial(name: str, three_sigma: float) -> Dispersion:
 
 @computed_once
 def entry_errors() -> dict[str, Dispersion]:
-    """Of the state at entry: a tenth of a degree of each angle, and 10 m/s, at 3 sigma."""
+    """Entry state: a tenth of a degree of each angle, and 10 m/s, at 3 sigma."""
     tenth = 0.1 * degree
     return {
         "longitude": _initial("longitude", tenth),
@@ -89,7 +89,7 @@ def entry_errors() -> dict[str, Dispersion]:
 
 @computed_once
 def air_and_coefficients() -> dict[str, Dispersion]:
-    """At 3 sigma 30 % of the density and 10 % of each coefficient."""
+    """Density by 30 % and each coefficient by 10 % at 3 sigma."""
     coefficient = Normal(1.0, 0.1 / 3.0)
     return {
         "density": Dispersion(lambda s: s.planet.density_scale, Normal(1.0, 0.3 / 3.0)),

@@ -1,4 +1,4 @@
-"""Missions that are not jentry's: of a file of the user's, or of an installed package."""
+"""Missions from a file of the user or from an installed package."""
 
 import ast
 import contextlib
@@ -18,25 +18,25 @@ from .mission import Mission
 
 
 GROUP = "jentry.missions"
-"""Group of entry points: each has the name of a mission, and leads to it"""
+"""Group of entry points: each has the name of a mission, and points to it"""
 
 
 def is_file(name: str) -> bool:
-    """Whether a user means a file, and no name."""
+    """Whether a text is a file, not the name of a mission."""
     return name.endswith(".py")
 
 
 _FOUND: dict[Path, Mission] = {}
-"""The same file again is the same mission, which is not compiled anew"""
+"""Missions by file: a file that is loaded again is not compiled again if unchanged"""
 
 
 def mission_in_file(path: Path) -> Mission:
     """The mission that a file defines as `MISSION`.
 
-    The folder of the file is where its imports are looked for, after all other places.
+    Its imports are searched in the folder of the file, after all other places.
 
-    Raises `ValueError` for a file that is not there or defines no mission, for an error
-    while it is imported, with the line, and for an import that is ambiguous.
+    Raises `ValueError` for a file that does not exist or defines no mission, for an error
+    during its import, with the line, and for an ambiguous import.
     """
     path = path.resolve()
     if not path.is_file():
@@ -67,12 +67,12 @@ def mission_in_file(path: Path) -> Mission:
 
 
 EntryPoint = Any
-"""Of `importlib.metadata`, or of its backport, which stands in for it once somebody has
-imported that, as Dask does"""
+"""Entry point of `importlib.metadata` or of its backport, which replaces it once it is
+imported, as by Dask"""
 
 
 def packaged_missions() -> dict[str, list[EntryPoint]]:
-    """Entry points of the missions of installed packages, by name, not imported."""
+    """Entry points of the missions of installed packages, by name, without importing."""
     offered: dict[str, list[EntryPoint]] = {}
     for point in importlib.metadata.entry_points(group=GROUP):
         offered.setdefault(point.name, []).append(point)
@@ -80,7 +80,10 @@ def packaged_missions() -> dict[str, list[EntryPoint]]:
 
 
 def mission_of_package(point: EntryPoint) -> Mission:
-    """The mission that an entry point leads to. Raises `ValueError` as for a file."""
+    """The mission to which an entry point points.
+
+    Raises `ValueError` for the reasons of `mission_in_file`.
+    """
     where = f"mission {point.name!r} of {where_from(point)}"
     with _with_the_line(where):
         mission = point.load()
@@ -102,7 +105,7 @@ def mission_of_package(point: EntryPoint) -> Mission:
 
 
 def where_from(point: EntryPoint) -> str:
-    """Words for the package and the object of an entry point."""
+    """Text that names the package and the object of an entry point."""
     package = "a package" if point.dist is None else f"the package {point.dist.name}"
     return f"{package} ({point.value})"
 
@@ -110,11 +113,11 @@ def where_from(point: EntryPoint) -> str:
 def sources_of(
     start: Path, root: Path, names: Collection[str] | None
 ) -> dict[Path, bytes]:
-    """A Python file and all that it imports, directly or not, from below a folder.
+    """A Python file and all files below a folder that it imports, directly or not.
 
     **Arguments:**
 
-    - `names`: those of the modules at the top of the folder that count; None for all.
+    - `names`: modules at the top of the folder that are included; None for all.
     """
     found: dict[Path, bytes] = {}
     todo = [start]
@@ -129,7 +132,7 @@ def sources_of(
 def _imported(
     path: Path, contents: bytes, root: Path, names: Collection[str] | None
 ) -> Iterator[Path]:
-    """Files below a folder that are imported by one, at its top or in a function."""
+    """Files below a folder that a file imports, at its top or in a function."""
     for parts in _modules_imported(path, ast.parse(contents, path), root):
         if parts[0] == "jentry" or (names is not None and parts[0] not in names):
             continue
@@ -141,7 +144,7 @@ def _imported(
 
 
 def _modules_imported(path: Path, tree: ast.AST, root: Path) -> Iterator[list[str]]:
-    """Names of all that a file may import, each in its parts."""
+    """Names of all modules that a file may import, each split into its parts."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name.split(".") for alias in node.names)
@@ -165,7 +168,7 @@ def _digests(sources: Mapping[Path, bytes], root: Path) -> dict[str, str]:
 
 
 def _forget(sources: Collection[Path]) -> None:
-    """Have files that may have changed imported again, and not as they were before."""
+    """Remove modules of files that may have changed, so that they are imported again."""
     for name, module in sys.modules.copy().items():
         file = getattr(module, "__file__", None)
         if file is not None and Path(file) in sources:
@@ -173,7 +176,7 @@ def _forget(sources: Collection[Path]) -> None:
 
 
 def _refuse_ambiguous(path: Path, sources: Collection[Path]) -> None:
-    """Refuse an import of a file beside another one that Python finds elsewhere."""
+    """Refuse an import that means a file of the folder but that Python finds elsewhere."""
     importlib.invalidate_caches()
     beside = {file.relative_to(path.parent).parts[0] for file in sources}
     for name in sorted(first.removesuffix(".py") for first in beside - {path.name}):
@@ -191,7 +194,7 @@ def _refuse_ambiguous(path: Path, sources: Collection[Path]) -> None:
 def _own(
     mission: Any, where: str, code: Mapping[str, str], sources: Collection[Path]
 ) -> Mission:
-    """With its code, and functions whose errors are told with the line."""
+    """The mission with its code, and with functions whose errors name the line."""
     if not isinstance(mission, Mission):
         raise ValueError(f"{where} is a {type(mission).__name__}: it must be a Mission")
 
@@ -216,7 +219,7 @@ def _own(
 
 @contextlib.contextmanager
 def _with_the_line(where: str, sources: Collection[Path] = ()) -> Iterator[None]:
-    """Make any error a `ValueError` of one line, with the last place in some files."""
+    """Turn any error into a `ValueError` of one line that names the last of `sources`."""
     try:
         yield
     except (Exception, SystemExit) as error:

@@ -1,4 +1,4 @@
-"""What a stored campaign flew, as objects again: mission, scenario, solver."""
+"""Mission, scenario and solver of a stored campaign, as objects."""
 
 import json
 import re
@@ -17,7 +17,7 @@ from .mission import Mission
 
 
 _FIXED_STEP = re.compile(r"FixedStep\((?:step=(?P<step>[^,()]+))?\)")
-_ANOTHER = "it was flown by another jentry, or changed by more than numbers"
+_ANOTHER = "another version of jentry flew it, or more than numbers changed"
 
 
 def stored_mission(
@@ -27,11 +27,11 @@ def stored_mission(
 
     **Arguments:**
 
-    - `description`: that of the campaign, as `read_manifest` gives it.
-    - `file`: of a mission of one's own, which a description names without its place.
+    - `description`: description of the campaign, from `read_manifest`.
+    - `file`: file of your own mission; the description has its name, but not its path.
 
-    **Raises:** `CampaignError` for a campaign of no mission, of another mission than that
-    of the file, and of a file that has changed since; `ValueError` as `find_mission`.
+    **Raises:** `CampaignError` if the campaign has no mission, if its mission is not that
+    of the file, or if the file has changed since; `ValueError` as `find_mission`.
     """
     name = description.get("mission")
     if name is None:
@@ -58,9 +58,9 @@ def stored_mission(
 
 
 def stored_scenario(description: Mapping[str, Any], mission: Mission) -> Scenario:
-    """The nominal scenario that a campaign has flown, to the last bit of every number.
+    """The nominal scenario of a campaign, with every number to the last bit.
 
-    **Raises:** `CampaignError` where the mission does not have what was flown,
+    **Raises:** `CampaignError` if the mission does not have the scenario of the campaign,
     or has it with another structure.
     """
     choice = stored_choice(description, mission)
@@ -91,8 +91,8 @@ def stored_scenario(description: Mapping[str, Any], mission: Mission) -> Scenari
 
 
 def stored_choice(description: Mapping[str, Any], mission: Mission) -> Choice:
-    """The law, case and worlds that a campaign has flown; also what earlier versions of
-    jentry called a variant."""
+    """Law, case and worlds of a campaign, also of one with a variant of earlier versions of
+    jentry."""
     former = description.get("variant")
     if former is not None:
         return Choice.of(mission.former_variants.get(former, former))
@@ -101,9 +101,9 @@ def stored_choice(description: Mapping[str, Any], mission: Mission) -> Choice:
 
 
 def stored_solver(description: Mapping[str, Any]) -> FixedStep:
-    """The solver of a campaign that the command line has flown.
+    """The solver of a campaign that was flown from the command line.
 
-    Raises `CampaignError` for another one than `FixedStep` with its own method.
+    Raises `CampaignError` for a solver other than `FixedStep` with its default method.
     """
     found = _FIXED_STEP.fullmatch(description["solver"])
     if found is None:
@@ -115,10 +115,10 @@ def stored_solver(description: Mapping[str, Any]) -> FixedStep:
 
 
 def is_as_published(description: Mapping[str, Any], mission: Mission) -> bool:
-    """Whether a campaign flew what the mission's published values are of.
+    """Whether the published values of the mission apply to a campaign.
 
-    That is the published law with all of its numbers, and the published dispersions;
-    the step of the solver does not count.
+    They do for the published law with all of its numbers and the published dispersions.
+    The step of the solver may differ.
     """
     if (
         not mission.published
@@ -143,5 +143,5 @@ def _described(scenario: Scenario) -> dict[str, Any]:
 
 
 def _as_read(described: Any) -> Any:
-    """Plain values as they come back from a file: tuples are lists."""
+    """Plain values as they are read from a file: tuples become lists."""
     return json.loads(json.dumps(described))

@@ -15,36 +15,36 @@ AttitudeState = TypeVar("AttitudeState")
 
 
 class AbstractAttitude(eqx.Module, Generic[AttitudeState]):
-    """What stands between the command of a law and the controls that are flown.
+    """Response of the attitude: it turns the commands of a law into controls.
 
-    The state of the attitude is a pytree of floats that is integrated with the motion,
-    or None where nothing has to be remembered.
+    Its state is a pytree of floats that is integrated with the motion, or None if it has
+    no state.
     """
 
     first_angle_of_attack: eqx.AbstractVar[Scalar | None]
-    """Angle of attack at the start, rad; None where it is the one of the first command"""
+    """Angle of attack at the start, rad; None for that of the first command"""
 
     @abstractmethod
     def init(self, command: Controls) -> AttitudeState:
-        """Attitude at the start: at rest, and at the first command where none is given."""
+        """Attitude at the start, at rest: at the given angles or at the first command."""
 
     @abstractmethod
     def angle_of_attack(self, state: AttitudeState) -> Scalar | None:
-        """The angle of attack that is flown in a state, rad.
+        """Angle of attack of the vehicle in a state, rad.
 
-        None where it is the one that is commanded at the same instant.
+        It is None if it is the angle commanded at the same instant.
         """
 
     @abstractmethod
     def bank(self, state: AttitudeState) -> "Swing | None":
-        """The bank that is flown in a state, positive to the right, and how it turns.
+        """Bank of the vehicle in a state, positive to the right, and its rate.
 
-        None where it is the one that is commanded at the same instant.
+        It is None if it is the bank commanded at the same instant.
         """
 
     @abstractmethod
     def flown(self, state: AttitudeState, command: Controls) -> Controls:
-        """What the vehicle flies in a state."""
+        """Controls of the vehicle in a state, under a command."""
 
     @abstractmethod
     def rate(self, state: AttitudeState, command: Controls) -> AttitudeState:
@@ -52,7 +52,7 @@ class AbstractAttitude(eqx.Module, Generic[AttitudeState]):
 
 
 class IdealAttitude(AbstractAttitude[None]):
-    """The vehicle flies each command at once."""
+    """An attitude that follows each command at once."""
 
     first_angle_of_attack: ClassVar[None] = None
 
@@ -73,7 +73,7 @@ class IdealAttitude(AbstractAttitude[None]):
 
 
 class Swing(eqx.Module):
-    """An angle about one axis and how fast it turns, or the time derivative of both."""
+    """An angle about one axis and its rate, or the time derivatives of both."""
 
     angle: Scalar
     """Angle, rad"""
@@ -84,9 +84,9 @@ class Swing(eqx.Module):
 class Response(eqx.Module):
     """Second-order response of one angle to its command, with hard limits.
 
-    angle'' = frequency^2 (command - angle) - 2 damping frequency angle', as far as the
-    limits on the acceleration, the rate and the angle let it. The command is held within
-    the limits of the angle, and so is the angle that is flown.
+    angle'' = frequency^2 (command - angle) - 2 damping frequency angle', within the limits
+    on the acceleration, the rate and the angle. Both the command and the angle of the
+    vehicle are clamped to the limits of the angle.
     """
 
     frequency: Scalar = scalar(unit="rad/s", positive=True)
@@ -94,12 +94,12 @@ class Response(eqx.Module):
     rate_limit: Scalar = scalar(unit="rad/s", positive=True)
     acceleration_limit: Scalar = scalar(unit="rad/s2", positive=True)
     lower: Scalar = scalar(unit="rad")
-    """Smallest angle that is flown"""
+    """Smallest angle of the vehicle"""
     upper: Scalar = scalar(unit="rad")
-    """Largest angle that is flown"""
+    """Largest angle of the vehicle"""
 
     def within(self, angle: Scalar) -> Scalar:
-        """The nearest angle (rad) within the limits."""
+        """Angle (rad) clamped to the limits."""
         return clamp(angle, self.lower, self.upper)
 
     def turn(self, swing: Swing, command: Scalar) -> Swing:
@@ -120,18 +120,18 @@ class Response(eqx.Module):
 
 
 class Swings(eqx.Module):
-    """State of an attitude that takes its time."""
+    """State of a `SecondOrderAttitude`."""
 
     angle_of_attack: Swing
     bank_angle: Swing
 
 
 class SecondOrderAttitude(AbstractAttitude[Swings]):
-    """Angle of attack and bank that each follow their command as a `Response`.
+    """An attitude whose angle of attack and bank each follow their command as a `Response`.
 
-    A bank reversal takes the time that it takes, and goes through level wings: the
-    commanded bank is within [-pi, pi]. It starts at rest: at the angles that are given, or
-    at those of the first command, within the limits of the response.
+    A bank reversal takes time and passes through zero bank: the commanded bank is within
+    [-pi, pi]. The attitude starts at rest, at the given angles or at those of the first
+    command, within the limits of the response.
     """
 
     angle_of_attack_response: Response

@@ -1,4 +1,4 @@
-"""Path constraints: what may not be exceeded on the way, with names, units and limits."""
+"""Path constraints: quantities along the flight, with their names, units and limits."""
 
 import functools
 from abc import abstractmethod
@@ -22,7 +22,7 @@ from .state import Controls, EntryState
 
 
 class PathPoint(eqx.Module):
-    """A point of a flight: the state, what is flown there, and the air around it."""
+    """A point of a flight: the state, the controls and the air around the vehicle."""
 
     planet: Planet
     vehicle: Vehicle
@@ -40,17 +40,17 @@ class PathPoint(eqx.Module):
         controls: Controls,
         dynamics: AbstractDynamics = EntryDynamics(),
     ) -> "PathPoint":
-        """The point, with the air around it at its angle of attack."""
+        """The point at a state and controls, with its air data."""
         air = air_data(planet, vehicle, state, controls.angle_of_attack)
         return cls(planet, vehicle, state, controls, air, dynamics)
 
 
 class AbstractPathConstraint(eqx.Module):
-    """A quantity along the path of a flight, and how large it may become.
+    """A quantity along the path of a flight, with an upper limit.
 
-    Its name is the one under which the scenario holds it. A class of one's own states
-    `limit`, `unit` and `value`, and then has a peak, a column in the results and in the
-    tables, and a penalty:
+    Its name is its key in `Scenario.constraints`. Your own class states `limit`, `unit`
+    and `value`. It then has a peak, a column in the results and in the tables, and a
+    penalty:
 
         class NoseTemperature(AbstractConstraint):
             \"""Radiative equilibrium temperature at the stagnation point.\"""
@@ -67,17 +67,17 @@ class AbstractPathConstraint(eqx.Module):
     """
 
     limit: eqx.AbstractVar[Scalar | None]
-    """Largest value that is allowed; None where there is no limit"""
+    """Largest allowed value; None for no limit"""
     unit: ClassVar[str]
     """SI unit of the value and of the limit"""
     shown_unit: ClassVar[str | None] = None
-    """What tables and figures write in place of the unit, for the same number"""
+    """Text that tables and figures show in place of the unit, for the same number"""
 
     def excess(self, value: Scalar) -> Scalar:
-        """What a value exceeds the limit by, and zero within it.
+        """Excess of a value over the limit; zero within the limit.
 
-        It is a share of the limit, or in the unit of the value where the limit is not
-        positive, as that of the equilibrium glide. Without a limit it is zero.
+        It is a share of the limit. If the limit is not positive, such as that of the
+        equilibrium glide, it is in the unit of the value. Without a limit it is zero.
         """
         if self.limit is None:
             return jnp.zeros_like(value)
@@ -87,7 +87,7 @@ class AbstractPathConstraint(eqx.Module):
 
 
 class AbstractConstraint(AbstractPathConstraint):
-    """A constraint on a quantity that each point of the flight has by itself."""
+    """A constraint on a quantity that follows from one point of the flight."""
 
     @abstractmethod
     def value(self, point: PathPoint) -> Scalar:
@@ -95,14 +95,14 @@ class AbstractConstraint(AbstractPathConstraint):
 
 
 class AbstractIntegral(AbstractPathConstraint):
-    """A constraint on an integral over time, which is flown along with the motion.
+    """A constraint on an integral over time, which is integrated with the motion.
 
-    It begins at zero. A scenario without one integrates nothing more than the motion.
+    It begins at zero. Without such a constraint only the motion is integrated.
     """
 
     @abstractmethod
     def rate(self, point: PathPoint) -> Scalar:
-        """The integrand at a point of a flight: the unit of the integral, per second."""
+        """The integrand at a point of a flight, in the unit of the integral per second."""
 
 
 class Drag(AbstractConstraint):
@@ -147,9 +147,9 @@ class LoadFactor(AbstractConstraint):
 
 
 class NormalLoadFactor(AbstractConstraint):
-    """Aerodynamic acceleration across the airframe, in units of 9.80665 m/s2.
+    """Aerodynamic acceleration normal to the body axis, in units of 9.80665 m/s2.
 
-    lift * cos(angle of attack) + drag * sin(angle of attack)
+    It is lift * cos(angle of attack) + drag * sin(angle of attack).
     """
 
     limit: Scalar | None = optional_scalar()
@@ -163,7 +163,7 @@ class NormalLoadFactor(AbstractConstraint):
 
 
 class HeatLoad(AbstractIntegral):
-    """Heat per area that the stagnation point has taken: the integral of the heat rate."""
+    """Heat load at the stagnation point: the integral of the heat rate over time."""
 
     limit: Scalar | None = optional_scalar(unit="J/m2")
     unit = "J/m2"
@@ -173,12 +173,13 @@ class HeatLoad(AbstractIntegral):
 
 
 class EquilibriumGlide(AbstractConstraint):
-    """How much vertical acceleration lacks for an equilibrium glide at a bank angle.
+    """Missing vertical acceleration for an equilibrium glide at a bank angle.
 
-    It is in units of 9.80665 m/s2: zero where the flight-path angle would not change at
-    that bank angle, negative below this, in denser air, and positive above it. With the
-    limit 0 a vehicle at that bank can always keep its path from bending down. Near zero
-    path angle over a planet at rest, lift * cos(bank) = g - V^2 / r at a value of zero.
+    It is in units of 9.80665 m/s2. It is zero where the flight-path angle would not change
+    at that bank angle, negative below this altitude, in denser air, and positive above it.
+    With the limit 0 a vehicle at that bank can always stop its path from bending down. For
+    a small flight-path angle over a planet at rest, zero means
+    lift * cos(bank) = g - V^2 / r.
 
     Reference: D.-W. Lee, K.-R. Cho, H. Yan, "Re-Entry Trajectory Tracking Via an Inverse
     Dynamics Method", 2004, equation (8), for zero bank.
@@ -228,7 +229,7 @@ class ConstraintValues(Mapping[str, Any]):
     def __init__(
         self, values: Mapping[str, Any], units: Mapping[str, str] | None = None
     ):
-        """`units` are those in which the values are counted, by name."""
+        """`units` are the units of the values, by name."""
         self._values = {name: values[name] for name in sorted(values)}
         known = units or {}
         self._units = {name: known[name] for name in self._values if name in known}
@@ -270,7 +271,7 @@ class ConstraintValues(Mapping[str, Any]):
 def constraint_values(
     constraints: Constraints, point: PathPoint, integrals: Mapping[str, Scalar]
 ) -> ConstraintValues:
-    """The constrained quantities at a point; `integrals` are those up to there."""
+    """The constrained quantities at a point; `integrals` are those up to this point."""
     return ConstraintValues(
         {
             name: constraint.value(point)
@@ -283,10 +284,10 @@ def constraint_values(
 
 
 def limit_of(constraints: Constraints, kind: type) -> Scalar | None:
-    """The limit on a quantity: the smallest of the constraints of a class.
+    """The limit on a quantity: the smallest limit of the constraints of a class.
 
-    It is None where no constraint of the class has a limit. A law reads here what it has
-    to keep:
+    It is None if no constraint of the class has a limit. A law obtains here the limits
+    that it must respect:
 
         limit_of(measurement.constraints, HeatRate)
     """
@@ -304,9 +305,10 @@ def integrals_of(constraints: Constraints) -> dict[str, AbstractIntegral]:
 
 
 def excesses(constraints: Constraints, values: ConstraintValues) -> ConstraintValues:
-    """What the values of one flight exceed each limit by; see `excess`.
+    """Excess of the values of one flight over each limit; see `excess`.
 
-    Constraints without a limit are left out. With peaks it is the penalty of a loss:
+    Constraints without a limit are left out. The excesses of peaks serve as a penalty in a
+    loss:
 
         outputs = lambda scenario, flight: (
             misses(scenario, flight), excesses(scenario.constraints, flight.peaks)

@@ -24,11 +24,11 @@ from .state import Controls, EntryState
 
 
 _HALVINGS = 60
-"""Of the altitudes searched: down to the rounding of one"""
+"""Bisections of the altitudes that are searched: down to rounding"""
 
 
 class CorridorPoint(eqx.Module):
-    """Where level flight at a velocity meets the limit of a path constraint."""
+    """Altitude and drag of level flight at which a path constraint is at its limit."""
 
     altitude: Scalar = output(unit="m")
     drag: Scalar = output(unit="m/s2")
@@ -47,21 +47,22 @@ def corridor_point(
 ) -> CorridorPoint:
     """Altitude and drag of level flight where a constraint is at its limit.
 
-    The altitude at which it binds is found by bisection, so that the quantity must rise
-    or fall with the altitude; the air and the coefficients may be any. The result is
-    differentiable in all numbers that it is made of.
+    Bisection finds the altitude at which the constraint is at its limit, so the quantity
+    must rise or fall with the altitude throughout. Any atmosphere and any aerodynamics
+    will do. The result is differentiable in all numbers of the arguments.
 
     **Arguments:**
 
-    - `state`: gives velocity and direction; its altitude and its path angle do not count.
+    - `state`: gives velocity and direction; its altitude and flight-path angle are not
+      used.
     - `angle_of_attack`: rad.
-    - `altitudes`: the two between which the limit is sought, m.
+    - `altitudes`: the two altitudes between which the search takes place, m.
 
-    **Returns:** altitude (m) and drag (m/s2), or NaN where the limit is met at no
+    **Returns:** altitude (m) and drag (m/s2), or NaN if the quantity is at its limit at no
     altitude between these.
 
-    **Raises:** `ValueError` for a constraint that has no value at a point, such as an
-    integral, or no limit.
+    **Raises:** `ValueError` for a constraint without a value at a point, such as an
+    integral, and for a constraint without a limit.
     """
     limit = constraint.limit
     if limit is None or not isinstance(constraint, AbstractConstraint):
@@ -89,7 +90,8 @@ def corridor_point(
         return jnp.where(above, middle, low), jnp.where(above, high, middle)
 
     found, _ = lax.stop_gradient(lax.fori_loop(0, _HALVINGS, halved, (low, high)))
-    # The search is not differentiated: a step of Newton's method, of next to nothing, is.
+    # The search is not differentiated. One step of Newton's method is differentiated: it
+    # hardly changes the altitude and gives it its derivative.
     altitude = newton(by_jvp(excess), found, 1).x
     binds = excess(low) * excess(high) <= 0.0
     return CorridorPoint(
@@ -107,17 +109,18 @@ def entry_corridor(
     angle_of_attack: Vector,
     dynamics: AbstractDynamics = EntryDynamics(),
 ) -> dict[str, CorridorPoint]:
-    """Altitude and drag over velocity at which each constraint binds, by name.
+    """Altitude and drag over velocity at which each constraint is at its limit, by name.
 
-    Those of heat rate, dynamic pressure and load factors bound the drag from above and
-    the altitude from below, the one of the equilibrium glide the other way around.
-    Constraints without a limit, and integrals, bound nothing at a point and are left out.
+    Heat rate, dynamic pressure and load factors bound the drag from above and the altitude
+    from below. The equilibrium glide bounds the drag from below and the altitude from
+    above. Constraints without a limit and integrals are left out: they bound nothing at a
+    point.
 
     **Arguments:**
 
-    - `start`: gives latitude and heading, which matter over a planet that rotates.
+    - `start`: gives latitude and heading, which matter over a rotating planet.
     - `velocity`: m/s, shape (n,).
-    - `angle_of_attack`: rad at each of these, shape (n,).
+    - `angle_of_attack`: rad at each velocity, shape (n,).
 
         s = scenario
         curves = entry_corridor(
@@ -139,7 +142,7 @@ def entry_corridor(
 
 
 def bounding(constraints: Constraints) -> Constraints:
-    """Path constraints that bound the corridor: with a limit, and a value at each point."""
+    """Path constraints that bound the corridor: with a limit and a value at each point."""
     return {
         name: each
         for name, each in constraints.items()

@@ -29,15 +29,15 @@ Y = TypeVar("Y", bound=PyTree)
 
 
 class AbstractDynamics(eqx.Module):
-    """The equations of motion of a scenario: how fast its state changes, and where not.
+    """The equations of motion of a scenario, with their singular points.
 
-    A class of one's own states the rates, and overrides the two constants below where
-    they are others.
+    Your own class defines the rates, and overrides the two constants below if they
+    differ.
     """
 
     kept: ClassVar[Mapping[str, float]] = {}
-    """Components of the state that never change, with the value that each of them must
-    have at the start"""
+    """Components of the state that never change, with the value that each must have at the
+    start"""
 
     singular_points: ClassVar[tuple[SingularPoint, ...]] = (
         at_rest,
@@ -62,7 +62,7 @@ class AbstractDynamics(eqx.Module):
         return step_is_too_long(before, after, self.singular_points)
 
     def is_beyond(self, state: EntryState) -> Flag:
-        """Whether a flight has gone over a singular point, which adaptive steps can
+        """Whether a flight has passed over a singular point, which adaptive steps can
         miss."""
         return self.is_singular(state, state)
 
@@ -79,7 +79,7 @@ class EntryDynamics(AbstractDynamics):
 class EquatorialDynamics(AbstractDynamics):
     """Flight due east in the plane of the equator: `equatorial_dynamics`.
 
-    The lateral component of lift is left out. Only rest is a singular point.
+    The lateral component of lift is left out. The only singular point is at rest.
     """
 
     kept = {"latitude": 0.0, "heading": 0.5 * math.pi}
@@ -115,16 +115,16 @@ def rates_under(
 
     **Arguments:**
 
-    - `along`, `above`, `right`: of the velocity, components of the force, as
-      `aerodynamic_acceleration` has them. None costs nothing, where a zero would.
-    - `rotation_rate`: of the planet, rad/s. With None the planet is at rest.
+    - `along`, `above`, `right`: components of the force with respect to the velocity, as
+      in `aerodynamic_acceleration`. A component of None costs nothing; a zero would.
+    - `rotation_rate`: rotation rate of the planet, rad/s. With None the planet is at rest.
     """
     sin_path, cos_path = sincos(state.flight_path_angle)
     sin_heading, cos_heading = sincos(state.heading)
     sin_latitude, cos_latitude = sincos(state.latitude)
     velocity = state.velocity
     radius = planet.radius + state.altitude
-    # One division for each quantity: products are eight times as fast.
+    # One division by each quantity, then products: these are eight times as fast.
     per_velocity = 1.0 / velocity
     gravity = planet.gravity.acceleration(radius)
     ground_rate = velocity * cos_path * (1.0 / radius)
@@ -169,8 +169,8 @@ def equatorial_dynamics(
     """Time derivative of the state in the plane of the equator, flying due east.
 
     This is `entry_dynamics` at latitude 0 and heading 90 degrees without the lateral
-    forces, so that both stay: half the work. Over a sphere at rest every in-plane
-    flight can be written like this.
+    forces, so that latitude and heading are constant. It is half the work. Over a sphere at
+    rest, coordinates can be chosen so that any flight in a plane has this form.
     """
     sin_path, cos_path = sincos(state.flight_path_angle)
     velocity = state.velocity
@@ -195,9 +195,9 @@ def equatorial_dynamics(
 def with_respect_to(
     flow: Callable[[Y], Y], quantity: Callable[[Y], Scalar]
 ) -> Callable[[Y], Y]:
-    """Rates of the motion over another variable than time: energy, velocity, ...
+    """Rates of the motion over a variable other than time: energy, velocity, ...
 
-    `flow(state)` is the time derivative; the result divides it by the rate of
+    `flow(state)` is the time derivative. The result divides it by the rate of
     `quantity(state)`, and is singular where that rate is zero.
 
         over_energy = with_respect_to(flow, lambda state: energy(planet, state))

@@ -1,4 +1,4 @@
-"""Aerodynamic forces: what the air does to the vehicle."""
+"""Aerodynamic forces on the vehicle."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -12,7 +12,7 @@ from .state import Controls, EntryState
 
 
 class AirData(eqx.Module):
-    """The flow around the vehicle and the forces that it makes."""
+    """The flow around the vehicle and the specific forces that it causes."""
 
     density: Scalar
     """Density of the air, kg/m3"""
@@ -22,7 +22,7 @@ class AirData(eqx.Module):
     """Dynamic pressure, Pa"""
     mach: Scalar
     lift: Scalar
-    """Specific force across the relative wind, m/s2"""
+    """Specific force perpendicular to the relative wind, m/s2"""
     drag: Scalar
     """Specific force along the relative wind, m/s2"""
 
@@ -43,7 +43,7 @@ def velocity_over_air(
 
 
 def speed_over_air(wind: AbstractWind, state: EntryState) -> Scalar:
-    """Speed relative to the air, m/s; in still air the velocity itself."""
+    """Speed relative to the air, m/s; in still air it is the velocity of the state."""
     if isinstance(wind, StillAir):
         return state.velocity
     east, north, up = velocity_over_air(wind, state)
@@ -76,8 +76,9 @@ def aerodynamic_acceleration(
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Specific aerodynamic force along, above and to the right of the velocity, m/s2.
 
-    "Above" is the direction across the velocity in its vertical plane. In wind, lift and
-    drag refer to the velocity over the air, and the bank turns the lift about it.
+    "Above" is the direction perpendicular to the velocity in its vertical plane. In wind,
+    lift and drag refer to the velocity relative to the air, and the bank turns the lift
+    about that velocity.
     """
     air = air_data(planet, vehicle, state, controls.angle_of_attack)
     above = air.lift * controls.cos_bank

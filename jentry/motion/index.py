@@ -1,4 +1,4 @@
-"""What a reference is a function of: time, velocity, energy, altitude or downrange."""
+"""Indices of a reference: time, velocity, energy, altitude or downrange."""
 
 from abc import abstractmethod
 from typing import ClassVar
@@ -12,12 +12,12 @@ from .state import EntryState
 
 
 class AbstractIndex(eqx.Module):
-    """What a reference, a gain schedule or a segment of a flight is a function of.
+    """The independent variable of a reference, a gain schedule or a segment of a flight.
 
-    An index says its value and nothing else: its rates along a flight are taken by
-    forward differentiation, but for those of `EnergyIndex`, which are known. A law that
-    turns the bank needs an index whose rate does not depend on the bank, as that of every
-    function of time, position and velocity. One of your own:
+    An index defines only its value. Its rates along a flight follow by forward
+    differentiation; those of `EnergyIndex` are known in closed form. A law that commands
+    the bank needs an index whose rate does not depend on the bank. This holds for every
+    function of time, position and velocity. An index of your own:
 
         class MachIndex(AbstractIndex):
             def value(self, planet, time, state):
@@ -35,7 +35,7 @@ class AbstractIndex(eqx.Module):
 
 
 class TimeIndex(AbstractIndex):
-    """Time since the start, s: exact in the nominal case, poor under dispersions."""
+    """Time since the start, s: exact in nominal flights, poor in dispersed ones."""
 
     unit = "s"
 
@@ -44,7 +44,7 @@ class TimeIndex(AbstractIndex):
 
 
 class VelocityIndex(AbstractIndex):
-    """Velocity, m/s. It rises at first, and its second derivative contains the bank."""
+    """Velocity, m/s. It rises at first; its second derivative depends on the bank."""
 
     unit = "m/s"
 
@@ -53,7 +53,7 @@ class VelocityIndex(AbstractIndex):
 
 
 class EnergyIndex(AbstractIndex):
-    """V^2/2 + potential, J/kg: it falls throughout, so that it needs no gate."""
+    """Energy, V^2/2 + potential, J/kg. It falls throughout, so it needs no gate."""
 
     unit = "J/kg"
 
@@ -71,9 +71,9 @@ class AltitudeIndex(AbstractIndex):
 
 
 class DownrangeIndex(AbstractIndex):
-    """Downrange from an origin, m, as in `ground_track`: it rises throughout.
+    """Downrange from an origin, m, as in `ground_track`. It rises throughout.
 
-    The range to go to a target is the downrange of the target less this one.
+    The range to go to a target is the downrange of the target minus this downrange.
     """
 
     unit = "m"
@@ -86,9 +86,9 @@ class DownrangeIndex(AbstractIndex):
 
 
 def index_named(name: str, origin: EntryState) -> AbstractIndex:
-    """The index of a name; the downrange is counted from an origin.
+    """The index with a name; the downrange is counted from an origin.
 
-    **Raises:** `ValueError` for a name that is none of them.
+    **Raises:** `ValueError` for an unknown name.
     """
     indices = {
         "time": TimeIndex(),

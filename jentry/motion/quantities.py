@@ -32,7 +32,7 @@ def convective_heat_rate(
     """Heat rate at the stagnation point, W/m2, by Sutton and Graves.
 
     `coefficient` is that of the planet's gas, kg^0.5/m: 1.7415e-4 for air, 1.9027e-4
-    for Mars. Published studies take other powers of the velocity than 3.
+    for Mars. Some published studies use powers of the velocity other than 3.
 
     Reference: K. Sutton, R. A. Graves, NASA TR R-376, 1971.
     """
@@ -73,9 +73,10 @@ def ground_track(
 ) -> tuple[Scalar, Scalar]:
     """Downrange and crossrange from the origin, m, as arcs on the sphere's surface.
 
-    Downrange runs along the great circle through the origin in the direction of its
-    heading; crossrange is the distance from it, positive to the left. From the equator
-    due east they are longitude and latitude times the radius.
+    Downrange is counted along the great circle through the origin in the direction of its
+    heading. Crossrange is the distance from that circle, positive to the left. From an
+    origin on the equator with heading east they are longitude and latitude times the
+    radius.
     """
     x, y, z = _direction(state.longitude - origin.longitude, state.latitude)
     sin_latitude, cos_latitude = sincos(origin.latitude)
@@ -92,7 +93,7 @@ def ground_track(
 def from_ground_track(
     planet: Planet, origin: EntryState, downrange: Scalar, crossrange: Scalar
 ) -> tuple[Scalar, Scalar]:
-    """Longitude and latitude, rad, of what `ground_track` has the two of, m."""
+    """Longitude and latitude, rad, at a downrange and crossrange, m, of `ground_track`."""
     sin_along, cos_along = sincos(downrange / planet.radius)
     left, cos_across = sincos(crossrange / planet.radius)
     up, ahead = cos_across * cos_along, cos_across * sin_along
@@ -102,6 +103,6 @@ def from_ground_track(
     x = up * cos_latitude - north * sin_latitude
     y = ahead * sin_heading - left * cos_heading
     z = up * sin_latitude + north * cos_latitude
-    # By rounding it may be a little more than 1 at a pole.
+    # Rounding may make z a little larger than 1 at a pole.
     latitude = jnp.arcsin(clamp(z, -1.0, 1.0))
     return origin.longitude + jnp.arctan2(y, x), latitude

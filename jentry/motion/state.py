@@ -1,4 +1,4 @@
-"""State of the vehicle and the commands that it flies."""
+"""State and controls of the vehicle."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,15 +10,15 @@ from ..fields import ABOVE_GROUND, QUARTER, Flag, Scalar, in_unit, scalar
 
 
 _ROUNDING = 1e-9
-"""Of a sum of squares that is one; in single precision it is more"""
+"""Rounding of a sum of squares that is one; it is larger in single precision"""
 
 
 class EntryState(eqx.Module):
     """Position and planet-relative velocity of a point mass, or their time derivative.
 
-    Conventions, for the whole package: altitude above the sphere; longitude positive
-    east; velocity relative to the rotating planet; flight-path angle positive up;
-    heading clockwise from north, so that 90 degrees is east. The form is singular in
+    Conventions of the whole package: altitude above the sphere; longitude positive east;
+    velocity relative to the rotating planet; flight-path angle positive up; heading
+    clockwise from north, so that 90 degrees is east. These coordinates are singular in
     vertical flight, over the poles and at rest: `Outcome.SINGULAR`.
     """
 
@@ -33,12 +33,13 @@ class EntryState(eqx.Module):
 
 
 class Controls(eqx.Module):
-    """What a law commands, and what the vehicle flies of it: angle of attack and bank.
+    """Angle of attack and bank: the command of a law, or the controls of the vehicle.
 
-    Bank is carried as its cosine and sine, since the dynamics needs no more. It turns
-    the lift about the velocity; positive bank turns right. Their squares must add up to
-    one: a flight whose law commands others is stopped, `Outcome.NOT_A_BANK`. Only a law
-    with a surrogate switching, which shares reversals out, may have less.
+    The bank is stored as its cosine and sine, which are all that the dynamics needs. It
+    turns the lift about the velocity; a positive bank turns right. The squares of cosine
+    and sine must add up to one: a flight whose law commands another sum is stopped with
+    `Outcome.NOT_A_BANK`. Only a law with a surrogate switching, which distributes
+    reversals over time, may have a smaller sum.
     """
 
     angle_of_attack: Scalar = scalar(unit="rad")
@@ -54,11 +55,11 @@ class Controls(eqx.Module):
         return cls(angle_of_attack, cosine, sine)
 
     def off_a_bank(self, shares_reversals: bool = False) -> Scalar:
-        """How far the squares of cosine and sine add up to another sum than one.
+        """Difference of the sum of the squares of cosine and sine from one.
 
-        It is zero for what is a bank but for rounding and, with reversals that are shared
-        out, for any sum of no more than one. It is not negative, and has no derivative.
-        Numbers that are not finite are no concern of this.
+        It is zero within rounding of one and, if `shares_reversals`, for any sum of one or
+        less. It is never negative, and has no derivative. Numbers that are not finite are
+        not checked here.
         """
         excess = self.cos_bank * self.cos_bank + self.sin_bank * self.sin_bank - 1.0
         rounding = max(_ROUNDING, 32.0 * float(jnp.finfo(jnp.result_type(excess)).eps))
@@ -66,9 +67,9 @@ class Controls(eqx.Module):
         return lax.stop_gradient(jnp.where(off > rounding, off, 0.0))
 
     def unless(self, wrong: Flag) -> "Controls":
-        """These controls; where they are wrong their cosine of the bank is NaN.
+        """These controls; the cosine of the bank is NaN where they are `wrong`.
 
-        Every motion and every attitude reads the cosine.
+        Every motion and every attitude uses the cosine.
         """
         cosine = jnp.where(wrong, jnp.nan, self.cos_bank)
         return Controls(self.angle_of_attack, cosine, self.sin_bank)

@@ -1,4 +1,4 @@
-"""Floor 3: profiles, references, what the vehicle measures and believes."""
+"""Floor 3: profiles, references, measurements and onboard models."""
 
 from .estimation import (
     AbstractFactorEstimate as AbstractFactorEstimate,

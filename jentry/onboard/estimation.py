@@ -1,4 +1,4 @@
-"""What the vehicle infers of lift and drag from what its accelerometers sense."""
+"""Estimation of lift and drag factors from the accelerometers."""
 
 from abc import abstractmethod
 from typing import Generic, TypeVar
@@ -14,14 +14,14 @@ class AbstractFactors(eqx.Module):
 
     @abstractmethod
     def at(self, altitude: Scalar) -> "Factors":
-        """At an altitude, m."""
+        """Factors at an altitude, m."""
 
 
 class Factors(AbstractFactors):
-    """Actual specific forces in units of those that the onboard model expects.
+    """Actual specific forces in units of those that the onboard model predicts.
 
-    Density, and lift or drag coefficient, enter a specific force as a product: sensed
-    accelerations tell the product, and the motion depends on no more. The factor on the
+    Density and the lift or drag coefficient enter a specific force as a product. Sensed
+    accelerations determine the product, and the motion depends only on it. A factor on the
     density alone is not observable.
     """
 
@@ -33,20 +33,20 @@ class Factors(AbstractFactors):
 
 
 class AbstractFactorEstimate(eqx.Module):
-    """What is known of the factors after some samples."""
+    """Estimate of the factors after some samples."""
 
     @property
     @abstractmethod
     def factors(self) -> Factors:
-        """Where the vehicle is."""
+        """Factors at the vehicle."""
 
     @property
     @abstractmethod
     def ahead(self) -> AbstractFactors:
-        """Over the altitude, for what is predicted."""
+        """Factors over the altitude, for predictions."""
 
     def caveats(self) -> dict[str, Scalar]:
-        """What a reader of the results must know: see `AbstractSampledLaw.caveats`."""
+        """Reasons to doubt the results: see `AbstractSampledLaw.caveats`."""
         return {}
 
 
@@ -58,7 +58,7 @@ class AbstractFactorEstimator(eqx.Module, Generic[Estimate]):
 
     @abstractmethod
     def start(self, like: Scalar) -> Estimate:
-        """Before the first sample, when the model is believed."""
+        """Estimate before the first sample: the model without factors."""
 
     @abstractmethod
     def update(
@@ -69,18 +69,19 @@ class AbstractFactorEstimator(eqx.Module, Generic[Estimate]):
         expected: tuple[Scalar, Scalar],
         elapsed: Scalar,
     ) -> Estimate:
-        """After one more sample.
+        """Estimate after one more sample.
 
         **Arguments:**
 
-        - `altitude`: of the sample, m.
-        - `sensed`, `expected`: lift and drag, m/s2; of the model without factors.
-        - `elapsed`: since the sample before, s.
+        - `altitude`: altitude of the sample, m.
+        - `sensed`: sensed lift and drag, m/s2.
+        - `expected`: lift and drag of the model without factors, m/s2.
+        - `elapsed`: time since the previous sample, s.
         """
 
 
 class FactorEstimate(AbstractFactorEstimate):
-    """Factors, and the weight of the samples behind each, (m/s2)^2."""
+    """Factors, and the weight of the samples for each, (m/s2)^2."""
 
     here: Factors
     lift_weight: Scalar
@@ -96,11 +97,11 @@ class FactorEstimate(AbstractFactorEstimate):
 
 
 class FactorEstimator(AbstractFactorEstimator[FactorEstimate]):
-    """Recursive least squares with forgetting, for each axis: the same at all altitudes.
+    """Recursive least squares with forgetting, for each axis; equal at all altitudes.
 
     The estimate f minimises the sum of (sensed - f expected)^2 over the samples, each
-    weighted by exp(-age / time_constant): where the force is small against noise and
-    bias it says little. With a time constant of zero it is the last ratio, which is
+    weighted by exp(-age / time_constant). A force that is small beside noise and bias has
+    little influence. With a time constant of zero the estimate is the last ratio, which is
     exact with perfect accelerometers.
     """
 

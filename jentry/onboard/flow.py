@@ -1,4 +1,4 @@
-"""How the vehicle moves on board: sensed forces, and rates to the second by jvp."""
+"""Onboard motion of the vehicle: sensed forces, and second derivatives by jvp."""
 
 from collections.abc import Callable
 
@@ -14,7 +14,7 @@ from .navigation import Measurement
 
 
 class SensedPoint(eqx.Module):
-    """A point of the flight as the vehicle senses it, or its time derivative."""
+    """A point of the flight as sensed by the vehicle, or its time derivative."""
 
     time: Scalar
     state: EntryState
@@ -32,18 +32,18 @@ class BankedMotion(eqx.Module):
 
 
 Flow = Callable[[SensedPoint], SensedPoint]
-"""Time derivative of a point, without the part of the bank in it."""
+"""Time derivative of a point, without the contribution of the bank."""
 
 
 def sensed_flow(
     model: OnboardModel, angle_of_attack: Scalar, drag_rate: Scalar | None = None
 ) -> Flow:
-    """Motion on board where the vehicle senses its drag, at an angle of attack (rad).
+    """Onboard motion under the sensed drag, at an angle of attack (rad).
 
-    The planet is at rest, the air still and the lift sideways: the part of the vertical
-    lift is added by `twice_along`. The sensed drag is one of the coordinates. It changes
-    in proportion to the drag of the model; where its rate (m/s3) is known already it is
-    given as `drag_rate`.
+    The planet is at rest, the air is still and the lift acts sideways: `twice_along` adds
+    the contribution of the vertical lift. The sensed drag is one of the coordinates. It
+    changes in proportion to the drag of the model. If its rate (m/s3) is known already it
+    is passed as `drag_rate`.
 
     **Raises:** `ValueError` for a model with a wind.
     """
@@ -75,11 +75,11 @@ def twice_along(
 ) -> BankedMotion:
     """A quantity along the flight, with its second derivative affine in cos(bank).
 
-    By two nested forward derivatives. The quantity is a function of time, position,
-    velocity and drag, so that its rate does not contain the bank: the vertical lift,
-    `lift` (m/s2) times cos(bank), turns the flight path alone. What the sideways lift
-    adds to the second derivative is left out. It is zero for quantities of the motion in
-    the vertical plane.
+    The derivatives are two nested forward derivatives. The quantity is a function of time,
+    position, velocity and drag, so its rate does not contain the bank: the vertical lift,
+    `lift` (m/s2) times cos(bank), only turns the flight path. The contribution of the
+    sideways lift to the second derivative is neglected. It is zero for quantities of the
+    motion in the vertical plane.
     """
     point = SensedPoint(time, measurement.state, measurement.drag)
 
@@ -88,7 +88,7 @@ def twice_along(
         value, rate = jax.jvp(quantity, (point,), (rates,))
         return rate, (value, rates)
 
-    # Linearised once for two directions: half of the tracing of two forward derivatives.
+    # Linearised once for two directions, which halves the tracing time.
     rate, second, (value, rates) = jax.linearize(first, point, has_aux=True)
     turn = eqx.tree_at(
         lambda point: point.state.flight_path_angle,

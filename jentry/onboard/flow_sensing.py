@@ -1,4 +1,4 @@
-"""What the vehicle senses of the flow about it: its velocity over the air."""
+"""Flow sensors: measurement of the velocity over the air."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,13 +11,13 @@ from .sampling import normal_sample
 
 
 class AirVelocity(eqx.Module):
-    """Velocity relative to the air as it is sensed, m/s."""
+    """Sensed velocity relative to the air, m/s."""
 
     east: Scalar
     north: Scalar
     up: Scalar
     is_sensed: Flag
-    """Whether there is a reading; where there is none the numbers say nothing"""
+    """Whether there is a measurement; otherwise the numbers are meaningless"""
 
     @property
     def speed(self) -> Scalar:
@@ -25,7 +25,7 @@ class AirVelocity(eqx.Module):
         return jnp.sqrt(self.east**2 + self.north**2 + self.up**2)
 
     def axes(self) -> tuple[tuple[Scalar, Scalar, Scalar], ...]:
-        """Unit vectors (east, north, up) along it, to the right of it, and above it."""
+        """Unit vectors (east, north, up) along the velocity, to its right, and above it."""
         speed, ground = self.speed, jnp.sqrt(self.east**2 + self.north**2)
         along = self.east / speed, self.north / speed, self.up / speed
         right = self.north / ground, -self.east / ground, jnp.zeros_like(ground)
@@ -35,34 +35,34 @@ class AirVelocity(eqx.Module):
 
 
 class FlowSensors(eqx.Module):
-    """Flush air data: speed and direction of the flow, where it can be sensed.
+    """Flush air data: speed and direction of the flow, where they can be sensed.
 
-    A law is told at its guidance cycles. The errors are shares of the airspeed along it,
-    and angles across it, so that in m/s they are large where the vehicle is fast: half a
-    degree at 5 km/s is a side wind of 44 m/s, and at 500 m/s one of 4.
+    A law receives the measurement at its guidance cycles. The errors are shares of the
+    airspeed along the flow, and angles across it. In m/s they are therefore large at high
+    velocity: half a degree is a side wind of 44 m/s at 5 km/s, and of 4 m/s at 500 m/s.
     """
 
     speed_scale_error: Scalar = scalar(0.0)
     """Share of the airspeed"""
     side_error: Scalar = scalar(0.0, unit="rad")
-    """Angle by which the velocity over the air is sensed too far to the right"""
+    """Angle by which the sensed velocity over the air points too far to the right"""
     rise_error: Scalar = scalar(0.0, unit="rad")
-    """Angle by which it is sensed to point too far up"""
+    """Angle by which the sensed velocity over the air points too far up"""
     noise: Scalar = scalar(0.0, range=NOT_NEGATIVE)
     """Standard deviation of a sample of the speed, as a share of it, and of each angle,
     rad; the samples are independent"""
     noise_seed: Scalar = scalar(0.0, range=(0.0, 1.0), choice=True)
-    """A number between 0 and 1 that chooses the noise of this flight; disperse it with
+    """A number between 0 and 1 that selects the noise of this flight; disperse it with
     `Uniform(0, 1)`"""
     largest_mach: Scalar = scalar(20.0, positive=True)
     """Mach number above which nothing is sensed"""
     least_dynamic_pressure: Scalar = scalar(850.0, unit="Pa", range=NOT_NEGATIVE)
-    """Below which nothing is sensed"""
+    """Dynamic pressure below which nothing is sensed"""
 
     def read(
         self, planet: Planet, state: EntryState, air: AirData, sampled_at: Scalar
     ) -> AirVelocity:
-        """A sample at a time, s."""
+        """Sample at a time, s."""
         senses = air.mach <= self.largest_mach
         senses &= air.dynamic_pressure >= self.least_dynamic_pressure
         actual = AirVelocity(*velocity_over_air(planet.wind, state), senses)
@@ -81,4 +81,4 @@ class FlowSensors(eqx.Module):
 
 
 _FIRST_AXIS = 2
-"""Behind those of the accelerometers, of which the noise is another with the same seed"""
+"""First noise axis, after those of the accelerometers: the noise differs for equal seeds"""

@@ -1,8 +1,8 @@
 """Linear-quadratic regulation over a finite horizon: by collocation, and by Riccati.
 
-The cost is x(t_f)' P_f x(t_f) / 2 and the integral of (x' Q x + u' R u) / 2 along
-dx/dt = A(t) x + B(t) u. What it costs to go on from x at t is x' S(t) x / 2, and the
-control that costs least is u = -R^-1 B' S x.
+The cost is x(t_f)' P_f x(t_f) / 2 plus the integral of (x' Q x + u' R u) / 2 along
+dx/dt = A(t) x + B(t) u. The cost to go from x at t is x' S(t) x / 2, and the optimal
+control is u = -R^-1 B' S x.
 
 Reference: D.-W. Lee, K.-R. Cho, H. Yan, "Re-Entry Trajectory Tracking Via an Inverse
 Dynamics Method", KSME International Journal 18(9), 2004, section 4.
@@ -25,14 +25,14 @@ from ..fields import Count, Scalar, Vector, table
 Square = Float[Array, "states states"]
 Control = Float[Array, "states controls"]
 System = Callable[[Scalar], tuple[Square, Control]]
-"""A and B over the time"""
+"""A and B as functions of the time"""
 SplitSystem = Callable[[Count, Scalar], tuple[Square, Control]]
-"""A and B by the part of the horizon, from 0, and over the time: smooth within each part.
-At the end of a part they are those of this side of a jump"""
+"""A and B as functions of the part of the horizon, from 0, and of the time. They are smooth
+within each part; at its end they are those before a jump"""
 
 
 class Weights(eqx.Module):
-    """What deviations cost."""
+    """Weights of the cost."""
 
     states: Float[Array, "..."] = table()
     """Q"""
@@ -55,7 +55,7 @@ class Weights(eqx.Module):
             )
 
     def gain(self, cost_to_go: Square, control: Control) -> Float[Array, "controls n"]:
-        """K of u = -K x, from S and B; and -u from costates and B, (29)."""
+        """K of u = -K x, from S and B; or -u, from costates and B, (29)."""
         return self.per_control @ (control.T @ cost_to_go)
 
     @property
@@ -65,13 +65,15 @@ class Weights(eqx.Module):
 
 
 class Plan(eqx.Module):
-    """The optimal motion from unit deviations at the start, at the nodes; or in each part
-    of a horizon, along a leading axis."""
+    """The optimal motion from unit deviations at the start, at the nodes.
+
+    With several parts of a horizon they are along a leading axis.
+    """
 
     states: Float[Array, "*parts nodes states states"]
-    """W_1 of (57): each column of the last two axes from one unit deviation"""
+    """W_1 of (57): a column of the last two axes for each unit deviation"""
     costates: Float[Array, "*parts nodes states states"]
-    """W_2 of (57); the one at the start is the cost to go"""
+    """W_2 of (57); that at the start is the cost to go"""
     controls: Float[Array, "*parts nodes controls states"]
     """M W_2 of (58)"""
 
@@ -83,10 +85,10 @@ def collocated_plan(
     end: Scalar | float,
     degree: int,
 ) -> Plan:
-    """The optimal motion by (33), (34) at the Legendre-Gauss-Lobatto nodes, all at once.
+    """The optimal motion by (33), (34) at all Legendre-Gauss-Lobatto nodes at once.
 
-    Of (52) the equation of the states at the first node and that of the costates at the
-    last one are left out, where the ends are given: with them there would be more
+    The equation (52) of the states at the first node and that of the costates at the last
+    node are left out, where the ends are prescribed: with them there would be more
     equations than unknowns. Between start and end A and B must be smooth; where they
     jump, see `collocated_plans`.
     """
@@ -155,16 +157,17 @@ def collocated_plans(
 ) -> Plan:
     """The optimal motion in each part of a horizon, from unit deviations at its start.
 
-    A horizon in which A or B jump is split there, and may be split elsewhere: many parts
-    of a low degree cost less than one of a high degree. What is to be paid from the end of
-    a part on is its final weight. A part may have no length.
+    A horizon in which A or B jump is split at the jumps, and may be split elsewhere: many
+    parts of a low degree cost less than one of a high degree. The final weight of a part
+    is the cost to go from its end. A part may have zero length.
 
     **Arguments:**
 
-    - `ends`: of the parts, shape (parts + 1,), from the start of the horizon to its end.
-    - `degree`: of the polynomials in each part.
+    - `ends`: ends of the parts, shape (parts + 1,), from the start of the horizon to its
+      end.
+    - `degree`: degree of the polynomials in each part.
 
-    Returns the plans of the parts, along a leading axis.
+    **Returns:** the plans of the parts, along a leading axis.
     """
 
     def one(final: Square, part: Count) -> tuple[Square, Plan]:
@@ -181,16 +184,17 @@ def collocated_plans(
 def cost_to_go(
     system: SplitSystem, weights: Weights, ends: Vector, degree: int = 30
 ) -> Square:
-    """S at the first of `ends`, by collocation; arguments as of `collocated_plans`."""
+    """S at the first of `ends`, by collocation; arguments as in `collocated_plans`."""
     return collocated_plans(system, weights, ends, degree).costates[0, 0]
 
 
 def riccati_cost_to_go(
     system: SplitSystem, weights: Weights, ends: Vector, tolerance: float = 1e-11
 ) -> Square:
-    """The same by Riccati's differential equation, backward, with adaptive steps.
+    """S at the first of `ends`, by Riccati's differential equation with adaptive steps.
 
-    -dS/dt = A' S + S A - S B R^-1 B' S + Q. Slow: what `cost_to_go` is judged by.
+    -dS/dt = A' S + S A - S B R^-1 B' S + Q, backward in time. This is slow; it serves to
+    verify `cost_to_go`.
     """
 
     def slope(time, s, part):

@@ -1,4 +1,4 @@
-"""The motion in the vertical plane, a flight in it that is a reference, and its linear
+"""The motion in the vertical plane, a reference flight in that plane, and its linear
 model."""
 
 import dataclasses
@@ -25,7 +25,7 @@ EAST = 0.5 * jnp.pi
 
 
 class LongitudinalState(eqx.Module):
-    """Where a vehicle is in the vertical plane, or its rates."""
+    """Longitudinal state of a vehicle, or its rates."""
 
     altitude: Scalar = scalar(unit="m")
     velocity: Scalar = scalar(unit="m/s")
@@ -37,14 +37,14 @@ class LongitudinalState(eqx.Module):
     def of(
         cls, planet: Planet, state: EntryState, origin: EntryState | None = None
     ) -> "LongitudinalState":
-        """Of a flight; the downrange from an origin, as in `ground_track`, or zero."""
+        """State of a flight; the downrange is from an origin (`ground_track`) or zero."""
         downrange = jnp.zeros_like(state.altitude)
         if origin is not None:
             downrange, _ = ground_track(planet, origin, state)
         return cls(state.altitude, state.velocity, state.flight_path_angle, downrange)
 
     def eastward(self) -> EntryState:
-        """The same on the equator to the east, at longitude zero."""
+        """This state on the equator to the east, at longitude zero."""
         nothing = jnp.zeros_like(self.altitude)
         return EntryState(
             self.altitude,
@@ -59,12 +59,12 @@ class LongitudinalState(eqx.Module):
 def along_equator(
     model: OnboardModel, state: EntryState
 ) -> tuple[OnboardModel, EntryState]:
-    """Model and state of a flight along the equator, from longitude zero, in place of that
-    along the great circle that is flown now: of the rotation, what is about the axis of
-    that circle.
+    """Model and state of an equatorial flight in place of one along the great circle.
 
-    The rest pushes to the side, which reversals of a bank make up for, and so does a part
-    of the centrifugal acceleration, of 0.02 m/s2 for the Earth.
+    The flight starts at longitude zero. The planet of the model has only that component of
+    its rotation which is about the axis of the present great circle. The rest of the
+    rotation, and a part of the centrifugal acceleration (0.02 m/s2 for the Earth), act to
+    the side; bank reversals compensate for them.
     """
     share = sincos(state.latitude)[1] * sincos(state.heading)[0]
     turned = eqx.tree_at(
@@ -74,9 +74,9 @@ def along_equator(
 
 
 class LongitudinalModel(eqx.Module):
-    """The motion on board in the vertical plane, over a planet at rest.
+    """The onboard motion in the vertical plane, over a planet at rest.
 
-    The angle of attack is given; the control is the lift upwards, in units of the drag.
+    The angle of attack is scheduled. The control is the upward lift, in units of the drag.
     """
 
     onboard: OnboardModel
@@ -84,7 +84,7 @@ class LongitudinalModel(eqx.Module):
     """rad, over the velocity in m/s"""
 
     def lift_to_drag(self, state: LongitudinalState) -> Scalar:
-        """All of it: that upwards is at most this."""
+        """Lift-to-drag ratio, the largest value of the upward one."""
         angle = self.angle_of_attack(state.velocity)
         return self.onboard.lift_to_drag(self._here(state), angle)
 
@@ -104,13 +104,13 @@ class LongitudinalModel(eqx.Module):
         )
 
     def _here(self, state: LongitudinalState) -> EntryState:
-        """To the east, where a wind is not that of where the vehicle flies to."""
+        """The state to the east; a wind would not be that of the actual heading."""
         require_still_air(self.onboard.planet, "the motion in the vertical plane")
         return state.eastward()
 
 
 class Units(eqx.Module):
-    """What makes the longitudinal motion one without dimensions."""
+    """Units in which the longitudinal motion has no dimensions."""
 
     length: Scalar
     """Radius of the planet, m"""
@@ -153,22 +153,22 @@ def linearized(
 
 
 class ReferencePoint(eqx.Module):
-    """Where the reference is, and what it flies there."""
+    """State and control of the reference at a time."""
 
     state: LongitudinalState
     lift_to_drag_up: Scalar
 
 
 class LongitudinalReference(eqx.Module):
-    """A flight in the vertical plane over the time, in parts between which its control may
-    jump.
+    """A reference flight in the vertical plane over the time, in parts.
 
-    In each part a polynomial through the values at Legendre-Gauss-Lobatto nodes. Before
-    the start and after the end it stays as it is there.
+    The control may jump between parts. In each part the reference is a polynomial through
+    the values at Legendre-Gauss-Lobatto nodes. Before the start and after the end it is
+    constant.
     """
 
     ends: Vector = table(unit="s", increasing=True)
-    """Of the parts, shape (parts + 1,)"""
+    """Ends of the parts, shape (parts + 1,)"""
     altitude: Float[Array, "parts nodes"] = table(unit="m")
     velocity: Float[Array, "parts nodes"] = table(unit="m/s")
     flight_path_angle: Float[Array, "parts nodes"] = table(unit="rad")
@@ -187,18 +187,18 @@ class LongitudinalReference(eqx.Module):
                 )
 
     def part(self, time: Scalar) -> Count:
-        """Which of the parts counts at a time (s), from 0."""
+        """Number of the part at a time (s), from 0."""
         return interval(self.ends, time)
 
     def in_part(self, part: Count, time: Scalar) -> ReferencePoint:
-        """At a time (s) of a part; at its ends the values of this part."""
+        """Reference at a time (s) in a part; at the ends the values of this part."""
         x = on_nodes(self.ends[part], self.ends[part + 1], time)
         values = jnp.stack([getattr(self, name)[part] for name in _COLUMNS])
         *state, control = jnp.asarray(jax.vmap(interpolate, (0, None))(values, x))
         return ReferencePoint(LongitudinalState(*state), control)
 
     def at(self, time: Scalar) -> ReferencePoint:
-        """At a time, s."""
+        """Reference at a time, s."""
         return self.in_part(self.part(time), time)
 
     @property
@@ -212,9 +212,9 @@ _COLUMNS = (*_STATE, "lift_to_drag_up")
 
 
 def on_nodes(start: Scalar, end: Scalar, time: Scalar) -> Scalar:
-    """A time between two as a place from -1 to 1; -1 where they are the same."""
+    """A time between two others as a place from -1 to 1; -1 if the two are equal."""
     length = end - start
     there = length > 0.0
     x = 2.0 * (time - start) / jnp.where(there, length, 1.0) - 1.0
-    # Not `clip`, which at the ends themselves has half of the derivative.
+    # Not `clip`, which at the ends has half of the derivative.
     return jnp.where(there, jnp.where(jnp.abs(x) <= 1.0, x, jnp.sign(x)), -1.0)

@@ -1,4 +1,4 @@
-"""What a law believes of planet and vehicle."""
+"""The onboard model: the planet and vehicle that a law assumes."""
 
 import equinox as eqx
 import jax
@@ -15,22 +15,22 @@ from ..world.wind import StillAir
 
 
 _INVERSIONS = 5
-"""Newton steps for the angle of attack; a lift that is linear in it takes one"""
+"""Newton steps for the angle of attack; a lift that is linear in it needs one"""
 
 
 class OnboardModel(eqx.Module):
-    """The nominal world on board: a copy of its own, which dispersing the truth leaves.
+    """Nominal planet and vehicle on board, which dispersions of the truth do not change.
 
-    Any atmosphere, gravity and aerodynamics. What laws need beside the forces is taken
-    from these by forward differentiation, in the state and at the angle of attack (rad)
-    that are flown.
+    Any atmosphere, gravity and aerodynamics can be used. Quantities that laws need beside
+    the forces are computed from these by forward differentiation, in the actual state and
+    at the actual angle of attack (rad).
     """
 
     planet: Planet
     vehicle: Vehicle
 
     def scale_height(self, state: EntryState) -> Scalar:
-        """Density over its decrease with altitude, -rho / rho', m."""
+        """Scale height of the density, -rho / rho', m."""
         altitude = state.altitude
         density, slope = jax.jvp(
             self._above(state).density, (altitude,), (jnp.ones_like(altitude),)
@@ -52,8 +52,8 @@ class OnboardModel(eqx.Module):
     def logarithm_of_drag(self, state: EntryState, angle_of_attack: Scalar) -> Scalar:
         """Natural logarithm of the drag, up to a constant.
 
-        Its rate is that of the drag in units of the drag, whatever factor the actual
-        drag has on the modelled one.
+        Its rate is that of the drag in units of the drag, for any constant factor between
+        actual and modelled drag.
         """
         _, drag = self._coefficients(state, angle_of_attack)
         density = self._above(state).density(state.altitude)
@@ -63,10 +63,10 @@ class OnboardModel(eqx.Module):
     def angle_of_attack_for(
         self, state: EntryState, lift: Scalar, least: Scalar, largest: Scalar
     ) -> Scalar:
-        """Angle of attack between two bounds (rad) at which there is a lift (m/s2).
+        """Angle of attack between two bounds (rad) that gives a lift (m/s2).
 
-        The lift coefficient must rise between the bounds; where no angle
-        between them has the lift it is the bound that comes nearest.
+        The lift coefficient must rise between the bounds. If no angle between them gives
+        the lift, the result is the nearer bound.
         """
         here, airspeed = self._above(state), speed_over_air(self.planet.wind, state)
         pressure = 0.5 * here.density(state.altitude) * airspeed * airspeed
@@ -87,7 +87,7 @@ class OnboardModel(eqx.Module):
     def coefficients_with_slopes(
         self, state: EntryState, angle_of_attack: Scalar
     ) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
-        """Lift and drag coefficient, each with its slope over that angle, 1/rad."""
+        """Lift and drag coefficient, each with its slope over the angle, 1/rad."""
         (lift, drag), (lift_slope, drag_slope) = jax.jvp(
             lambda angle: self._coefficients(state, angle),
             (angle_of_attack,),
@@ -107,12 +107,12 @@ class OnboardModel(eqx.Module):
 
 
 def require_still_air(planet: Planet, what: str, instead: str = "") -> None:
-    """Refuse a planet of a model whose wind would be left out, where it is computed.
+    """Refuse a planet with a wind, for a computation that neglects it.
 
     **Arguments:**
 
-    - `what`: that takes the air to be still, as the subject of a sentence.
-    - `instead`: what to do beside taking the wind off.
+    - `what`: computation that assumes still air, as the subject of a sentence.
+    - `instead`: alternative to removing the wind.
 
     **Raises:** `ValueError` for any wind but `StillAir`.
     """

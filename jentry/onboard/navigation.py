@@ -1,4 +1,4 @@
-"""What the vehicle measures of its own flight."""
+"""Measurements of the vehicle."""
 
 from abc import abstractmethod
 
@@ -16,49 +16,49 @@ from .sampling import normal_sample
 
 
 class Measurement(eqx.Module):
-    """All that a law is told of the true flight, and of what it may not exceed."""
+    """Everything that a law knows of the true flight, with its path constraints."""
 
     state: EntryState
     lift: Scalar
-    """Sensed specific force across the relative wind, m/s2"""
+    """Sensed specific force normal to the relative wind, m/s2"""
     drag: Scalar
     """Sensed specific force along the relative wind, m/s2"""
     angle_of_attack: Scalar
-    """Angle of attack that is flown, at which the forces are sensed, rad"""
+    """Actual angle of attack, at which the forces are sensed, rad"""
     trim_angle_of_attack: Scalar
-    """Angle of attack at which the vehicle flies where its law leaves it alone, rad"""
+    """Angle of attack at which the vehicle trims if its law does not command one, rad"""
     constraints: Constraints = eqx.field(default_factory=dict)
-    """Those of the scenario: what the law has to keep below their limits"""
+    """Path constraints of the scenario, whose limits the law should respect"""
     bank: Swing | None = None
-    """Bank that is flown, positive to the right, and how it turns; None where commands are
-    flown at once, and before the first one"""
+    """Actual bank, positive to the right, and its motion; None if commands take effect at
+    once, and before the first one"""
     air_velocity: AirVelocity | None = None
-    """Velocity over the air as sensed at a guidance cycle; None between cycles, and where
-    the scenario has no flow sensors"""
+    """Velocity over the air, sensed at a guidance cycle; None between cycles, and if the
+    scenario has no flow sensors"""
 
 
 class AbstractAccelerometers(eqx.Module):
-    """What is sensed of the specific forces."""
+    """Sensing of the specific forces."""
 
     @abstractmethod
     def read(self, air: AirData, sampled_at: Scalar | None) -> tuple[Scalar, Scalar]:
-        """Lift and drag, m/s2.
+        """Sensed lift and drag, m/s2.
 
         **Arguments:**
 
-        - `sampled_at`: time of the sample, s; none where it is read between samples.
+        - `sampled_at`: time of the sample, s; None between samples.
         """
 
 
 class PerfectAccelerometers(AbstractAccelerometers):
-    """The actual forces."""
+    """Accelerometers without errors: the actual forces."""
 
     def read(self, air: AirData, sampled_at: Scalar | None) -> tuple[Scalar, Scalar]:
         return air.lift, air.drag
 
 
 class Accelerometers(AbstractAccelerometers):
-    """One along and one across the relative wind, each with errors of its own."""
+    """Two accelerometers, along and normal to the relative wind, with separate errors."""
 
     lift_bias: Scalar = scalar(0.0, unit="m/s2")
     drag_bias: Scalar = scalar(0.0, unit="m/s2")
@@ -68,7 +68,7 @@ class Accelerometers(AbstractAccelerometers):
     noise: Scalar = scalar(0.0, unit="m/s2", range=NOT_NEGATIVE)
     """Standard deviation of a sample; the samples are independent"""
     noise_seed: Scalar = scalar(0.0, range=(0.0, 1.0), choice=True)
-    """A number between 0 and 1 that chooses the noise of this flight; disperse it with
+    """A number between 0 and 1 that selects the noise of this flight; disperse it with
     `Uniform(0, 1)`"""
 
     def read(self, air: AirData, sampled_at: Scalar | None) -> tuple[Scalar, Scalar]:
@@ -91,10 +91,10 @@ def measure(
     bank: Swing | None = None,
     flow_sensors: FlowSensors | None = None,
 ) -> Measurement:
-    """Perfect navigation, accelerometers and flow sensors, at an angle of attack (rad).
+    """Measurement with perfect navigation, and with accelerometers and flow sensors.
 
-    `sampled_at` as of `AbstractAccelerometers.read`; `constraints` and `bank` are told as
-    they are.
+    `angle_of_attack` is the actual one, rad. `sampled_at` is that of
+    `AbstractAccelerometers.read`. `constraints` and `bank` are passed on unchanged.
     """
     air = air_data(planet, vehicle, state, angle_of_attack)
     lift, drag = accelerometers.read(air, sampled_at)

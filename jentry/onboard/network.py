@@ -1,7 +1,7 @@
-"""A small network from numbers of a flight to one number, and the file that it is kept in.
+"""A small network from several numbers of a flight to one number, and its file format.
 
-Weights travel with their model card: what goes in and within which ranges the network was
-trained, what comes out and with what error, and how to train it again.
+Weights are stored with their model card: the inputs and their ranges in training, the
+output and its error, and how to train the network again.
 """
 
 import json
@@ -21,20 +21,20 @@ from ..fields import Flag, Scalar, table
 _FORMAT = "jentry network 2"
 
 _CONSTANT = 1e-6
-"""An input that deviates by less than this share of its size is constant: what it does
-vary by may be rounding, and nothing can be learnt from that."""
+"""An input that deviates by less than this share of its size is constant: its variation may
+be rounding, from which nothing can be learnt."""
 
 _ROUNDING = 1e-9
-"""Share of a bound by which an input may be beyond it."""
+"""Share of a bound by which an input may exceed it."""
 
 
 class Network(eqx.Module):
-    """Fully connected layers with tanh between them; normalisation is inside.
+    """Fully connected layers with tanh between them; normalisation is included.
 
-    Takes and gives physical numbers, the inputs in units in which they are of the order
-    of 1. They are shifted and scaled to a mean of 0 and a deviation of 1, and the output
-    back. An input that was constant in training has a scale of 0: it has no influence,
-    and its range is one value.
+    Inputs and output are physical numbers, the inputs in units in which they are of order
+    1. The network shifts and scales them to a mean of 0 and a deviation of 1, and scales
+    the output back. An input that was constant in training has a scale of 0: it has no
+    influence, and its range is one value.
     """
 
     weights: tuple[Float[Array, "..."], ...]
@@ -42,17 +42,17 @@ class Network(eqx.Module):
     biases: tuple[Float[Array, "..."], ...]
     """Biases of each layer, (outputs,)"""
     names: tuple[str, ...] = eqx.field(static=True)
-    """(n,) of the inputs, with their units"""
+    """Names of the inputs, with their units, shape (n,)"""
     input_mean: Float[Array, "..."] = table()
-    """(n,)"""
+    """Means of the inputs in training, shape (n,)"""
     input_scale: Float[Array, "..."] = table()
-    """(n,) one over the deviation; zero of an input that was constant in training"""
+    """One over the deviations, shape (n,); zero for an input constant in training"""
     input_ranges: Float[Array, "..."] = table()
-    """(n, 2) smallest and largest value in training"""
+    """Smallest and largest values in training, shape (n, 2)"""
     output_mean: Float[Array, "..."] = table()
-    """()"""
+    """Mean of the output in training, shape ()"""
     output_deviation: Float[Array, "..."] = table()
-    """()"""
+    """Deviation of the output in training, shape ()"""
 
     def __check_init__(self):
         sizes = [len(self.names), *(len(biases) for biases in self.biases)]
@@ -85,7 +85,7 @@ class Network(eqx.Module):
         hidden: tuple[int, ...],
         key: Key[Array, ""],
     ) -> "Network":
-        """Network with random weights, normalised by samples: (m, n) and (m,)."""
+        """Network with random weights, normalised by samples: shapes (m, n) and (m,)."""
         sizes = (inputs.shape[1], *hidden, 1)
         keys = jax.random.split(key, len(sizes) - 1)
         weights = tuple(
@@ -115,30 +115,30 @@ class Network(eqx.Module):
         return self.output_mean + self.output_deviation * y
 
     def outside(self, inputs: Float[Array, " n"]) -> Array:
-        """Which inputs are beyond the range that they had in training, (n,).
+        """Which inputs are outside their ranges in training, shape (n,).
 
-        Each is judged by itself: inputs that are all within their ranges may still be a
-        combination that was never flown. NaN is outside.
+        Each input is checked alone: a combination of inputs within their ranges may still
+        be one that never occurred in training. NaN is outside.
         """
         lower, upper = self.input_ranges[:, 0], self.input_ranges[:, 1]
         slack = _ROUNDING * jnp.maximum(jnp.maximum(-lower, upper), 1.0)
         return ~((inputs >= lower - slack) & (inputs <= upper + slack))
 
     def knows(self, inputs: Float[Array, " n"]) -> Flag:
-        """Whether every input is within the range that it had in training."""
+        """Whether every input is within its range in training."""
         return ~jnp.any(self.outside(inputs))
 
 
 _SINGLE = "input_mean", "input_scale", "output_mean", "output_deviation"
-"""Arrays of a file that a network has one of; of weights and biases it has one a layer.
-The names and ranges of the inputs are on its card."""
+"""Arrays that a file has once; weights and biases it has once per layer. The names and
+ranges of the inputs are on the card."""
 
 
 def save_network(path: Path | str, network: Network, card: dict[str, Any]) -> None:
-    """Store a network with its model card, at once or not at all.
+    """Store a network with its model card, atomically.
 
-    Names and ranges of the inputs, and the sizes of the hidden layers, are added to the
-    card as they are in the network.
+    The names and ranges of the inputs and the sizes of the hidden layers are added to the
+    card from the network.
     """
     ranges = np.asarray(network.input_ranges).tolist()
     card = card | {
@@ -162,11 +162,11 @@ def load_network(
 
     **Arguments:**
 
-    - `purpose`: that the card must name.
+    - `purpose`: purpose that the card must state.
 
-    **Raises:** `ValueError` for a file that is no network, is damaged, contradicts itself
-    or has another purpose; `FileNotFoundError` where there is none. Nothing in a file is
-    executed.
+    **Raises:** `ValueError` for a file that is not a network, is damaged, contradicts
+    itself or has another purpose; `FileNotFoundError` if there is no file. Nothing in a
+    file is executed.
     """
     path = Path(path)
     if not path.exists():
@@ -220,7 +220,10 @@ def _numbers(name: str, array: np.ndarray) -> Array:
 
 
 def card_ranges(ranges: dict[str, Any]) -> np.ndarray:
-    """Ranges by name as an array, (n, 2). Raises `ValueError` for what is no range."""
+    """Ranges by name as an array, shape (n, 2).
+
+    **Raises:** `ValueError` for an invalid range.
+    """
     for name, given in ranges.items():
         try:
             lower, upper = np.asarray(given, dtype=float)
@@ -235,7 +238,7 @@ def card_ranges(ranges: dict[str, Any]) -> np.ndarray:
 
 
 def _check_values(network: Network) -> None:
-    """Refuse numbers that cannot be those of a trained network."""
+    """Refuse numbers that a trained network cannot have."""
     for name in ("weights", "biases", *_SINGLE):
         if not all(
             np.all(np.isfinite(x)) for x in jax.tree.leaves(getattr(network, name))

@@ -1,9 +1,9 @@
-"""Factors of lift and drag as functions of the altitude, learnt on the way down.
+"""Factors of lift and drag as functions of the altitude, estimated during the entry.
 
-What the vehicle has sensed where it was says something of the air below. How much is told
-by a prior: a constant, a slope and waves, each with a standard deviation. The estimate is
-that of linear least squares with this prior, which for waves laid by a correlation length
-is the regression of a Gaussian process.
+Forces sensed at the vehicle carry information on the air below. A prior defines how much:
+a constant, a slope and waves, each with a standard deviation. The estimate is that of
+linear least squares with this prior. With waves for a correlation length this is the
+regression of a Gaussian process.
 """
 
 import math
@@ -26,29 +26,30 @@ from .estimation import (
 
 
 _LEAST_FACTOR = 0.2
-"""Below it a factor is not believed, so that no drag becomes negative"""
+"""Lower bound of a factor, so that no drag becomes negative"""
 _SURPRISE = 4.0
 """Standard deviations beyond which a sample contradicts the prior"""
 _SPECTRUM = 1e-4
-"""Share of the variance that the waves of a correlation length leave out"""
+"""Share of the variance that the waves for a correlation length leave out"""
 
 
 class Departure(eqx.Module):
-    """What a factor may be, before anything is sensed: one, and a random departure.
+    """Prior of a factor: one, plus a random departure.
 
-    A constant, a slope and waves over the altitude, with independent normal amplitudes.
+    The departure is a constant, a slope and waves over the altitude, with independent
+    normal amplitudes.
     """
 
     wavelengths: Vector = table(unit="m", positive=True)
     amplitudes: Vector = table()
-    """Standard deviation of the sine, and of the cosine, of each wavelength: a wave whose
-    amplitude is known and whose phase is not has its amplitude over the square root of 2"""
+    """Standard deviation of the sine, and of the cosine, of each wavelength. For a wave of
+    known amplitude and unknown phase it is the amplitude over the square root of 2"""
     constant: Scalar = scalar(0.1, range=NOT_NEGATIVE)
-    """Standard deviation, in shares as all of them"""
+    """Standard deviation of the constant; a share, like all of them"""
     slope: Scalar = scalar(0.0, unit="1/m", range=NOT_NEGATIVE)
     """Standard deviation of the slope over the altitude"""
     pivot: Scalar = scalar(0.0, unit="m")
-    """Altitude at which the slope adds nothing"""
+    """Altitude at which the slope contributes zero"""
 
     def __check_init__(self):
         shapes = jnp.shape(self.wavelengths), jnp.shape(self.amplitudes)
@@ -69,19 +70,20 @@ class Departure(eqx.Module):
         constant: float = 0.1,
         slope: float = 0.0,
     ) -> "Departure":
-        """A departure that is known by a correlation length alone.
+        """A departure that is defined by a correlation length.
 
-        Its correlation over a distance d is exp(-d^2 / (2 length^2)), but for a share of
-        1e-4: between two altitudes, beyond which it repeats itself.
+        Its correlation over a distance d is exp(-d^2 / (2 length^2)), with an error of
+        1e-4 of the variance. This holds between two altitudes; beyond them the departure
+        is periodic.
 
         **Arguments:**
 
         - `length`: m.
-        - `deviation`: standard deviation, everywhere.
-        - `low`, `high`: altitudes that are flown through, m; five lengths apart or more.
-        - `constant`, `slope`: of what does not vary, or not by itself.
+        - `deviation`: standard deviation, at all altitudes.
+        - `low`, `high`: range of altitudes of the flight, m; five lengths apart or more.
+        - `constant`, `slope`: standard deviations of an additional constant and slope.
 
-        **Raises:** `ValueError` for numbers that are not so, or not finite.
+        **Raises:** `ValueError` for numbers outside of these ranges, or not finite.
         """
         if not 0.0 < 5.0 * length <= high - low < math.inf:
             raise ValueError(
@@ -92,7 +94,7 @@ class Departure(eqx.Module):
             raise ValueError(
                 f"deviation is {deviation}: it must be zero or positive, and finite"
             )
-        # On a circle twice as long the two ends know nothing of each other.
+        # On a circle twice as long the two ends are uncorrelated.
         around = 2.0 * (high - low)
         shares = [math.sqrt(2.0 * math.pi) * length / around]
         wavelengths: list[float] = []
@@ -110,7 +112,7 @@ class Departure(eqx.Module):
         )
 
     def basis(self, altitude: Scalar) -> Float[Array, " weights"]:
-        """Functions whose weights are normal, of mean 0 and variance 1, at an altitude."""
+        """Functions at an altitude whose weights are normal, of mean 0 and variance 1."""
         turns = altitude / self.wavelengths
         sine, cosine = jax.vmap(sincos)(2.0 * math.pi * turns)
         line = jnp.stack([self.constant, self.slope * (altitude - self.pivot)])
@@ -129,11 +131,11 @@ class Learnt(eqx.Module):
         departed: Scalar,
         variance: Scalar,
     ) -> tuple["Learnt", Scalar]:
-        """After a sample, and how far it was from what was believed.
+        """Estimate after a sample, and how surprising the sample was.
 
-        In standard deviations of what was believed and of the sample, whose variance is
-        given. What is sampled is off by `departed` from what it would be with weights of
-        zero, and a weight of one changes it by what `row` has.
+        The surprise is the innovation in standard deviations of the prediction and the
+        sample, whose variance is `variance`. `departed` is the sampled value minus that
+        for weights of zero. `row` is the change of the value per unit of each weight.
         """
         spread = self.covariance @ row
         per_variance = 1.0 / (jnp.sum(row * spread) + variance)
@@ -144,13 +146,13 @@ class Learnt(eqx.Module):
 
 
 class FactorProfile(AbstractFactors):
-    """Factors over the altitude: one, and a departure with weights."""
+    """Factors over the altitude: one, plus a departure with estimated weights."""
 
     departure: Departure
     lift: Learnt
     drag: Learnt
     caution: Scalar | None
-    """Standard deviations by which the factors are taken to be smaller"""
+    """Standard deviations by which the factors are reduced"""
 
     def at(self, altitude: Scalar) -> Factors:
         basis = self.departure.basis(altitude)
@@ -164,25 +166,25 @@ class FactorProfile(AbstractFactors):
         return Factors(factor(self.lift), factor(self.drag))
 
     def deviations(self, altitude: Scalar) -> Factors:
-        """Standard deviations of the factors at an altitude (m), as the estimate has it."""
+        """Standard deviations of the factors at an altitude (m), by the estimate."""
         basis = self.departure.basis(altitude)
         return Factors(_deviation(basis, self.lift), _deviation(basis, self.drag))
 
 
 def _deviation(basis: Float[Array, " weights"], learnt: Learnt) -> Scalar:
-    # By rounding it may become negative where nothing is left to be learnt.
+    # By rounding it may become negative where the uncertainty is zero.
     return safe_sqrt(basis @ learnt.covariance @ basis)
 
 
 class ProfileEstimate(AbstractFactorEstimate):
-    """The factors where the vehicle is, and those over the altitude."""
+    """The factors at the vehicle, and those over the altitude."""
 
     here: FactorEstimate
     profile: FactorProfile
     samples: Scalar
-    """How many there have been"""
+    """Number of samples so far"""
     surprises: Scalar
-    """How many of them were beyond what the prior and the samples before make likely"""
+    """Number of samples that the prior and the earlier samples make improbable"""
 
     @property
     def factors(self) -> Factors:
@@ -200,23 +202,23 @@ class ProfileEstimate(AbstractFactorEstimate):
 class ProfileEstimator(AbstractFactorEstimator[ProfileEstimate]):
     """Recursive least squares of a departure over the altitude, for each axis.
 
-    What is sensed where the vehicle is goes by `here`, as without a profile: a loop that
-    is closed about the present force needs the last sample, and not a fit. The profile is
-    for what is ahead.
+    The factors at the vehicle are those of `here`, as without a profile: a loop that is
+    closed about the present force needs the last sample, and not a fit. The profile is
+    for predictions.
 
-    A prior that is too smooth for the air is worse than none: it carries on with
-    confidence what is not there. Then the samples contradict it. `Flight.caveats` has the
-    share of those, `surprising_samples`, that lay beyond four standard deviations.
+    A prior that is too smooth for the air is worse than none, since it extrapolates with
+    false confidence. The samples then contradict it. `Flight.caveats` has the share of
+    samples beyond four standard deviations, `surprising_samples`.
     """
 
     departure: Departure
     noise: Scalar = scalar(1e-3, unit="m/s2", positive=True)
     """Standard deviation of a sample of lift, or of drag"""
     misfit: Scalar = scalar(2e-3, positive=True)
-    """Standard deviation of what the departure cannot be, in shares"""
+    """Standard deviation of what the departure cannot represent, as a share"""
     caution: Scalar | None = optional_scalar()
-    """Standard deviations by which the forces ahead are taken to be smaller than is
-    likely; None for none. For a law to which too much speed is worse than too little"""
+    """Standard deviations by which the predicted forces are reduced; None for no
+    reduction. For a law to which too much velocity is worse than too little"""
     here: FactorEstimator = eqx.field(default_factory=FactorEstimator)
 
     def start(self, like: Scalar) -> ProfileEstimate:
@@ -245,7 +247,7 @@ class ProfileEstimator(AbstractFactorEstimator[ProfileEstimate]):
 
         lift, by_lift = refined(profile.lift, 0)
         drag, by_drag = refined(profile.drag, 1)
-        # What is not a number is a surprise.
+        # NaN is a surprise.
         expected_so = jnp.maximum(by_lift, by_drag) <= _SURPRISE
         return ProfileEstimate(
             here,

@@ -47,13 +47,13 @@ class PolynomialProfile(AbstractProfile):
 class JoinedProfile(AbstractProfile):
     """Profiles one after another; where two meet the value may jump.
 
-    Beyond the first and the last end it keeps the values there.
+    Beyond the first and the last end it has the values there.
     """
 
     parts: tuple[AbstractProfile, ...]
-    """Each between two of the ends"""
+    """Profiles, each between two of the ends"""
     ends: Vector = table(increasing=True)
-    """Shape (parts + 1,). The part that begins at an end counts there"""
+    """Ends of the parts, shape (parts + 1,). At an end the part that begins there counts"""
 
     def __check_init__(self):
         if not self.parts or self.ends.shape != (len(self.parts) + 1,):
@@ -63,7 +63,7 @@ class JoinedProfile(AbstractProfile):
             )
 
     def part(self, index: Scalar) -> Count:
-        """Which of the parts counts at an index, from 0."""
+        """Number of the part that counts at an index, from 0."""
         return interval(self.ends, index)
 
     def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
@@ -84,14 +84,15 @@ class JoinedProfile(AbstractProfile):
 class QuinticTable(eqx.Module):
     """Several quantities over one index, by quintic Hermite interpolation.
 
-    Twice continuously differentiable. Made from nodes by `quintic_table`. Beyond the grid
-    each goes on as the parabola with the same value and derivatives as at the end. The
-    interval is found once for all quantities; what is not used of them costs nothing.
+    The interpolation is twice continuously differentiable. `quintic_table` makes a table
+    from nodes. Beyond the grid each quantity continues as the parabola with the value and
+    derivatives at the end. The interval is found once for all quantities. Quantities that
+    are not used cost nothing.
 
     Node k of n lies at the share (k / n)^`power` of the way from the first to the last.
-    With a power of 1 they are evenly spaced. A power of 2 has the first ones close
-    together, as it is good for the energy: it hardly changes at the beginning of an
-    entry, while the drag grows by orders of magnitude.
+    With a power of 1 the nodes are evenly spaced. With a power of 2 the first nodes are
+    close together. This suits the energy, which hardly changes at the beginning of an
+    entry while the drag grows by orders of magnitude.
     """
 
     coefficients: dict[str, Float[Array, "intervals 6"]]
@@ -118,7 +119,10 @@ class QuinticTable(eqx.Module):
         }
 
     def profile(self, name: str) -> "QuinticProfile":
-        """One of the quantities. Raises `ValueError` for a name that is not there."""
+        """One of the quantities.
+
+        **Raises:** `ValueError` for an unknown name.
+        """
         if name not in self.coefficients:
             raise ValueError(
                 f"there is no {name!r} in the table: it has {', '.join(self.coefficients)}"
@@ -145,20 +149,20 @@ class QuinticProfile(AbstractProfile):
 
 
 _POWERS = 1, 2
-"""Whose inverses cost little: nothing, and a square root"""
+"""Powers whose inverses cost little: none, and a square root"""
 
 
 def _shares(intervals: int, power: int, number: Array) -> Array:
-    """Where a node lies between the first and the last, in units of the mean spacing."""
+    """Place of a node between the first and the last, in units of the mean spacing."""
     return intervals * (number / intervals) ** power
 
 
 def _place(
     intervals: int, start: Scalar, spacing: Scalar, power: int, index: Scalar
 ) -> tuple[Count, Scalar, Scalar, Scalar]:
-    """Interval that holds an index, place in it, way beyond the grid, one over its width.
+    """Interval of an index, place in it, distance beyond the grid, one over its width.
 
-    Place and way are in units of the width of the interval.
+    Place and distance are in units of the width of the interval.
     """
     per_spacing = 1.0 / spacing
     position = (index - start) * per_spacing
@@ -179,9 +183,9 @@ def _place(
 def _quintic(x: Scalar, *c: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """Polynomial of degree five with both derivatives; coefficients from the highest power.
 
-    Its derivative is told, since most of it is there already: the tangents of a flight
-    that tracks a table take a tenth less, its reverse gradient a thirtieth
-    (`benchmarks/gradient.py`).
+    Its derivative is defined explicitly, since most of it is computed already. The tangents
+    of a flight that tracks a table take a tenth less time, its reverse gradient a thirtieth
+    less (`benchmarks/gradient.py`).
     """
     return (
         horner(c, x),
@@ -195,7 +199,7 @@ def _quintic_jvp(primals, tangents):
     (x, *c), (x_rate, *c_rates) = primals, tangents
     values = _quintic(x, *c)
     slopes = *values[1:], horner([60.0 * c[0], 24.0 * c[1], 6.0 * c[2]], x)
-    # What does not vary must not be multiplied by zero: that is not left out.
+    # A zero tangent must not be multiplied: the product would not be left out.
     p, p1, p2 = (jnp.zeros_like(value) for value in values)
     if not isinstance(x_rate, SymbolicZero):
         p, p1, p2 = (slope * x_rate for slope in slopes)
@@ -216,7 +220,7 @@ def _read(
     beyond: Scalar,
     per_width: Scalar,
 ) -> tuple[Scalar, Scalar, Scalar]:
-    # A gather for each column keeps the flights of a batch next to each other.
+    # A gather for each column keeps the flights of a batch adjacent in memory.
     c = [column.at[interval].get(mode="clip") for column in coefficients.T]
     p, p1, p2 = _quintic(x, *c)
     p = p + beyond * (p1 + 0.5 * beyond * p2)
@@ -241,7 +245,7 @@ def grid(
 def quintic_table(
     nodes: Float[Array, " nodes"], quantities: dict[str, Nodes], power: int = 1
 ) -> QuinticTable:
-    """Table through exact nodes: those of `grid` with the same power."""
+    """Table through exact nodes, which are those of `grid` with the same power."""
     intervals = nodes.shape[0] - 1
     if power == 1:
         spacing = widths = nodes[1] - nodes[0]
@@ -274,7 +278,7 @@ def _coefficients(
     first: Float[Array, " nodes"],
     second: Float[Array, " nodes"],
 ) -> Float[Array, "intervals 6"]:
-    """`widths` of all intervals, or of each."""
+    """Coefficients of the intervals; `widths` is one for all, or one for each."""
     p, d, s = value[:-1], first[:-1] * widths, second[:-1] * widths * widths
     d_end, s_end = first[1:] * widths, second[1:] * widths * widths
     rise = value[1:] - p - d - 0.5 * s

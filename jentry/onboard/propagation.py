@@ -1,4 +1,4 @@
-"""Prediction on board: what the onboard model flies under a command, to an end."""
+"""Onboard prediction: a flight of the onboard model under a command, to an end."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -21,43 +21,44 @@ from .model import OnboardModel
 
 
 Command = Callable[[Scalar, EntryState], Controls]
-"""What the vehicle will fly, over the time since the start (s) and the state"""
+"""Command of the vehicle, over the time since the start (s) and the state"""
 
 
 class SampledCommand(NamedTuple):
-    """A command that is decided anew at the start of each step, and flown through it.
+    """A command that is decided at the start of each step and applied through the step.
 
-    As a law decides in flight at a guidance cycle. What costs much is computed there, once
-    in a step; the command itself is asked for at every stage, and for the place of the end.
+    This models a law that decides at a guidance cycle. Expensive computations belong in
+    `decide`, which runs once in a step. The command itself is evaluated at every stage of
+    the step, and in the search for the end.
     """
 
     decide: Callable[[Scalar, EntryState], Command]
-    """Over the time since the start of the prediction (s) and the state"""
+    """Function of the time since the start of the prediction (s) and the state"""
 
 
 Margin = Callable[[EntryState], Scalar]
-"""A smooth function of the state that is positive before an end and falls through zero
-there"""
+"""A smooth function of the state that is positive before an end and falls through zero at
+it"""
 Index = Callable[[EntryState], Scalar]
 """A smooth function of the state, such as the energy"""
 Integrand = Callable[[Scalar, EntryState, Controls], PyTree]
-"""Numbers to be integrated over the time beside the motion, such as the heat rate"""
+"""Numbers that are integrated over the time with the motion, such as the heat rate"""
 
 NO_END = -1
-"""In `Prediction.ended_by`: no end was met"""
+"""Value of `Prediction.ended_by` if no end was met"""
 
 _AT_ONCE = 8
-"""Steps, after each of which it is looked whether a flight of the batch goes on"""
+"""Number of steps between checks whether any flight of the batch continues"""
 _SEARCH = 6
-"""Bracketed Newton steps for the length of the last step. They are not differentiated"""
+"""Bracketed Newton steps for the length of the last step, which are not differentiated"""
 _EXACT = 2
-"""Newton steps that are: derivatives of the end are exact up to the third order"""
+"""Differentiated Newton steps: derivatives of the end are exact up to the third order"""
 _CONVERGED = 1e-6
-"""Share of a step by which the last of them may move the end"""
+"""Share of a step by which the last Newton step may move the end"""
 
 
 class Prediction(eqx.Module):
-    """The end of a predicted flight, or where it was given up."""
+    """The end of a predicted flight, or the point at which it was given up."""
 
     time: Scalar
     """s since the start of the prediction"""
@@ -65,17 +66,17 @@ class Prediction(eqx.Module):
     integrals: Any
     """Integrals of the integrand; None without one"""
     ended_by: Count
-    """Place among the ends of the one that was met, or `NO_END`"""
+    """Position among the ends of the one that was met, or `NO_END`"""
 
     @property
     def has_end(self) -> Flag:
-        """Whether an end was met. Otherwise state and derivatives say nothing of the end,
-        and a law should leave its command as it is, or go by the ends that it can meet."""
+        """Whether an end was met. Otherwise state and derivatives are not those of an end,
+        and a law should leave its command unchanged, or use ends that it can meet."""
         return self.ended_by != NO_END
 
 
 class _Moving(eqx.Module):
-    """What is integrated, or its rate."""
+    """Integrated quantities, or their rates."""
 
     time: Scalar
     state: EntryState
@@ -94,19 +95,19 @@ def propagate(
     dynamics: AbstractDynamics = EntryDynamics(),
     integrand: Integrand | None = None,
 ) -> Prediction:
-    """Fly the onboard model under a command to the first of several ends.
+    """Propagate the onboard model under a command to the first of several ends.
 
-    In steps of equal length in time, of which the last is cut where the end is met: the
-    answer varies smoothly with the state, the command and the factors, and forward- and
-    reverse-mode derivatives are those of the end that is met, up to the third order.
-    Under `vmap` the steps go on until no flight of the batch needs one. To be computed
-    only where it is due, call it within `where_due`.
+    The steps have equal length in time, except the last, which is cut where the end is
+    met. The result varies smoothly with the state, the command and the factors. Forward-
+    and reverse-mode derivatives are those of the end that is met, up to the third order.
+    Under `vmap` the steps continue until no flight of the batch needs one. To compute the
+    prediction only where it is due, call it within `where_due`.
 
-    Ends are looked at after each step, so that one which is met and left again within a
-    step is not seen. A flight that meets none in the steps that it has, begins beyond
-    one, comes too close to a singular point of the equations of motion or does not stay
-    finite is given up: `has_end` is false, and time and state are the last good ones.
-    Ground and skipping out are ends like others:
+    Ends are checked after each step: an end that is met and left again within a step is
+    not detected. A flight is given up if it meets no end in its steps, starts beyond an
+    end, comes too close to a singular point of the equations of motion or does not remain
+    finite. `has_end` is then false, and time and state are the last valid ones. Ground and
+    skipping out are ends like others:
 
         ends = (
             lambda state: state.velocity - 503.0,
@@ -116,16 +117,16 @@ def propagate(
 
     **Arguments:**
 
-    - `model`: planet and vehicle as they are believed to be.
-    - `state`: where the prediction begins.
-    - `command`: what is flown, or what decides it at the start of each step; smooth within
-      a step.
+    - `model`: planet and vehicle that the law assumes.
+    - `state`: initial state of the prediction.
+    - `command`: the command, or a `SampledCommand` that decides it at the start of each
+      step; smooth within a step.
     - `ends`: margins.
     - `step`: s.
-    - `steps`: how many there are at most; rounded up to a multiple of eight.
-    - `factors`: on the lift and the drag of the model; none if not given.
+    - `steps`: largest number of steps; rounded up to a multiple of eight.
+    - `factors`: factors on the lift and the drag of the model; none by default.
     - `dynamics`: equations of motion, such as those of the scenario.
-    - `integrand`: what else is to be integrated over the time, from zero.
+    - `integrand`: further quantities to integrate over the time, from zero.
 
     **Raises:** `ValueError` without an end, or for a step or a number of steps that is
     not positive.
@@ -145,7 +146,7 @@ def propagate(
     def stepping(flown: Command) -> Callable[[_Moving, Scalar], _Moving]:
         flow = _flow(model, flown, factors, dynamics, integrand)
 
-        # As a function of its own it is traced once for all the places that call it.
+        # A jitted function is traced once for all the places that call it.
         @jax.jit
         def after(moving: _Moving, length: Scalar) -> _Moving:
             return runge_kutta_step(lambda _, m: flow(m), 0.0 * length, moving, length)
@@ -186,7 +187,7 @@ def propagate(
     def margins_after(length: Scalar) -> Array:
         return margins(after(last, length).state)
 
-    # Where no end was crossed the last step has no length, and its slopes are finite.
+    # If no end was crossed the last step has zero length, and its slopes are finite.
     at = lax.stop_gradient(last)
     after_there = steps_from(at)
     search = newton(
@@ -222,20 +223,20 @@ def propagate_over(
     dynamics: AbstractDynamics = EntryDynamics(),
     integrand: Integrand | None = None,
 ) -> Prediction:
-    """Fly the onboard model under a command until an index has a value.
+    """Propagate the onboard model under a command until an index has a value.
 
-    In so many equal steps over the index, which takes the place of the time as
-    independent variable: the cheapest and smoothest prediction where the index rises or
-    falls throughout, as the energy does in the air. Where it runs the wrong way at a
-    stage of any step, or the numbers do not stay finite, `has_end` is false and the
-    prediction stays at its start. The index at the end has the value to the order of the
-    method; exactly where it is a component of the state.
+    The steps are equal over the index, which replaces the time as independent variable.
+    This is the cheapest and smoothest prediction if the index rises or falls throughout,
+    as the energy does in the air. If the index moves the wrong way at a stage of any step,
+    or the numbers do not remain finite, `has_end` is false and the prediction is its
+    initial state. The index has its value at the end to the order of the method, and
+    exactly if it is a component of the state.
 
     **Arguments:** those of `propagate`, and
 
     - `index`: such as `lambda state: energy(model.planet, state)`.
-    - `end`: its value at the end.
-    - `steps`: how many.
+    - `end`: value of the index at the end.
+    - `steps`: number of steps.
 
     **Raises:** `ValueError` for a number of steps that is not positive.
     """
@@ -253,7 +254,7 @@ def propagate_over(
 
     y = start, jnp.zeros_like(first)
     moving, backwards = runge_kutta(slope, first, end, y, steps)
-    # What is not a number is not zero either.
+    # NaN is not zero either.
     met = _is_finite(moving) & (backwards == 0.0)
     moving = _select(met, moving, start)
     ended_by = jnp.where(met, 0, NO_END)
@@ -267,7 +268,7 @@ def _flow(
     dynamics: AbstractDynamics,
     integrand: Integrand | None,
 ) -> Callable[[_Moving], _Moving]:
-    """Time derivative of what is integrated."""
+    """Time derivative of the integrated quantities."""
     planet, nominal = model.planet, model.vehicle
     factors = Factors() if factors is None else factors
 
@@ -306,7 +307,7 @@ def _require_steps(steps: int) -> None:
 
 
 def _is_finite(moving: _Moving) -> Flag:
-    # A reduction of a scalar would stand between operations that belong together.
+    # A reduction of a scalar would separate operations that belong together.
     leaves = [x if jnp.ndim(x) == 0 else jnp.sum(x) for x in jax.tree.leaves(moving)]
     return jnp.isfinite(sum(leaves))
 

@@ -20,17 +20,17 @@ def index_motion(
     angle_of_attack: Scalar,
     drag_rate: Scalar | None = None,
 ) -> BankedMotion:
-    """An index along the flight, with the sensed drag and the lift-to-drag ratio on board.
+    """Index along the flight, from the sensed drag and the modelled lift-to-drag ratio.
 
-    By forward differentiation for any index but the energy, whose rate is that of the
-    work of the drag; `drag_rate` (m/s3) where it is known already.
+    The derivatives are by forward differentiation, except for the energy, whose rate is
+    that of the work of the drag. `drag_rate` (m/s3) is passed if it is known already.
 
-    **Raises:** `ValueError` for an index of the flight-path angle or the heading, whose
-    rate contains the bank.
+    **Raises:** `ValueError` for an index that depends on the flight-path angle or the
+    heading, since its rate contains the bank.
     """
     planet, state = model.planet, measurement.state
     flow = sensed_flow(model, angle_of_attack, drag_rate)
-    if type(index) is EnergyIndex:  # what is derived from it may have another value
+    if type(index) is EnergyIndex:  # a subclass may have another value
         return _energy_motion(index.value(planet, time, state), time, measurement, flow)
 
     def turned(path: Scalar, heading: Scalar) -> Scalar:
@@ -56,11 +56,11 @@ def index_motion(
 def _energy_motion(
     energy: Scalar, time: Scalar, measurement: Measurement, flow: Flow
 ) -> BankedMotion:
-    """E' = -D V, in which gravity has cancelled, and its derivative without a bank in it.
+    """E' = -D V, in which gravity cancels, and E'', which does not contain the bank.
 
-    Differentiated forward the terms of gravity stay, to cancel in flight. Without them a
-    loss of 256 flights takes a twentieth less, its tangents a tenth and its reverse
-    gradient an eighth (`benchmarks/gradient.py`).
+    Forward differentiation would compute the terms of gravity, which then cancel in flight.
+    Without them a loss of 256 flights takes a twentieth less time, its tangents a tenth
+    less and its reverse gradient an eighth less (`benchmarks/gradient.py`).
     """
     drag, velocity = measurement.drag, measurement.state.velocity
     rates = flow(SensedPoint(time, measurement.state, drag))
@@ -71,9 +71,9 @@ def _energy_motion(
 def along(
     derivatives: tuple[Scalar, Scalar, Scalar], index: BankedMotion
 ) -> BankedMotion:
-    """A profile along the flight by the chain rule, where its index moves so.
+    """A profile along the flight, by the chain rule from the motion of its index.
 
-    `derivatives` are its value and both derivatives over the index, there.
+    `derivatives` are the value and both derivatives of the profile over the index.
     """
     value, first, second = derivatives
     return BankedMotion(
@@ -93,7 +93,7 @@ class Reference(eqx.Module):
 
     index: AbstractIndex
     quantities: QuinticTable | dict[str, AbstractProfile]
-    """Over the index, by name: in one table, or each a profile"""
+    """Quantities over the index, by name: in one table, or one profile each"""
 
     def over_index(self, value: Scalar) -> dict[str, tuple[Scalar, Scalar, Scalar]]:
         """Each quantity with its two derivatives over the index, by name."""
@@ -112,9 +112,9 @@ class Reference(eqx.Module):
         angle_of_attack: Scalar,
         drag_rate: Scalar | None = None,
     ) -> dict[str, BankedMotion]:
-        """Each quantity with its time derivatives, where the vehicle is, by name.
+        """Each quantity with its time derivatives at the vehicle, by name.
 
-        Arguments as of `index_motion`.
+        The arguments are those of `index_motion`.
         """
         motion = index_motion(
             self.index, time, measurement, model, angle_of_attack, drag_rate
@@ -124,15 +124,15 @@ class Reference(eqx.Module):
 
 
 class DragReference(eqx.Module):
-    """Reference drag over an index, with the bank that was flown to make it."""
+    """Reference drag over an index, with the bank of the flight that produced it."""
 
     index: AbstractIndex
     drag: AbstractProfile
     """m/s2, over the index"""
     cos_bank: AbstractProfile
-    """Over velocity (m/s): flown open loop while the drag is below the gate"""
+    """Over velocity (m/s): commanded open loop while the drag is below the gate"""
     gate: Scalar = scalar(0.0, unit="m/s2")
-    """Drag from which on the reference is tracked"""
+    """Drag above which the reference is tracked"""
 
     def at(
         self,
@@ -142,7 +142,7 @@ class DragReference(eqx.Module):
         angle_of_attack: Scalar,
         drag_rate: Scalar | None = None,
     ) -> BankedMotion:
-        """Reference drag and its time derivatives here; arguments as of `index_motion`."""
+        """Reference drag and its time derivatives; arguments as in `index_motion`."""
         reference = Reference(self.index, {"drag": self.drag})
         motions = reference.at(time, measurement, model, angle_of_attack, drag_rate)
         return motions["drag"]

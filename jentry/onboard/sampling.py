@@ -1,4 +1,4 @@
-"""Noise of a sample: the same for the same seed, time and axis."""
+"""Noise of a sample: a function of seed, time and axis."""
 
 from collections.abc import Callable
 
@@ -11,15 +11,16 @@ from ..fields import Scalar
 def normal_sample(seed: Scalar, sampled_at: Scalar) -> Callable[[int], Scalar]:
     """Independent standard normal numbers of a flight at a time (s), by their axis.
 
-    `seed` is a number between 0 and 1, of which 31 bits count; the time counts to 1 ms.
+    `seed` is a number between 0 and 1, of which 31 bits are used. The time is rounded to
+    1 ms.
     """
     seed = jnp.asarray(seed * 2.0**31).astype(jnp.uint32)
     millisecond = jnp.round(1e3 * jnp.asarray(sampled_at)).astype(jnp.uint32)
     key = jax.random.fold_in(jax.random.fold_in(jax.random.key(0), seed), millisecond)
 
     def drawn(axis: int) -> Scalar:
-        # Drawn alone: read out of one array for all axes, side by side with other runs,
-        # the compiler treats the last runs of a block in another way than the rest.
+        # Drawn one by one. With one array for all axes, in a batch with other runs, the
+        # compiler treats the last runs of a block differently from the rest.
         return jax.random.normal(jax.random.fold_in(key, axis), dtype=float)
 
     return drawn

@@ -1,4 +1,4 @@
-"""Aerodynamics along a schedule of the angle of attack, for laws that hold the angle."""
+"""Aerodynamics along an angle-of-attack schedule, for laws that assume a constant angle."""
 
 from ..fields import Scalar
 from ..world.aerodynamics import AbstractAerodynamics
@@ -8,9 +8,9 @@ from .profiles import AbstractProfile
 class ScheduledAerodynamics(AbstractAerodynamics):
     """Coefficients at the angle of attack that a schedule has at the airspeed.
 
-    A law that differentiates its model at an angle of attack that is held, as drag
-    tracking does, has the rate of the schedule in its derivatives with this model. The
-    angle of attack at which it is asked does not count.
+    Some laws, such as drag tracking, differentiate their model at a constant angle of
+    attack. With this model their derivatives include the rate of the schedule. The angle
+    of attack at which the coefficients are requested has no effect.
     """
 
     flown: AbstractAerodynamics

@@ -1,4 +1,4 @@
-"""Cubic splines, such as a bank over the energy: through knots, and of B-splines."""
+"""Cubic splines, such as a bank over the energy: through knots, or of B-splines."""
 
 import jax
 import jax.numpy as jnp
@@ -11,21 +11,21 @@ from .profiles import AbstractProfile
 
 
 class CubicSpline(AbstractProfile):
-    """Cubic through knots, twice continuously differentiable; made by `cubic_spline`.
+    """Cubic spline through knots, twice continuously differentiable; see `cubic_spline`.
 
-    Beyond the first and the last knot the cubics there go on.
+    The first and the last cubic continue beyond the end knots.
     """
 
     knots: Vector = table(increasing=True)
-    """(n,)"""
+    """Shape (n,)"""
     values: Vector = table()
-    """(n,) at the knots"""
+    """Values at the knots, shape (n,)"""
     curvatures: Vector = table()
-    """(n,): second derivatives at the knots"""
+    """Second derivatives at the knots, shape (n,)"""
 
     def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         x, y, m = self.knots, self.values, self.curvatures
-        # A sum of comparisons and not a search: knots are few.
+        # A sum of comparisons instead of a search: knots are few.
         piece = jnp.sum(index >= x[1:-1])
         x0, x1, y0, y1 = x[piece], x[piece + 1], y[piece], y[piece + 1]
         m0, m1 = m[piece], m[piece + 1]
@@ -40,12 +40,12 @@ class CubicSpline(AbstractProfile):
 
 
 def cubic_spline(knots: Vector, values: Vector) -> CubicSpline:
-    """Spline whose third derivative does not jump at the second knot and the last but one.
+    """Spline whose third derivative is continuous at the second and the last but one knot.
 
-    With this end condition ("not-a-knot") it is the polynomial where the values are those
-    of a cubic. Differentiable in knots and values.
+    With this end condition ("not-a-knot") values of a cubic give that cubic. The spline is
+    differentiable in knots and values.
 
-    **Raises:** `ValueError` for fewer than four knots, or for another number of values.
+    **Raises:** `ValueError` for fewer than four knots, or for a different number of values.
     """
     x, y = jnp.asarray(knots, float), jnp.asarray(values, float)
     if x.ndim != 1 or x.shape[0] < 4 or x.shape != y.shape:
@@ -58,7 +58,7 @@ def cubic_spline(knots: Vector, values: Vector) -> CubicSpline:
 
 @jax.jit
 def _bends(x: Vector, y: Vector) -> Vector:
-    """Second derivatives at the knots. Compiled: it is some forty operations."""
+    """Second derivatives at the knots. Compiled, since it has some forty operations."""
     n, h = x.shape[0], jnp.diff(x)
     slopes = jnp.diff(y) / h
     inside = jnp.arange(1, n - 1)
@@ -75,10 +75,10 @@ def _bends(x: Vector, y: Vector) -> Vector:
 class BSpline(AbstractProfile):
     """Cubic B-spline, twice continuously differentiable and linear in its coefficients.
 
-    Each coefficient acts between four breakpoints to either side alone, and the value lies
-    nowhere beyond the least and the largest coefficient: bounds of the coefficients are
-    bounds of the profile. The first and the last are the values at the ends, which the
-    profile keeps beyond them.
+    Each coefficient acts on at most four neighbouring cubics. The value lies between the
+    least and the largest coefficient, so bounds of the coefficients are bounds of the
+    profile. The first and the last coefficient are the values at the ends; beyond the ends
+    the profile is constant.
 
         BSpline(jnp.full(40, 0.3), jnp.linspace(last_energy, first_energy, 38))
 
@@ -86,9 +86,9 @@ class BSpline(AbstractProfile):
     """
 
     coefficients: Vector = table()
-    """(n,)"""
+    """Shape (n,)"""
     breakpoints: Vector = table(increasing=True)
-    """(n - 2,) Where one cubic follows another, the ends among them"""
+    """Points at which the cubics join, with both ends, shape (n - 2,)"""
 
     def __check_init__(self):
         coefficients, breakpoints = self.coefficients.shape, self.breakpoints.shape
@@ -102,8 +102,8 @@ class BSpline(AbstractProfile):
 
     @property
     def nodes(self) -> Float[Array, " n"]:
-        """(n,) Where the coefficients belong: with these as coefficients the profile is
-        the index itself."""
+        """Places of the coefficients, shape (n,): with these values as coefficients the
+        profile equals the index."""
         knots = _clamped(self.breakpoints)
         return (knots[1:-3] + knots[2:-2] + knots[3:-1]) / 3.0
 
@@ -116,7 +116,7 @@ class BSpline(AbstractProfile):
         piece = interval(self.breakpoints, x)
         near = [knots[piece + j] for j in range(1, 7)]
         values = [self.coefficients[piece + j] for j in range(4)]
-        for width in (3, 2, 1):  # de Boor's recursion: between knots ever nearer to x
+        for width in (3, 2, 1):  # de Boor's recursion: between knots closer to x
             values = [
                 low + (x - start) / (end - start) * (high - low)
                 for low, high, start, end in zip(
@@ -131,6 +131,6 @@ class BSpline(AbstractProfile):
 
 
 def _clamped(breakpoints: Vector) -> Float[Array, " knots"]:
-    """Knots: the breakpoints, with the ends four times."""
+    """Knots: the breakpoints, with each end four times."""
     first, last = breakpoints[:1], breakpoints[-1:]
     return jnp.concatenate([first, first, first, breakpoints, last, last, last])

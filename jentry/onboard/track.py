@@ -1,4 +1,4 @@
-"""The great circle from start to target, and where a vehicle is relative to it."""
+"""The great circle from start to target, and the position of a vehicle relative to it."""
 
 import math
 
@@ -15,7 +15,7 @@ from ..motion.state import EntryState
 Direction = tuple[Scalar, Scalar, Scalar]
 
 _LONG = 1.4
-"""rad; a track that is longer has its middle on the equator of its coordinates."""
+"""rad; a longer track has its middle on the equator of its coordinates."""
 
 
 _LONGEST = 2.8
@@ -26,9 +26,9 @@ class TrackPosition(eqx.Module):
     """Place and horizontal direction of flight relative to a track."""
 
     along: Scalar
-    """Angle along the track: latitude on the turned globe, rad"""
+    """Angle along the track, rad; latitude on the rotated globe"""
     cross: Scalar
-    """Angle off the track, positive to the right: longitude on the turned globe, rad"""
+    """Angle off the track, rad, positive to the right; longitude on the rotated globe"""
     cos_heading: Scalar
     """Cosine of the heading from the direction of the track, clockwise"""
     sin_heading: Scalar
@@ -37,11 +37,11 @@ class TrackPosition(eqx.Module):
 class Track(eqx.Module):
     """Curvilinear coordinates about the great circle from one point to another.
 
-    Latitude and longitude on a globe that is turned so that the track is the prime
-    meridian, northwards from the equator; a track of more than 80 degrees has its middle
-    there. So they are regular along the whole track wherever it lies, over a pole and at
-    any heading, up to 160 degrees of arc. From the equator due north they are latitude and
-    longitude themselves.
+    The coordinates are latitude and longitude on a globe that is rotated such that the
+    track is its prime meridian, northwards from the equator. A track of more than 80
+    degrees has its middle on the equator. The coordinates are therefore regular along the
+    whole track, also over a pole and at any heading, up to 160 degrees of arc. For a track
+    from the equator due north they are latitude and longitude themselves.
     """
 
     start_longitude: Scalar = scalar(unit="rad")
@@ -89,7 +89,7 @@ class Track(eqx.Module):
     def to_go(self, state: EntryState) -> Scalar:
         """Sine of the angle to the plane across the track through the target.
 
-        Positive before it, up to half of the globe away.
+        It is positive before the target, up to half of the globe away.
         """
         north, out, _ = self._axes_at_start()
         target = _upwards(self.target_longitude, self.target_latitude)
@@ -107,7 +107,7 @@ class Track(eqx.Module):
         return _cross(up, right), up, right
 
     def _axes(self) -> tuple[Direction, Direction, Direction]:
-        """Of the turned globe: to its north pole, to longitude and latitude 0, east."""
+        """Axes of the rotated globe: to the pole, to longitude and latitude 0, and east."""
         north, out, east = self._axes_at_start()
         length = self.length()
         sine, cosine = sincos(jnp.where(length > _LONG, 0.5 * length, 0.0))

@@ -1,4 +1,4 @@
-"""How a bank is turned, as a law believes it: at a rate, which takes a time to reach."""
+"""Model of the turning of a bank in a law: at a rate that takes time to build up."""
 
 import math
 
@@ -10,12 +10,12 @@ from ..motion.attitude import Swing
 
 
 class BankTurning(eqx.Module):
-    """Turns a bank at the largest rate, which it reaches by the largest acceleration.
+    """Turns a bank at the largest rate, which is reached at the largest acceleration.
 
-    The bank after a time is a closed form, with no state to be integrated, so that a
-    prediction may step over it as coarsely as over the motion. How the turn ends is left
-    out: the bank stops where it is to be. Half a minute of a reversal ends so some tenths
-    of a second early beside that of a `Response`.
+    The bank after a time is a closed form without integrated states, so that the steps of
+    a prediction may be as coarse as for the motion alone. The deceleration at the end of
+    the turn is neglected: the bank stops at the commanded value. A reversal of half a
+    minute then ends some tenths of a second earlier than that of a `Response`.
     """
 
     rate: Scalar = scalar(unit="rad/s", positive=True)
@@ -28,15 +28,16 @@ class BankTurning(eqx.Module):
         elapsed: Scalar,
         reverses_in: Scalar | float = math.inf,
     ) -> Scalar:
-        """Bank some time after a given one, rad, positive to the right.
+        """Bank at a time after an initial bank, rad, positive to the right.
 
         **Arguments:**
 
-        - `bank`: at the start, and its rate.
-        - `wanted`: what is commanded since then, as it is commanded at the time, rad.
+        - `bank`: initial bank and its rate.
+        - second argument: bank that is commanded for the side at the start, at its value
+          of the present time, rad.
         - `elapsed`: time since the start, s.
-        - `reverses_in`: time from the start to when the other side is commanded, s. What
-          is turned until then is kept, and the turn to the other side begins at rest.
+        - `reverses_in`: time from the start to the command of the other side, s. The turn
+          to the other side begins at the bank that is reached by then, with zero rate.
         """
         way = jnp.where(wanted < bank.angle, -1.0, 1.0)
         until = jnp.minimum(elapsed, reverses_in)
@@ -45,7 +46,7 @@ class BankTurning(eqx.Module):
         return _nearer(angle, -wanted, self._turned(0.0, since))
 
     def _turned(self, rate: Scalar | float, elapsed: Scalar) -> Scalar:
-        """Angle that is turned in a time, rad, from any rate on, a larger one too."""
+        """Angle turned in a time, rad, from an initial rate that may exceed `rate`."""
         a, lacks = self.acceleration, self.rate - rate
         left = jnp.maximum(jnp.abs(lacks) / a - elapsed, 0.0)
         late = 0.5 * (lacks * lacks / a - a * left * left)
@@ -53,7 +54,7 @@ class BankTurning(eqx.Module):
 
 
 def _nearer(angle: Scalar, target: Scalar, turned: Scalar) -> Scalar:
-    """An angle after so much of a turn to another one, and not beyond."""
+    """Angle after a turn by `turned` towards a target, but not beyond it."""
     away = angle - target
     left = jnp.maximum(jnp.abs(away) - turned, 0.0)
     return target + jnp.where(away < 0.0, -left, left)

@@ -1,9 +1,10 @@
-"""Deviations from a glide over the velocity: the linear model that modulation stands on.
+"""Deviations from a glide over the velocity: the linear model for modulation.
 
 Reference: R. Zhang, H. Li, R. Zhang, "Angle-of-Attack Modulation in Trajectory Tracking for
-a Reusable Launch Vehicle". The symbols of the paper are kept. Radius is in units of the
-planet's, velocity of the circular one at its surface, forces of the gravity there; angles
-are in rad. The velocity falls: what is stable has eigenvalues with positive real parts.
+a Reusable Launch Vehicle", with the symbols of the paper. Radius is in units of the
+planet's radius, velocity in units of the circular velocity at its surface, forces in units
+of the gravity there; angles are in rad. Since the velocity falls, stable eigenvalues have
+positive real parts.
 """
 
 import equinox as eqx
@@ -18,14 +19,14 @@ from .model import OnboardModel, require_still_air
 
 
 class GlidePoint(eqx.Module):
-    """A point of a reference over the velocity, without units."""
+    """A point of a reference over the velocity, in normalised units."""
 
     velocity: Scalar
     radius: Scalar
     flight_path_angle: Scalar
     """rad"""
     bank: Scalar
-    """rad, to either side"""
+    """Magnitude of the bank, rad"""
     drag: Scalar
     lift: Scalar
     lift_slope: Scalar
@@ -35,32 +36,32 @@ class GlidePoint(eqx.Module):
 
 
 class VelocityDomain(eqx.Module):
-    """The world as the law has it: a sphere at rest, and an exponential atmosphere."""
+    """The law's model of the world: a sphere at rest with an exponential atmosphere."""
 
     model: OnboardModel
-    """Of which the aerodynamics, the radius and the gravity are read"""
+    """Model from which the aerodynamics, the radius and the gravity are taken"""
     scale_height: Scalar = scalar(7200.0, unit="m", positive=True)
 
     @property
     def gravity(self) -> Scalar:
-        """At the surface, m/s2: the unit of force."""
+        """Gravity at the surface, m/s2: the unit of force."""
         planet = self.model.planet
         return planet.gravity.acceleration(planet.radius)
 
     @property
     def circular_velocity(self) -> Scalar:
-        """At the surface, m/s: the unit of velocity."""
+        """Circular velocity at the surface, m/s: the unit of velocity."""
         return jnp.sqrt(self.gravity * self.model.planet.radius)
 
     @property
     def steepness(self) -> Scalar:
-        """R_e / H."""
+        """Radius over scale height, R_e / H."""
         return self.model.planet.radius / self.scale_height
 
     def point(
         self, state: EntryState, wanted: dict[str, tuple[Scalar, Scalar, Scalar]]
     ) -> GlidePoint:
-        """The reference at the velocity of a state, from what `plan_glide` tabulates."""
+        """Reference at the velocity of a state, from the table of `plan_glide`."""
         value = {name: values[0] for name, values in wanted.items()}
         gravity, angle = self.gravity, value["angle_of_attack"]
         (lift, lift_slope), (drag, drag_slope) = self.model.coefficients_with_slopes(
@@ -126,7 +127,7 @@ class VelocityDomain(eqx.Module):
         )
 
     def zero_dynamics(self, point: GlidePoint) -> tuple[Scalar, Scalar]:
-        """Gamma1 and Gamma2 of (25): with a bracket that is C_La / C_L - C_Da / C_D."""
+        """Gamma1 and Gamma2 of (25); the bracket is C_La / C_L - C_Da / C_D."""
         v = point.velocity
         _, cos_bank = sincos(point.bank)
         up = point.lift * cos_bank
@@ -136,11 +137,11 @@ class VelocityDomain(eqx.Module):
         return gamma1, ((v * v - 1.0) + up) / (v * point.drag**2)
 
     def flight_condition(self, point: GlidePoint) -> Int[Array, ""]:
-        """1 or 2 where holding the drag by the angle of attack is unstable, else 0.
+        """1 or 2 if holding the drag with the angle of attack is unstable, else 0.
 
-        With condition 1, both Gammas below zero, the angle of attack swings away slowly:
-        on the back side of the lift-to-drag ratio. With condition 2, Gamma1 above zero, on
-        its front side, it goes away without swinging.
+        Condition 1: both Gammas are below zero. The angle of attack diverges in slow
+        oscillations, on the back side of the lift-to-drag ratio. Condition 2: Gamma1 is
+        above zero. The angle of attack diverges without oscillations, on the front side.
         """
         gamma1, gamma2 = self.zero_dynamics(point)
         return jnp.where(gamma1 > 0.0, 2, jnp.where(gamma2 < 0.0, 1, 0))
@@ -148,9 +149,9 @@ class VelocityDomain(eqx.Module):
     def _forces(
         self, point: GlidePoint, radius: Scalar, angle: Scalar
     ) -> tuple[Scalar, Scalar]:
-        """Lift and drag beside a point, at an angle of attack more than there.
+        """Lift and drag beside a point, for an increment of the angle of attack.
 
-        To first order in that angle, which is what is differentiated.
+        They are of first order in the increment, which suffices for derivatives.
         """
         thinner = jnp.exp(-self.steepness * (radius - point.radius))
         return (

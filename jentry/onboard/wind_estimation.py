@@ -1,18 +1,18 @@
-"""The wind as a function of the altitude, learnt on the way down from the sensed flow.
+"""Estimation of the wind as a function of the altitude, from the sensed flow.
 
-Navigation knows the velocity over the ground, flow sensors that over the air; the wind is
-the difference. What each sample can tell of it:
+Navigation gives the velocity over the ground, and flow sensors that over the air; the wind
+is the difference. Each sample contains the following information:
 
-- Across the flow, by its direction. An angle of standard deviation s is one of s V in m/s,
-  at an airspeed V.
-- Along the flow, by its speed, and so by a share of V as well. From the forces alone it
-  cannot be seen: lift and drag go with the density times V^2, so that a head wind w is one
-  with a factor (1 + w/V)^2 on the density. Direction alone sees a head wind where the
-  vehicle descends: a horizontal wind along the track turns the flow up or down by
-  w sin(gamma) / V, at a path angle gamma.
+- Across the flow, by its direction. An angle with the standard deviation s corresponds to
+  s V in m/s, at an airspeed V.
+- Along the flow, by its speed, whose error is also a share of V. The forces alone do not
+  reveal this component: lift and drag are proportional to the density times V^2, so a head
+  wind w is equivalent to a factor (1 + w/V)^2 on the density. The direction alone reveals a
+  head wind where the vehicle descends: a horizontal wind along the track turns the flow up
+  or down by w sin(gamma) / V, at a path angle gamma.
 
-So the wind is hidden at the start of an entry and plain at its end. How far down a sample
-counts is told by the correlation length of the wind.
+The wind is therefore poorly observable at the start of an entry and well observable at its
+end. The correlation length of the wind determines how far down a sample has an influence.
 """
 
 import equinox as eqx
@@ -28,12 +28,12 @@ from .profile_estimation import Learnt
 
 
 class WindPrior(eqx.Module):
-    """A horizontal wind before anything is sensed: a Gauss-Markov process of the altitude.
+    """Prior of a horizontal wind: a Gauss-Markov process over the altitude.
 
-    Towards east and towards north it departs from its mean independently and with one
-    standard deviation. Two departures are normal with the correlation
-    exp(-distance / correlation_length), as those of `RandomAltitudeProfile`: what is below
-    hangs on the last departure alone.
+    Its components to the east and to the north depart from their means independently, with
+    one standard deviation. Two departures are normal with the correlation
+    exp(-distance / correlation_length), as those of `RandomAltitudeProfile`. The wind
+    below therefore depends on the last departure alone.
     """
 
     deviation: Scalar = scalar(unit="m/s", positive=True)
@@ -41,10 +41,10 @@ class WindPrior(eqx.Module):
     correlation_length: Scalar = scalar(unit="m", positive=True)
 
     def carried(self, learnt: Learnt, distance: Scalar) -> Learnt:
-        """What is known at a distance (m) from where something is known.
+        """Estimate at a distance (m) from the altitude of an estimate.
 
-        The mean falls off to both sides, so that it has no slope just there: until the
-        vehicle has gone on, a derivative by the altitude sees no shear of the wind.
+        The mean decays to both sides and has zero slope at the altitude of the estimate.
+        Until the vehicle has moved on, a derivative over the altitude sees no wind shear.
         """
         likeness = jnp.exp(-jnp.abs(distance) / self.correlation_length)
         square = likeness * likeness
@@ -55,16 +55,16 @@ class WindPrior(eqx.Module):
 
 
 class WindEstimate(eqx.Module):
-    """What is known of the wind where it was last sensed."""
+    """Estimate of the wind at the altitude of the last sample."""
 
     altitude: Scalar
-    """Of the sample, m"""
+    """Altitude of the sample, m"""
     learnt: Learnt
     """Departures towards east and north (m/s), with their covariance"""
 
 
 class EstimatedWind(AbstractWind):
-    """A wind, and what is known of a horizontal departure from it."""
+    """A mean wind, plus an estimated horizontal departure."""
 
     mean: AbstractWind
     prior: WindPrior
@@ -76,7 +76,7 @@ class EstimatedWind(AbstractWind):
         return mean_east + east, mean_north + north, up
 
     def deviations(self, altitude: Scalar) -> tuple[Scalar, Scalar]:
-        """Standard deviations towards east and north (m/s), as the estimate has it."""
+        """Standard deviations to the east and north (m/s), by the estimate."""
         east, north = jnp.sqrt(jnp.diag(self._at(altitude).covariance))
         return east, north
 
@@ -86,29 +86,30 @@ class EstimatedWind(AbstractWind):
 
 
 class WindEstimator(eqx.Module):
-    """A Kalman filter of the horizontal wind, over the altitude, by the sensed flow.
+    """A Kalman filter of the horizontal wind over the altitude, from the sensed flow.
 
-    A wind of the onboard model is the mean. Errors that last, such as a misaligned sensor,
-    are taken for wind: state them in the deviations, which are those of independent
-    samples. A vehicle that climbs again knows of the air below as much as of that above.
+    The wind of the onboard model is the mean. Persistent errors, such as a misaligned
+    sensor, are interpreted as wind. Include them in the deviations, which are those of
+    independent samples. If the vehicle climbs again, the estimate is as uncertain for the
+    air below as for the air above.
     """
 
     prior: WindPrior
     angle_deviation: Scalar = scalar(unit="rad", positive=True)
-    """Standard deviation of a sample of the flow's direction, along each of two axes"""
+    """Standard deviation of a sample of the flow direction, along each of two axes"""
     speed_deviation: Scalar | None = optional_scalar(range=NOT_NEGATIVE)
-    """Of a sample of the airspeed, as a share of it; None where the direction alone is
-    read"""
+    """Standard deviation of a sample of the airspeed, as a share of it; None if only the
+    direction is used"""
 
     def start(self, like: Scalar) -> WindEstimate:
-        """Before the first sample."""
+        """Estimate before the first sample."""
         nothing = 0.0 * like
         variance = self.prior.deviation * self.prior.deviation
         known = Learnt(nothing + jnp.zeros(2), (nothing + variance) * jnp.eye(2))
         return WindEstimate(nothing, known)
 
     def wind(self, mean: AbstractWind, estimate: WindEstimate) -> EstimatedWind:
-        """As it is believed to be over the altitude; `mean` is that of the model."""
+        """Estimated wind over the altitude; `mean` is the wind of the model."""
         return EstimatedWind(mean, self.prior, estimate)
 
     def update(
@@ -118,11 +119,11 @@ class WindEstimator(eqx.Module):
         state: EntryState,
         sensed: AirVelocity,
     ) -> WindEstimate:
-        """After one more sample of the velocity over the air, in a state.
+        """Estimate after one more sample of the velocity over the air, in a state.
 
-        Where nothing is sensed it is what it was.
+        If nothing is sensed the estimate is unchanged.
         """
-        # In the wind of the model, from which the estimate departs.
+        # Velocity over the air in the wind of the model, from which the estimate departs.
         expected = velocity_over_air(mean, state)
         along, right, above = sensed.axes()
         across = self.angle_deviation * sensed.speed
@@ -138,6 +139,6 @@ class WindEstimator(eqx.Module):
             departed = east * off_east + north * off_north + up * off_up
             learnt, _ = learnt.refined(row, departed, deviation * deviation)
         after = WindEstimate(state.altitude, learnt)
-        # A flow that is exactly vertical has no sides.
+        # An exactly vertical flow has no lateral axes.
         tells = sensed.is_sensed & (sensed.east**2 + sensed.north**2 > 0.0)
         return jax.tree.map(lambda a, b: jnp.where(tells, a, b), after, before)

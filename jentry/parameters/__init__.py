@@ -1,3 +1,3 @@
-"""Floor 7: numbers that a search moves: leaves, and what keeps them where they may be."""
+"""Floor 7: the parameters of a search, which are leaves, and maps that bound them."""
 
 from .maps import Bounds as Bounds, Scale as Scale

@@ -1,4 +1,4 @@
-"""Smooth maps from free numbers to a leaf's values, which keep it where it may be."""
+"""Smooth maps from free numbers to the values of a leaf, within its allowed range."""
 
 import dataclasses
 from abc import abstractmethod
@@ -11,13 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from .._printed import quantity_in_words
 from ..fields import as_float_array
 from ..flight.scenario import check_values
 
 
 @dataclasses.dataclass(frozen=True)
 class Bounds:
-    """A tuned leaf stays between two values, each a number or of the leaf's shape."""
+    """Bounds of a tuned leaf: two values, each a number or of the shape of the leaf."""
 
     lower: Any
     upper: Any
@@ -25,21 +26,22 @@ class Bounds:
 
 @dataclasses.dataclass(frozen=True)
 class Scale:
-    """How much of a tuned leaf counts as much as a factor e of a positive one.
+    """Scale of a tuned leaf: the change that corresponds to a free number of one.
 
-    It takes the place of the leaf's own size, which tells nothing of one that is zero.
+    It replaces the size of the leaf itself, which is no scale for a leaf that is zero. For
+    a positive leaf a free number of one corresponds to a factor e.
     """
 
     size: Any
-    """A number, or of the leaf's shape; in the unit of the leaf"""
+    """A number, or an array of the shape of the leaf, in the unit of the leaf"""
 
 
 Ranges = Mapping[str, Bounds | Scale]
-"""By address"""
+"""Bounds and scales by address"""
 
 
 class AbstractMap(eqx.Module):
-    """From free numbers, of any size, to values that are allowed. Zero is the start."""
+    """Map from free numbers of any size to allowed values. Zero maps to the start."""
 
     start: eqx.AbstractVar[Array]
 
@@ -49,11 +51,11 @@ class AbstractMap(eqx.Module):
 
 
 _LARGEST = 500.0
-"""Of a logarithm: beyond it a positive number would be zero or infinite in the end"""
+"""Limit of a logarithm, so that a positive number becomes neither zero nor infinite"""
 
 
 class Positive(AbstractMap):
-    """value = start exp(free): a step of 0.1 changes it by a tenth."""
+    """value = start exp(free): a step of 0.1 changes the value by about a tenth."""
 
     start: Array = eqx.field(converter=as_float_array)
 
@@ -62,7 +64,7 @@ class Positive(AbstractMap):
 
 
 class Unbounded(AbstractMap):
-    """value = start + scale free, held within the range of its field, if it has one."""
+    """value = start + scale free, clipped to the range of its field, if there is one."""
 
     start: Array = eqx.field(converter=as_float_array)
     scale: Array = eqx.field(converter=as_float_array)
@@ -71,13 +73,13 @@ class Unbounded(AbstractMap):
 
     def __call__(self, free):
         value = self.start + self.scale * free
-        # Not `clip`, which has half the derivative where a number starts at an end.
+        # Not `clip`: at an end of the range it has half the derivative.
         value = jnp.where(value < self.least, self.least, value)
         return jnp.where(value > self.largest, self.largest, value)
 
 
 class Between(AbstractMap):
-    """A logistic curve between two bounds, of which the middle is steepest."""
+    """A logistic curve between two bounds. It is steepest in the middle."""
 
     start: Array = eqx.field(converter=as_float_array)
     lower: Array = eqx.field(converter=as_float_array)
@@ -91,12 +93,12 @@ class Between(AbstractMap):
 
 
 class Linear(AbstractMap):
-    """value = start + scale free; whoever moves it keeps it between the bounds."""
+    """value = start + scale free. The method that changes it must enforce the bounds."""
 
     start: Array = eqx.field(converter=as_float_array)
     scale: Array = eqx.field(converter=as_float_array)
     lower: Array = eqx.field(converter=as_float_array)
-    """Infinite where there is none"""
+    """Lower bound, minus infinity if there is none; likewise for `upper`"""
     upper: Array = eqx.field(converter=as_float_array)
 
     def __call__(self, free):
@@ -106,11 +108,12 @@ class Linear(AbstractMap):
 def linear_map_of(
     address: str, leaf: Array, metadata: Mapping[str, Any], given: Bounds | Scale | None
 ) -> Linear:
-    """The linear map of a leaf, for a method that keeps bounds itself.
+    """The linear map of a leaf, for a method that enforces bounds itself.
 
-    The scale is a quarter of the way between the bounds, or that of `map_of`. A number
-    that must be positive keeps at least a millionth of its size. Raises `ValueError` for
-    a leaf that starts beyond its bounds.
+    The scale is a quarter of the distance between the bounds, or else that of `map_of`. The
+    lower bound of a number that must be positive is a millionth of its value.
+
+    **Raises:** `ValueError` for a leaf that starts outside its bounds.
     """
     least, largest = metadata.get("range") or (-np.inf, np.inf)
     lower = 1e-6 * leaf if metadata.get("positive") else jnp.full_like(leaf, least)
@@ -119,27 +122,30 @@ def linear_map_of(
         if given is not None and not isinstance(given, Scale):
             raise ValueError(_no_range(address, given))
         return Linear(leaf, _scale(address, leaf, given), lower, upper)
-    low, high = _bounds(address, leaf, given)
+    unit = metadata.get("unit", "1")
+    low, high = _bounds(address, leaf, given, unit)
     for bound in (low, high):
         check_values(f"a bound of {address}", bound, metadata)
     if not np.all((low <= leaf) & (leaf <= high) & (low < high)):
-        raise ValueError(_not_between(address, leaf, given))
+        raise ValueError(_not_between(address, leaf, given, unit))
     return Linear(leaf, 0.25 * (high - low), low, high)
 
 
 def map_of(
     address: str, leaf: Array, metadata: Mapping[str, Any], given: Bounds | Scale | None
 ) -> AbstractMap:
-    """The map of a leaf that starts where it is; raises `ValueError` if it cannot be.
+    """The map of a leaf, which starts at its present value.
 
-    A leaf with bounds stays between them, one that must be positive stays so, and any
-    other moves by a scale, or by its root mean square.
+    A leaf with bounds stays between them. A leaf that must be positive stays positive. The
+    scale of any other leaf is its `Scale`, or its root mean square.
+
+    **Raises:** `ValueError` if the range does not fit the leaf.
     """
     if given is not None and not isinstance(given, Bounds | Scale):
         raise ValueError(_no_range(address, given))
     positive = metadata.get("positive", False)
     if isinstance(given, Bounds):
-        between = _between(address, leaf, given, positive)
+        between = _between(address, leaf, given, metadata)
         for bound in (between.lower, between.upper):
             check_values(f"a bound of {address}", np.asarray(bound), metadata)
         return between
@@ -159,7 +165,7 @@ def _scale(address: str, start: Array, given: Scale | None) -> Array:
         scale = jnp.sqrt(jnp.mean(start**2))
         if not scale > 0.0:
             raise ValueError(
-                f"{address} is 0, which does not tell how much of it is a lot: give "
+                f"{address} is 0, from which no scale follows: give "
                 f'ranges={{"{address}": Scale(...)}}, in its unit, or Bounds(...); to a '
                 "command --scale or --bounds"
             )
@@ -178,11 +184,14 @@ def _scale(address: str, start: Array, given: Scale | None) -> Array:
     return jnp.asarray(scale)
 
 
-def _between(address: str, leaf: Array, bounds: Bounds, positive: bool) -> Between:
-    low, high = _bounds(address, leaf, bounds)
+def _between(
+    address: str, leaf: Array, bounds: Bounds, metadata: Mapping[str, Any]
+) -> Between:
+    unit = metadata.get("unit", "1")
+    low, high = _bounds(address, leaf, bounds, unit)
     if not np.all((low < np.asarray(leaf)) & (np.asarray(leaf) < high)):
-        raise ValueError(_not_between(address, leaf, bounds))
-    if positive and not np.all(low > 0.0):
+        raise ValueError(_not_between(address, leaf, bounds, unit))
+    if metadata.get("positive", False) and not np.all(low > 0.0):
         raise ValueError(
             f"the lower bound of {address} is {bounds.lower}: it must be above zero, since "
             "the number must be positive"
@@ -190,8 +199,13 @@ def _between(address: str, leaf: Array, bounds: Bounds, positive: bool) -> Betwe
     return Between(leaf, low, high)
 
 
-def _bounds(address: str, leaf: Array, bounds: Bounds) -> tuple[np.ndarray, np.ndarray]:
-    """Both of the shape of the leaf; raises `ValueError` if they are not, or infinite."""
+def _bounds(
+    address: str, leaf: Array, bounds: Bounds, unit: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Both bounds in the shape of the leaf.
+
+    **Raises:** `ValueError` if a bound does not have this shape or is not finite.
+    """
     lower, upper = bounds.lower, bounds.upper
     try:
         low, high = (
@@ -203,14 +217,18 @@ def _bounds(address: str, leaf: Array, bounds: Bounds) -> tuple[np.ndarray, np.n
             f"a number or of the shape {leaf.shape}"
         ) from error
     if not np.all(np.isfinite([low, high])):
-        raise ValueError(_not_between(address, leaf, bounds))
+        raise ValueError(_not_between(address, leaf, bounds, unit))
     return low, high
 
 
-def _not_between(address: str, leaf: Array, bounds: Bounds) -> str:
+def _not_between(address: str, leaf: Array, bounds: Bounds, unit: str) -> str:
+    lower, upper, value = (
+        quantity_in_words(np.asarray(x, float), unit)
+        for x in (bounds.lower, bounds.upper, leaf)
+    )
     return (
-        f"the bounds of {address} are {bounds.lower} and {bounds.upper}: they must be "
-        f"finite and on both sides of its value, which is {np.asarray(leaf)}"
+        f"the bounds of {address} are {lower} and {upper}: they must be finite and on both "
+        f"sides of its value, which is {value}"
     )
 
 

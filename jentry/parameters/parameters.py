@@ -1,4 +1,4 @@
-"""What is tuned: leaves of a pytree, from which the scenario is built that is flown."""
+"""Parameters of a search: leaves of a pytree, from which a scenario is built."""
 
 from collections.abc import Callable
 from typing import Any
@@ -25,28 +25,28 @@ from .maps import AbstractMap, Between, Ranges, map_of
 
 
 Free = dict[str, Array]
-"""Free numbers by the addresses of their leaves: all of them zero at the start"""
+"""Free numbers by the addresses of their leaves. All are zero at the start"""
 
 Build = Callable[[Any], Scenario]
-"""From a pytree of parameters to the scenario that is flown"""
+"""Function from a pytree of parameters to the scenario"""
 
 _NEXT_TO_A_BOUND = 1e-3
-"""Of the interval between the bounds: there a leaf moves by less than a thousandth of it
-for a free number of one"""
+"""Share of the interval between two bounds. A leaf that is closer to a bound changes by
+less than about a thousandth of the interval for a free number of one"""
 
 
 def itself(start: Any) -> Any:
-    """The build of a lens: the parameters are leaves of the scenario."""
+    """Return the scenario unchanged: the build for parameters that are its own leaves."""
     return start
 
 
 class Parameters(eqx.Module):
-    """The tuned leaves by their addresses, each with its map, and what is built of them."""
+    """Leaves that a search varies, with their maps and the scenario built from them."""
 
     start: PyTree
-    """Of which the leaves are: a scenario, or whatever a scenario is built from"""
+    """Pytree with the leaves: a scenario, or numbers from which a scenario is built"""
     maps: dict[str, AbstractMap]
-    """By address in it"""
+    """Maps of the leaves by their addresses in `start`"""
     build: Build
     moved: tuple[str, ...] = eqx.field(static=True)
     """Addresses of the leaves of the scenario that depend on the parameters"""
@@ -60,20 +60,21 @@ class Parameters(eqx.Module):
         build: Build = itself,
         as_map: Callable[..., AbstractMap] = map_of,
     ) -> "Parameters":
-        """Of the leaves that a lens reaches, or of all; see `tune`.
+        """Parameters for the leaves that a lens selects, or for all leaves; see `tune`.
 
-        `as_map` makes the map of a leaf, as `map_of` does. Raises `ValueError` if that
-        cannot be tuned.
+        `as_map` returns the map of a leaf, as `map_of` does.
+
+        **Raises:** `ValueError` for leaves that cannot be tuned.
         """
         start = _with_arrays(start)
         leaves, ranges = leaves_by_address(start), dict(ranges or {})
         if "" in leaves:
             raise ValueError(
-                "what is tuned is one array without a name: give it one, as in "
+                "the parameters are one array without a name: give it a name, as in "
                 '{"curvature": ...}'
             )
         try:
-            # A leaf that the lens reaches twice is one parameter.
+            # A leaf that the lens selects twice is one parameter.
             addresses = list(dict.fromkeys(addresses_of(start, where or itself)))
         except (AttributeError, KeyError, IndexError, TypeError) as error:
             raise ValueError(f"the lens of what to tune: {error}") from error
@@ -103,7 +104,7 @@ class Parameters(eqx.Module):
 
     @property
     def count(self) -> int:
-        """Of single numbers"""
+        """How many single numbers are varied."""
         return sum(m.start.size for m in self.maps.values())
 
     @property
@@ -116,7 +117,7 @@ class Parameters(eqx.Module):
         return {address: jnp.zeros_like(m.start) for address, m in self.maps.items()}
 
     def near_bounds(self) -> list[str]:
-        """A sentence for each leaf that starts so near to a bound that it hardly moves."""
+        """Warnings for leaves that start so close to a bound that they hardly change."""
         found = []
         for address, value in self.maps.items():
             if isinstance(value, Between):
@@ -131,32 +132,32 @@ class Parameters(eqx.Module):
         return found
 
     def values(self, free: Free) -> dict[str, Array]:
-        """The values of the leaves."""
+        """The values of the leaves at a point."""
         return {address: value(free[address]) for address, value in self.maps.items()}
 
     def scenario(self, free: Free) -> Scenario:
-        """What is flown with these numbers."""
+        """The scenario at a point."""
         return self.scenario_of(self.values(free))
 
     def scenario_of(self, values: dict[str, Any]) -> Scenario:
-        """What is flown with these values of the leaves."""
+        """The scenario with these values of the leaves."""
         built = self.build(replace_leaves(self.start, values))
         if not isinstance(built, Scenario):
             raise ValueError(
-                f"what is flown is a {type(built).__name__}: it must be a Scenario, or "
-                "built from the parameters by build(parameters) -> Scenario"
+                f"the scenario is a {type(built).__name__}: give a Scenario, or a function "
+                "that builds one, build(parameters) -> Scenario"
             )
         return with_leaves(built)
 
     def followed_by(self, change: Callable[[Scenario], Scenario]) -> "Parameters":
-        """The same, of a scenario that is changed after it is built."""
+        """These parameters with a scenario that is changed after it is built."""
         return _of_maps(self.start, self.maps, Changed(self.build, change))
 
     def about(self, free: Free) -> "Parameters | Tangent":
-        """What has the same scenario at a point, and the same first derivative there.
+        """Parameters with the same scenario and the same first derivatives at a point.
 
-        A build may cost as much as many flights, so it is differentiated once and not
-        beside each of them.
+        A build may cost as much as many flights. It is therefore differentiated once, and
+        not again for each flight.
         """
         if self.build is itself:
             return self
@@ -173,7 +174,7 @@ def _of_maps(start: PyTree, maps: dict[str, AbstractMap], build: Build) -> Param
 
 
 class Changed(eqx.Module):
-    """A build, and what is changed of the scenario after it."""
+    """A build that is followed by a change of the scenario."""
 
     build: Build
     change: Callable[[Scenario], Scenario]
@@ -183,17 +184,17 @@ class Changed(eqx.Module):
 
 
 class Tangent(eqx.Module):
-    """Parameters about a point: their scenario is linear in the free numbers."""
+    """Parameters linearized about a point: the scenario is linear in the free numbers."""
 
     at: Scenario
-    """At the point"""
+    """Scenario at the point"""
     free: Free
     slopes: dict[str, Free]
-    """Of each leaf of the scenario that moves, with respect to each parameter: of the
-    shape of the leaf and then that of the parameter"""
+    """Derivatives of each dependent leaf of the scenario with respect to each parameter.
+    Their shape is that of the leaf followed by that of the parameter"""
 
     def scenario(self, free: Free) -> Scenario:
-        """What is flown with these numbers, to first order."""
+        """The scenario with these free numbers, to first order."""
         leaves = leaves_by_address(self.at)
         moves = {a: x - self.free[a] for a, x in free.items()}
 
@@ -221,7 +222,7 @@ def _tangent(parameters: Parameters, free: Free) -> Tangent:
 
 
 def scenario_at(parameters: Parameters, values: dict[str, Any]) -> Scenario:
-    """What is flown with these values of the leaves; a build is compiled."""
+    """The scenario with these values of the leaves. A build is compiled."""
     if parameters.build is itself:
         return parameters.scenario_of(values)
     return _built(parameters, {a: jnp.asarray(x) for a, x in values.items()})
@@ -233,7 +234,7 @@ def _built(parameters: Parameters, values: dict[str, Array]) -> Scenario:
 
 
 def _moved(parameters: Parameters) -> tuple[str, ...]:
-    """Addresses of the leaves that depend on the parameters."""
+    """Addresses of the leaves of the scenario that depend on the parameters."""
 
     def leaves(free: Free) -> dict[str, Array]:
         return leaves_by_address(parameters.scenario(free))
@@ -252,8 +253,7 @@ def _moved(parameters: Parameters) -> tuple[str, ...]:
 
 
 def _with_arrays(start: PyTree) -> PyTree:
-    """With every number a leaf: of a scenario by its fields, of anything else if it is a
-    float."""
+    """The start with its numbers as arrays: fields of a scenario, or else all floats."""
     if isinstance(start, Scenario):
         return with_leaves(start)
 

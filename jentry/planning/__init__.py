@@ -1,4 +1,4 @@
-"""Floor 8: references, curves and parameters that are planned before a flight."""
+"""Floor 8: plans references, curves and parameters before a flight."""
 
 from .bezier_curve import (
     k2_polynomial as k2_polynomial,

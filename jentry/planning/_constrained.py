@@ -1,8 +1,8 @@
-"""Minimise a function of some numbers under equations, limits and bounds.
+"""Minimises a function under equations, limits and bounds.
 
-SLSQP of scipy needs first derivatives. Where there are equations and bounds alone, and
-exact second derivatives, Newton's method on the conditions of Karush, Kuhn and Tucker goes
-on to the last digits.
+SLSQP of scipy needs first derivatives. If there are only equations and bounds, and exact
+second derivatives, Newton's method on the Karush-Kuhn-Tucker conditions refines its result
+to rounding.
 """
 
 import functools
@@ -17,17 +17,17 @@ from jaxtyping import Array, PyTree
 
 
 _ROUNDS = 50
-"""Changes of what is active, after SLSQP; it takes none or a few"""
+"""Largest number of changes of the active set after SLSQP; usually none or a few"""
 
 _STEPS = 30
-"""Newton steps with the same bounds active; four do"""
+"""Largest number of Newton steps with one active set; usually four"""
 
 _ROUNDING = 1e-13
-"""Of a step of Newton's method, in units of the largest number: converged"""
+"""Newton step at convergence, as a share of the largest number of x"""
 
 
 class Linearized(NamedTuple):
-    """A problem at one point, with its first derivatives; arrays of numpy."""
+    """A problem at one point, with its first derivatives, as numpy arrays."""
 
     value: float
     slope: np.ndarray
@@ -43,9 +43,9 @@ class Linearized(NamedTuple):
 
 
 class Limits(NamedTuple):
-    """What x and the constraints may be; infinite where they may be any.
+    """Limits of x and of the constraints; infinite where there is no limit.
 
-    A constraint of which both are the same is an equation.
+    A constraint with equal limits is an equation.
     """
 
     lower: np.ndarray
@@ -59,21 +59,22 @@ class Limits(NamedTuple):
 
 
 class Optimum(NamedTuple):
-    """A minimum, with what holds it there."""
+    """A minimum, with its Lagrange multipliers."""
 
     x: np.ndarray
     """(n,)"""
     value: float
     constraints: np.ndarray
-    """(m,) Their prices: by how much the minimum rises with the limit that binds. Positive
-    where it is the least value, negative where it is the largest, of either sign for an
-    equation, zero where none binds"""
+    """(m,) Prices of the constraints, which are their multipliers: the derivative of the
+    minimum with respect to the limit that binds. A price is positive where the least value
+    binds, negative where the largest value binds, of either sign for an equation, and zero
+    where no limit binds"""
     bounds: np.ndarray
-    """(n,) Likewise of the bounds of x"""
+    """(n,) Prices of the bounds of x"""
     iterations: int
-    """Of SLSQP"""
+    """Number of iterations of SLSQP"""
     slope_left: float
-    """Largest slope that the prices do not account for: zero at a minimum"""
+    """Largest component of the slope that the prices do not balance: zero at a minimum"""
 
 
 class NoOptimumError(ValueError):
@@ -82,7 +83,7 @@ class NoOptimumError(ValueError):
     def __init__(self, message: str, x: np.ndarray):
         super().__init__(message)
         self.x = x
-        """Where it was given up"""
+        """The last point of the search"""
 
 
 def sequential_quadratic(
@@ -93,16 +94,16 @@ def sequential_quadratic(
     iterations: int = 1000,
     met: float = 1e-6,
 ) -> Optimum:
-    """The x within limits with the least value, by SLSQP of scipy.
+    """The x within limits that has the least value, by SLSQP of scipy.
 
     **Arguments:**
 
     - `linearized`: the problem at a point, in units in which x, value and constraints are
-      about one. Where it is not finite, SLSQP looks nearer to where it was.
-    - `tolerance`: of the value, and of the sum of what the constraints are exceeded by.
-    - `met`: by how much a constraint may be exceeded, whatever SLSQP says.
+      about one. Where it is not finite, SLSQP shortens its step.
+    - `tolerance`: of the value, and of the summed violations of the constraints.
+    - `met`: largest violation of a constraint that is accepted, whatever SLSQP reports.
 
-    **Raises:** `NoOptimumError`, with the words of SLSQP, where it finds none.
+    **Raises:** `NoOptimumError` with the message of SLSQP if it finds no minimum.
     """
     import scipy.optimize
 
@@ -150,21 +151,21 @@ def sequential_quadratic(
     x = np.clip(found.x, lower, upper)
     values = at(x).constraints
     if not at(x).is_finite or np.any((values < least - met) | (values > most + met)):
-        raise NoOptimumError("SLSQP says that it is done, where it is not", x)
+        raise NoOptimumError("SLSQP reports success at a point that is no solution", x)
     return _priced(at(x), x, limits, int(found.nit))
 
 
 _BINDS = 1e-6
-"""In the units of the problem: nearer to a limit than this it binds"""
+"""Distance from a limit below which the limit binds, in the units of the problem"""
 
 _NO_PRICE = 1e-12
-"""In the units of the problem: rounding of none"""
+"""Price below which it is rounding, in the units of the problem"""
 
 
 def _priced(
     here: Linearized, x: np.ndarray, limits: Limits, iterations: int
 ) -> Optimum:
-    """A point with the prices that leave the least slope."""
+    """The optimum at a point, with the prices that balance the slope best."""
     import scipy.optimize
 
     lower, upper, least, most = limits
@@ -180,7 +181,7 @@ def _priced(
     )
     prices, left = np.zeros(len(values)), here.slope
     if np.any(binding):
-        # Not the default method, which does not come to the end of so many alike rows.
+        # Not the default method: it does not converge with so many similar rows.
         solved = scipy.optimize.lsq_linear(rows.T, here.slope, signs, method="bvls")
         prices[binding] = np.where(np.abs(solved.x) > _NO_PRICE, solved.x, 0.0)
         left = here.slope - rows.T @ solved.x
@@ -191,7 +192,7 @@ def _priced(
 
 
 Objective = Callable[[Any, Array], Array]
-"""Of the problem and x of shape (n,)"""
+"""Function of the problem and of x, which has shape (n,)"""
 
 
 def minimise(
@@ -202,17 +203,17 @@ def minimise(
     lower: np.ndarray,
     upper: np.ndarray,
 ) -> Optimum:
-    """The x between bounds with the least value of `objective(problem, x)`, to rounding.
+    """The x between bounds that minimises `objective(problem, x)`, exact to rounding.
 
     **Arguments:**
 
-    - `objective`: gives a number; `equations` gives numbers of shape (m,), all of which
-      must be zero. Both twice differentiable, defined at module level, and in units in
-      which x and they are about one.
-    - `problem`: a pytree of arrays: all else that they need.
+    - `objective`, `equations`: the objective returns a number, and the equations return
+      numbers of shape (m,) that must all be zero. Both are twice differentiable, defined at
+      module level, and in units in which x and the results are about one.
+    - `problem`: a pytree of arrays with all further inputs of these two functions.
     - `start`, `lower`, `upper`: (n,); the bounds may be infinite.
 
-    **Raises:** `NoOptimumError` where it finds none.
+    **Raises:** `NoOptimumError` if no minimum is found.
     """
 
     def linearized(x: np.ndarray) -> Linearized:
@@ -222,7 +223,7 @@ def minimise(
     lower, upper = np.asarray(lower, float), np.asarray(upper, float)
     zero = np.zeros(len(linearized(np.asarray(start, float)).constraints))
     limits = Limits(lower, upper, zero, zero)
-    # Newton's method sees to the equations.
+    # Newton's method solves the equations.
     found = sequential_quadratic(linearized, start, limits, met=np.inf)
     x = found.x
     active = np.where(x <= lower, -1, np.where(x >= upper, 1, 0))
@@ -230,7 +231,7 @@ def minimise(
         x, multipliers, push = _stationary(
             objective, equations, problem, x, active, lower, upper
         )
-        # What is crossed becomes active, and what pulls where it should push no longer is.
+        # Crossed bounds become active. Bounds whose price has the wrong sign are released.
         crossed = np.where(x < lower, -1, np.where(x > upper, 1, 0))
         pulls = active * push > 0.0
         after = np.where(active == 0, crossed, np.where(pulls, 0, active))
@@ -244,7 +245,7 @@ def minimise(
 
 
 def _stationary(objective, equations, problem, x, active, lower, upper):
-    """Newton's method with active bounds: x, multipliers, and the slope that is left."""
+    """Newton's method with active bounds: x, multipliers and the remaining slope."""
 
     def lagrangian(x: np.ndarray, multipliers: np.ndarray):
         numbers = jnp.asarray(x), jnp.asarray(multipliers)
@@ -290,7 +291,7 @@ def _values_and_slopes(objective, equations, problem, x):
 
 @eqx.filter_jit
 def _lagrangian(objective, equations, problem, x, multipliers):
-    """Slope and curvature of the Lagrangian in x; the equations and their rows."""
+    """Slope and curvature of the Lagrangian in x, the equations, and their Jacobian."""
 
     def lagrangian(x):
         return objective(problem, x) + multipliers @ equations(problem, x)

@@ -1,4 +1,4 @@
-"""Derivatives of what is tabulated, by differences."""
+"""Derivatives of tabulated values by finite differences."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -8,10 +8,10 @@ from ..onboard.profiles import Nodes
 
 
 def with_differences(values: Float[Array, " nodes"], spacing: Scalar) -> Nodes:
-    """Values on an even grid with their two derivatives by differences of fourth order.
+    """Values on an even grid, with two derivatives by differences of fourth order.
 
-    They are derivatives themselves, of which two more are costly, and of which the value
-    is read.
+    The values are derivatives themselves, so that two more exact derivatives would be
+    costly. Laws use mainly the values.
     """
     if values.shape[0] < 5:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Parameters and constraints of a flight as rows of numbers about one, for a solver."""
+"""Parameters and constraints of a flight as vectors of scaled numbers, for a solver."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -13,7 +13,7 @@ from .flight_constraints import Constraint
 
 
 def parted(parameters: Parameters, x: Any) -> dict[str, Any]:
-    """Free numbers by address, out of one row of them."""
+    """Free numbers by address, from one vector of all free numbers."""
     found, first = {}, 0
     for address, each in in_order(parameters):
         found[address] = x[first : first + each.start.size].reshape(each.start.shape)
@@ -22,20 +22,20 @@ def parted(parameters: Parameters, x: Any) -> dict[str, Any]:
 
 
 def in_order(parameters: Parameters) -> list[tuple[str, Linear]]:
-    """The maps as they follow each other in a row: JAX sorts a dictionary, too."""
+    """The maps in the order of the vector: by address, as JAX sorts a dictionary."""
     maps = sorted(parameters.maps.items())
     return [(address, each) for address, each in maps if isinstance(each, Linear)]
 
 
 class ScaledLimits(NamedTuple):
-    """The limits of all values in a row, and whose they are."""
+    """The limits of all values in one vector, with the names of the constraints."""
 
     x: Limits
-    """In units of the scales"""
+    """Limits in units of the scales and sizes"""
     scales: np.ndarray
-    """(n,) of the parameters"""
+    """(n,) Scales of the parameters"""
     sizes: np.ndarray
-    """(m,)"""
+    """(m,) Scales of the constrained values"""
     inside: np.ndarray
     """(m,) Values within the limits, in units of the sizes"""
     names: list[str]
@@ -55,7 +55,7 @@ def scaled_limits(
     asked: Mapping[str, Constraint],
     shapes: Sequence[tuple[int, ...]],
 ) -> ScaledLimits:
-    """Of constraints whose values have these shapes."""
+    """Scaled limits of parameters, and of constraints whose values have these shapes."""
     maps = [each for _, each in in_order(parameters)]
 
     def all_of(name: str) -> np.ndarray:
@@ -80,19 +80,23 @@ def scaled_limits(
 
 
 _STILL = 1e-12
-"""Of a derivative, in the units of the problem: rounding"""
+"""Derivative below which it is rounding, in the units of the problem"""
 
 
 def what_is_wrong(limits: ScaledLimits, here: Linearized) -> str:
-    """What keeps a point from being allowed, the worst first, and what nothing moves."""
+    """Description of why a point is not feasible.
+
+    It names the constraints that do not depend on the parameters, or else the constraints
+    that are not met, the worst first.
+    """
     values, equal = here.constraints, limits.x.least == limits.x.most
     rows = np.max(np.abs(here.rows), axis=1, initial=0.0)
     still = limits.named(equal & (rows < _STILL))
     named = [name for name, x in still.items() if np.any(x)]
     if named:
         return (
-            f"{', '.join(named)} does not depend on what is varied there, where it is to "
-            "equal a value: leave the constraint out, or look at how the flight ends"
+            f"{', '.join(named)} must equal a value, but does not depend on the parameters "
+            "there: leave the constraint out, or look at how the flight ends"
         )
     beyond = np.maximum(limits.x.least - values, values - limits.x.most)
     worst = {n: float(np.max(x, initial=0.0)) for n, x in limits.named(beyond).items()}

@@ -1,4 +1,4 @@
-"""k1 and k2 of a Bézier curve for a wanted velocity at the target, and how it varies."""
+"""Plans k1 and k2 of a Bézier curve for a desired velocity at the target."""
 
 from typing import NamedTuple
 
@@ -24,7 +24,10 @@ K1, K2 = "guidance.parameters.k1", "guidance.parameters.k2"
 
 
 def bezier_law(scenario: Scenario) -> BezierGuidance:
-    """The law of a scenario. Raises `ValueError` for another one."""
+    """The Bézier law of a scenario.
+
+    **Raises:** `ValueError` for another law.
+    """
     law = scenario.guidance
     if not isinstance(law, BezierGuidance):
         raise ValueError(
@@ -44,11 +47,11 @@ def plan_parameters(
 ) -> BezierParameters:
     """k1 and k2 with which the scenario reaches its target at a velocity (m/s).
 
-    By Newton's method on the flight, which is differentiated: four or five flights in
-    place of the paper's search. With `vary_k1` of all pairs about the nearest one, by the
-    least-norm step; else k1 stays.
+    They are found by Newton's method with the derivatives of the flight, in four or five
+    flights; the paper uses a search. With `vary_k1` both numbers change, by the step of
+    least norm, which leads approximately to the nearest pair. Otherwise k1 is fixed.
 
-    Raises `ValueError` where there is no such flight, and says where the last one ended.
+    **Raises:** `ValueError` if there is no such flight, with the end of the last one.
     """
     parameters = bezier_law(scenario).parameters
     free = jnp.array([1.0 if vary_k1 else 0.0, 1.0])
@@ -108,7 +111,7 @@ def velocity_map(
     k2: np.ndarray,
     solver: AbstractSolver = FixedStep(),
 ) -> VelocityMap:
-    """Fly every pair of k1 and k2: the paper's figure 10."""
+    """Fly every pair of k1 and k2, as in figure 10 of the paper."""
     bezier_law(scenario)
     first, second = (np.ravel(g) for g in np.meshgrid(k1, k2, indexing="ij"))
     flown = monte_carlo(scenario, inputs={K1: first, K2: second}, solver=solver)
@@ -121,13 +124,14 @@ def velocity_map(
 def k2_polynomial(velocity: np.ndarray, k2: np.ndarray) -> np.ndarray:
     """a, b and c of k2 = a v^2 + b v + c by least squares: equation (37), v in m/s.
 
-    k2 over the velocity is no parabola, so that the three depend on which k2 are fitted.
-    For the CAV-H mission and its k1 of 0.848, in steps of 0.05, they are 2.53e-7, -0.00226
-    and 4.92 from k2 of 0.4 to 1.0, 2.81e-7, -0.00240 and 5.10 from 0.55 to 0.9, and
-    2.09e-7, -0.00204 and 4.63 from 0.3 to 1.0. The paper prints 2.32e-7, -0.0024 and 5.46;
-    it searches between 0.4 and 1, and does not say which k2 it fits.
+    k2 is not a quadratic function of the velocity, so that the coefficients depend on the
+    range of k2 that is fitted. For the CAV-H mission with k1 = 0.848, in steps of 0.05,
+    they are 2.53e-7, -0.00226 and 4.92 for k2 from 0.4 to 1.0, 2.81e-7, -0.00240 and 5.10
+    for k2 from 0.55 to 0.9, and 2.09e-7, -0.00204 and 4.63 for k2 from 0.3 to 1.0. The
+    paper prints 2.32e-7, -0.0024 and 5.46. It searches between 0.4 and 1, and does not
+    state which k2 it fits.
 
-    Raises `ValueError` where fewer than three velocities are finite.
+    **Raises:** `ValueError` if fewer than three velocities are finite.
     """
     good = np.isfinite(velocity)
     if good.sum() < 3:
@@ -138,10 +142,10 @@ def k2_polynomial(velocity: np.ndarray, k2: np.ndarray) -> np.ndarray:
 
 
 class K2Polynomials(NamedTuple):
-    """k2 over the velocity at the target, from places along the nominal flight."""
+    """k2 over the velocity at the target, at places along the nominal flight."""
 
     to_go: Array
-    """(n,) rad, increasing"""
+    """(n,) Range to go as an angle, rad, increasing"""
     nominal_velocity: Array
     """(n,) m/s"""
     polynomials: Array
@@ -149,7 +153,7 @@ class K2Polynomials(NamedTuple):
 
 
 _ROOM = np.linspace(-0.3, 0.3, 9)
-"""About the nominal k2, over which the polynomials are fitted"""
+"""Deviations from the nominal k2 over which the polynomials are fitted"""
 
 
 @needs_float64
@@ -160,22 +164,24 @@ def k2_polynomials(
     interval: float = 20.0,
     until: float = 60.0,
 ) -> K2Polynomials:
-    """For `PolynomialAdjustment`: fitted to what the model flies from the nominal flight.
+    """Fit the polynomials of `PolynomialAdjustment` to predictions of the onboard model.
+
+    The predictions start at places along the nominal flight.
 
     **Arguments:**
 
     - `scenario`: with `StoredParameters` and no velocity control.
-    - `predictor`: that is used in flight; what it says of the nominal flight is what its
-      predictions are compared with.
-    - `interval`: between the places, s.
-    - `until`: s to go at the last one; nearer k2 changes nothing any more.
+    - `predictor`: the predictor that is used in flight. Its predictions in flight are
+      compared with its predictions for the nominal flight.
+    - `interval`: time between the places, s.
+    - `until`: time to go at the last place, s. Closer to the target k2 has no effect.
     """
     law = bezier_law(scenario)
     glide = law.glide(scenario.constraints)
     history = fly(scenario, history=interval).history
     assert history is not None
-    # Before the first and after the last place the nearest one is as good: what was not
-    # flown, or is too near, becomes a copy of the last that counts.
+    # Entries after the end of the flight, or too close to the target, become copies of the
+    # last entry that counts.
     situations = jax.vmap(law.situation)(history.states, history.decisions)
     to_go = jnp.asarray(situations.target.along - situations.point.along)
     seconds = to_go * law.model.planet.radius / situations.velocity
@@ -192,13 +198,13 @@ def k2_polynomials(
 
         k2 = shape.second + _ROOM
         x = 1e-2 * (jax.vmap(at)(k2) - at(shape.second))
-        # Through the nominal k2, which the nominal flight then keeps.
+        # Through the nominal k2, so that the nominal flight does not change k2.
         rest = jnp.linalg.lstsq(jnp.stack([x, x * x], axis=1), jnp.asarray(_ROOM))[0]
         nominal = predictor.predict(glide, situation)
         return nominal, jnp.concatenate([jnp.reshape(shape.second, 1), rest])
 
     nominal, polynomials = jax.vmap(fit)(situations)
-    # Increasing angles to go, the copies a little nearer each.
+    # Increasing angles to go. Each copy is slightly closer than the one before.
     places = to_go[index] - 1e-9 * (jnp.arange(to_go.shape[0]) - index)
     turned = (jnp.flip(x, 0) for x in (places, jnp.asarray(nominal), polynomials))
     return K2Polynomials(*turned)

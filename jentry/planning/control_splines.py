@@ -1,4 +1,4 @@
-"""A flight whose bank and angle of attack are free: splines over an index."""
+"""Flights whose bank and angle of attack are free: splines over an index."""
 
 import dataclasses
 from typing import Any
@@ -37,22 +37,22 @@ def free_controls(
 ) -> Scenario:
     """A scenario that flies B-splines of the bank and of the angle of attack.
 
-    They take the place of its law, with a constant value to begin with. Where one cubic
-    follows another the flight under these constant controls is at equal intervals of its
-    time. `control_coefficients` is the lens to what is then free.
+    The splines replace the law, and are constant at first. Their breakpoints lie at equal
+    time intervals of the flight under these constant controls. `control_coefficients` is
+    the lens to their coefficients.
 
     **Arguments:**
 
     - `bank`: rad, positive to the right.
-    - `angle_of_attack`: rad. If it is not given, the angle of attack is left to the law
-      that commands it beside a bank law, as `compose` makes it, or to the vehicle's trim.
-    - `nodes`: coefficients of each spline.
-    - `index`: what the splines are over, which must not turn round along the flight; the
-      energy if it is not given. The first one to look at is the energy: it falls
-      throughout, and does not move with the time of flight.
+    - `angle_of_attack`: rad. If it is None, the law of the angle of attack in a composed
+      law (see `compose`) commands it, or else the vehicle flies at trim.
+    - `nodes`: number of coefficients of each spline.
+    - `index`: independent variable of the splines, which must be monotonic along the
+      flight. None for the energy, which is the usual choice: it always falls, and does not
+      depend on the time of flight.
 
-    **Raises:** `ValueError` for an index that turns round, for a flight without an end,
-    and for a law that commands an angle of attack of its own where none is given.
+    **Raises:** `ValueError` for an index that is not monotonic, for a flight without an
+    end, and if `angle_of_attack` is None although the law commands an angle of attack.
     """
     if nodes < 4:
         raise ValueError(f"nodes is {nodes}: a cubic has 4 or more")
@@ -75,7 +75,7 @@ def control_coefficients(scenario: Scenario) -> Any:
 
 
 def bank_coefficients(scenario: Scenario) -> Any:
-    """Lens to those of the bank alone."""
+    """Lens to the coefficients of the bank only."""
     bank = free_part(scenario).bank
     if not isinstance(bank, BSpline):
         raise ValueError(f"the bank is a {type(bank).__name__}: see free_controls")
@@ -127,13 +127,13 @@ def _flying(
 
 
 _INTERVALS = 2000
-"""Of the flight on which the breakpoints are laid"""
+"""Intervals into which the flight is divided to find the breakpoints"""
 
 _flown = kept(fly)
 
 
 def _equal_in_time(scenario: Scenario, index: AbstractIndex, count: int) -> np.ndarray:
-    """Values of the index along a flight at equal intervals of time, the lowest first."""
+    """Values of the index at equal time intervals of a flight, in rising order."""
     flight = _flown(scenario)
     if not has_end(flight.outcome):
         outcome = Outcome(int(flight.outcome)).message
@@ -162,5 +162,5 @@ def _equal_in_time(scenario: Scenario, index: AbstractIndex, count: int) -> np.n
 
 
 def _rounded(interval: float) -> float:
-    """An interval of one digit, so that a flight a little longer is no other program."""
+    """An interval rounded to one digit, so that similar flights share one program."""
     return float(f"{interval:.0e}")

@@ -1,4 +1,4 @@
-"""Plan the drag of an entry over its velocity, between the limits of the corridor.
+"""Plans the drag of an entry over the velocity, within the limits of the corridor.
 
 Reference: D.-W. Lee, K.-R. Cho, H. Yan, "Re-Entry Trajectory Tracking Via an Inverse
 Dynamics Method", KSME International Journal 18(9), 2004.
@@ -33,23 +33,23 @@ from ._constrained import NoOptimumError, minimise
 class CollocatedProfile(AbstractProfile):
     """The polynomial through values at the Legendre-Gauss-Lobatto nodes of an interval.
 
-    Beyond the interval it keeps the values of its ends, with derivatives of zero: a
-    polynomial of a high degree is of no use there.
+    Outside the interval it has the values at the ends, with derivatives of zero: a
+    polynomial of high degree cannot be extrapolated.
     """
 
     values: Vector = table()
-    """At the nodes, from the first end to the last"""
+    """Values at the nodes, from the first end to the last"""
     first: Scalar = scalar()
     last: Scalar = scalar()
 
     def _on_nodes(self, index: Scalar) -> Scalar:
-        """From -1 at the first end to 1 at the last."""
+        """Coordinate of the nodes, from -1 at the first end to 1 at the last."""
         return (2.0 * index - self.first - self.last) / (self.last - self.first)
 
     def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         def value(index: Scalar) -> Scalar:
             x = self._on_nodes(index)
-            # Not `clip`, which at the ends themselves has half of the derivative.
+            # Not `clip`: exactly at the ends it has half of the derivative.
             return interpolate(
                 self.values, jnp.where(jnp.abs(x) <= 1.0, x, jnp.sign(x))
             )
@@ -58,23 +58,25 @@ class CollocatedProfile(AbstractProfile):
 
 
 class DragPlan(eqx.Module):
-    """A planned drag over the velocity, and what holds it where it is."""
+    """A planned drag over the velocity, with its limits and Lagrange multipliers."""
 
     drag: CollocatedProfile
-    """m/s2, over the velocity in m/s; node 0 is the entry"""
+    """Drag, m/s2, over the velocity, m/s; node 0 is the entry"""
     velocity: Vector = output(unit="m/s")
-    """At the nodes, shape (nodes,)"""
+    """Velocity at the nodes, shape (nodes,)"""
     roughness: Scalar = output(unit="m/s3")
-    """J of (13), the integral of D'(V)^2"""
+    """J of equation (13), the integral of D'(V)^2"""
     distance: Scalar = output(unit="m")
-    """The range by (60)"""
+    """The range by equation (60)"""
     price_of_distance: Scalar = output(unit="1/s3")
-    """By how much J would rise with the range: the multiplier of (60)"""
+    """Multiplier of (60): the derivative of J with respect to the range"""
     limits: dict[str, Vector] = eqx.field(default_factory=dict)
-    """The drag (m/s2) at which each path constraint binds at the nodes, NaN where none"""
+    """Drag (m/s2) at which each path constraint binds, at the nodes; NaN where there is no
+    such drag"""
     prices: dict[str, Vector] = eqx.field(default_factory=dict)
-    """By how much J would rise with each limit at each node, 1/s: the multipliers. Positive
-    where a lower limit binds, negative where an upper one does, else zero"""
+    """Multipliers of the limits, 1/s: the derivative of J with respect to each limit at
+    each node. They are positive where a lower limit binds, negative where an upper limit
+    binds, and zero elsewhere"""
 
     __str__ = as_text
 
@@ -96,31 +98,31 @@ def plan_drag_profile(
     distance: float,
     degree: int = 30,
 ) -> DragPlan:
-    """The smoothest drag over the velocity that flies a range within the corridor.
+    """The smoothest drag over the velocity that gives a range within the corridor.
 
-    The least integral of D'(V)^2, (13), with the range (60), between the limits (6) to (9)
-    at the nodes, the ends fixed. The drag at the Legendre-Gauss-Lobatto nodes is what is
-    looked for; the path angle is taken to be small, as in (12).
+    It minimises the integral of D'(V)^2, (13), with the range (60), between the limits (6)
+    to (9) at the nodes, with fixed ends. The unknowns are the values of the drag at the
+    Legendre-Gauss-Lobatto nodes. The flight-path angle is assumed to be small, as in (12).
 
     **Arguments:**
 
     - `angle_of_attack`: rad, over the velocity in m/s.
-    - `constraints`: those with a limit count; whether it bounds the drag from below or
-      from above is found.
+    - `constraints`: constraints with a limit count. The planner determines whether a limit
+      bounds the drag from below or from above.
     - `first`, `last`: velocity (m/s) and drag (m/s2) at entry and at the end.
     - `distance`: the range, m.
-    - `degree`: of the polynomial, one less than there are nodes.
+    - `degree`: degree of the polynomial, one less than the number of nodes.
 
-    The limits hold at the nodes alone. Where one binds at some of them the profile has a
-    corner on either side, and the range of the polynomial between the nodes is not quite
-    that of (60): half a kilometre off in the paper's case, begun at 1 m/s2.
+    The limits hold at the nodes only. If a limit binds at some of the nodes, the profile
+    has a corner at either side, and the range of the polynomial differs slightly from (60):
+    by half a kilometre in the case of the paper, with a first drag of 1 m/s2.
 
-    A hundredth of the smaller drag at the ends bounds the drag too, as `least_drag`: the
-    range stays finite so.
+    A further lower limit of the drag, `least_drag`, is a hundredth of the smaller drag at
+    the ends. It ensures a finite range.
 
-    **Raises:** `ValueError` for what cannot be planned: limits that leave no drag, named
-    with the velocity; ends outside of the limits; a range that the corridor does not hold,
-    with the longest or the shortest and the limits that make it so.
+    **Raises:** `ValueError` if no drag can be planned: for limits that exclude each other,
+    with the velocity; for ends outside the limits; and for a range outside the corridor,
+    with the longest or shortest range and the limits that bind.
 
     Reference: D.-W. Lee, K.-R. Cho, H. Yan, 2004, section 2 and equations (59), (60).
     """
@@ -189,13 +191,13 @@ def _whole(problem, inside):
 
 
 def _smoothness(problem, inside):
-    """(13), over the nodes' coordinate and in the unit of the drag."""
+    """Equation (13), over the coordinate of the nodes, with scaled drag."""
     slopes = problem["first"] @ _whole(problem, inside)
     return jnp.sum(problem["weights"] * slopes**2)
 
 
 def _range_error(problem, inside):
-    """(60), as a share of the range that is wanted."""
+    """Error of the range (60), as a share of the required range."""
     return jnp.sum(problem["flown"] / _whole(problem, inside))[None] - 1.0
 
 
@@ -207,8 +209,11 @@ def _limits(
     angle_of_attack: AbstractProfile,
     velocity: Vector,
 ) -> dict[str, tuple[Any, Any, Any]]:
-    """Of each constraint at each velocity: the drag at which it binds in level flight, NaN
-    where at none; whether less drag breaks it, or more; and whether all drag does."""
+    """Limits of the drag by each constraint, at each velocity.
+
+    **Returns:** by name, the drag at which the constraint binds in level flight, NaN if
+    there is none; whether it is a lower limit; and whether any drag exceeds the constraint.
+    """
 
     def at(velocity: Scalar) -> dict[str, tuple[Scalar, Flag, Flag]]:
         angle = angle_of_attack(velocity)
@@ -247,8 +252,8 @@ class _Bounds(NamedTuple):
 
 
 LEAST_DRAG = "least_drag"
-"""The name of a lower limit that every plan has: a hundredth of the smaller drag at the
-ends, so that the range stays finite while it is looked for"""
+"""Name of a lower limit that every plan has: a hundredth of the smaller drag at the ends.
+It ensures a finite range during the search"""
 
 
 def _bounds(
@@ -285,8 +290,8 @@ def _check_corridor(bounds: _Bounds, velocity: np.ndarray, first, last) -> None:
         node = int(np.argmin(gap))
         raise ValueError(
             f"the corridor is closed at {velocity[node]:.0f} m/s: {bounds.below[node]} "
-            f"asks for {bounds.lower[node]:.4g} m/s2 of drag or more, {bounds.above[node]} "
-            f"for {bounds.upper[node]:.4g} or less; raise one of their limits"
+            f"requires {bounds.lower[node]:.4g} m/s2 of drag or more, {bounds.above[node]} "
+            f"requires {bounds.upper[node]:.4g} or less; raise one of their limits"
         )
     for name, node, drag in (("first", 0, first[1]), ("last", -1, last[1])):
         low, high = bounds.lower[node], bounds.upper[node]
@@ -301,7 +306,10 @@ def _check_corridor(bounds: _Bounds, velocity: np.ndarray, first, last) -> None:
 def _check_range(
     bounds: _Bounds, shares: np.ndarray, drag: np.ndarray, distance: float
 ) -> None:
-    """Whether the corridor holds a range: the sum of `shares` over the drag."""
+    """Refuse a range that the corridor does not contain.
+
+    The range is the sum of `shares` over the drag.
+    """
     for edge, names, few in (
         (bounds.lower, bounds.below, "at most"),
         (bounds.upper, bounds.above, "at least"),

@@ -1,4 +1,4 @@
-"""The best flight of a vehicle, with bank and angle of attack free, and what it is for."""
+"""The optimal flight of a vehicle for an objective, with free bank and angle of attack."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -29,16 +29,17 @@ _BESIDE = {"time": "s", "energy": "J/kg", "downrange": "m", "crossrange": "m"}
 _MUCH = {"rad": degree, "s": 1.0, "m": km, "m/s": 1.0, "J/kg": 1000.0}
 
 END_QUANTITIES: Mapping[str, str] = _STATE | _BESIDE
-"""What `AtEnd` knows, with SI units"""
+"""Quantities that `AtEnd` can compute, with their SI units"""
 
 
 @dataclasses.dataclass(frozen=True)
 class AtEnd:
-    """A quantity at the end of a flight: of its state, or one of those beside it.
+    """A quantity at the end of a flight: of its state, or one of four further quantities.
 
-    Beside it are time, energy, downrange and crossrange. These two are arcs from the origin
-    of the target or from where the flight starts, as in `misses`, the crossrange positive
-    to the left. The downrange goes on past half of the way around, up to three quarters.
+    These are time, energy, downrange and crossrange. Downrange and crossrange are arcs from
+    the origin of the target, or from the start of the flight if the target has no origin,
+    as in `misses`. Crossrange is positive to the left. Downrange increases beyond half of
+    the circumference of the planet, up to three quarters of it.
     """
 
     name: str
@@ -52,12 +53,12 @@ class AtEnd:
 
     @property
     def unit(self) -> str:
-        """SI"""
+        """SI unit of the quantity."""
         return END_QUANTITIES[self.name]
 
     @property
     def much(self) -> float:
-        """How much of it counts as a lot, where a value of zero does not tell."""
+        """Scale of the quantity, used where its value is zero."""
         return _MUCH[self.unit]
 
     def __call__(self, scenario: Scenario, flight: Flight) -> Scalar:
@@ -88,7 +89,7 @@ class Peak:
 
 
 class Signed(eqx.Module):
-    """A quantity times 1 to make it small, or times -1 to make it large: of one program."""
+    """A quantity times 1 (to minimise it) or times -1 (to maximise it), in one program."""
 
     quantity: Quantity
     sign: Scalar = scalar()
@@ -99,7 +100,7 @@ class Signed(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class FreeControl:
-    """A control that is free: where it begins, and between which values it stays; rad."""
+    """A free control: its start, and the values between which it stays; rad."""
 
     start: float
     least: float
@@ -109,37 +110,42 @@ class FreeControl:
 
     def __post_init__(self):
         if not self.least <= self.start <= self.most or not self.least < self.most:
+            start, least, most = (
+                f"{x / degree:g} deg" for x in (self.start, self.least, self.most)
+            )
             raise ValueError(
-                f"a control begins at {self.start} rad and is to stay between {self.least} "
-                f"and {self.most}: the start must lie between them"
+                f"a control starts at {start}, with the bounds {least} and {most}: the "
+                "start must lie between them"
             )
 
 
 @dataclasses.dataclass(frozen=True)
 class FlightProblem:
-    """What a flight is to be best at, what it has to keep, and what is free.
+    """An optimal control problem: objective, constraints and free controls of a flight.
 
-    The limits of the scenario's path constraints are kept along the path, and the splines
-    of bank and angle of attack stay between their bounds all the way.
+    The limits of the path constraints of the scenario hold along the path. The splines of
+    bank and angle of attack stay between their bounds everywhere.
     """
 
     objective: Quantity
-    """Such as `AtEnd("downrange")`"""
+    """Quantity to optimise, such as `AtEnd("downrange")`"""
     bank: FreeControl
     angle_of_attack: FreeControl | None = None
-    """None to leave it to the law that commands it, see `free_controls`"""
+    """Free angle of attack. If it is None, the law or the trim of the vehicle determines
+    the angle of attack, see `free_controls`"""
     constraints: Mapping[str, Constraint] = dataclasses.field(default_factory=dict)
     largest: bool = True
-    """Whether the objective is to be large, or small"""
+    """Whether the objective is maximised (True) or minimised (False)"""
     keeps_limits: bool = True
-    """Whether the limits of the path constraints are kept"""
+    """Whether the limits of the path constraints are enforced"""
     nodes: int = 40
-    """Coefficients of each spline"""
+    """Number of coefficients of each spline"""
     index: AbstractIndex = EnergyIndex()
     history: float = 10.0
-    """Interval at which the path constraints are kept, s"""
+    """Interval at which the path constraints are enforced, s"""
     published: Mapping[str, float] = dataclasses.field(default_factory=dict)
-    """The best that the literature has, by what of a mission is flown, in SI"""
+    """Best published values of the objective, SI, by the text of a mission's law, case and
+    world"""
 
 
 def best_flight(
@@ -148,16 +154,16 @@ def best_flight(
     solver: AbstractSolver = FixedStep(),
     begin: AbstractLaw | None = None,
 ) -> Optimized:
-    """The flight of a scenario's vehicle that is best at what a problem asks for.
+    """The optimal flight of the vehicle of a scenario for a problem.
 
-    Its objective is the one of the problem, large or small; prices are of what is made
-    small, that is of its negative where it is to be large.
+    The optimizer minimises. For a maximum it minimises the negative of the objective, and
+    `Optimized.objective` and the prices belong to this negative.
 
     **Arguments:**
 
-    - `scenario`: its law gives way to splines of the controls, see `free_controls`.
-    - `begin`: a law of `free_controls`, to begin elsewhere than with constant controls;
-      such as `Optimized.scenario.guidance` of a problem like this one.
+    - `scenario`: splines of the controls replace its law, see `free_controls`.
+    - `begin`: a law of `free_controls` from which the search starts instead of constant
+      controls, such as `Optimized.scenario.guidance` of a similar problem.
 
     **Raises:** `ValueError` as `free_controls` and `optimize`.
     """

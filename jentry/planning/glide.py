@@ -1,4 +1,4 @@
-"""Plan a glide over the velocity: constant heating first, then near equilibrium."""
+"""Plans a glide over the velocity: constant heating first, then near-equilibrium glide."""
 
 from collections.abc import Callable, Mapping
 
@@ -25,35 +25,36 @@ from ._differences import with_differences
 
 
 _LOWEST, _HIGHEST = 0.0, 120e3
-"""m, between which altitudes are looked for"""
+"""Bounds of the search for an altitude, m"""
 _SEARCH = 60
-"""Newton steps, from the middle: most searches take ten"""
+"""Largest number of Newton steps from the middle of the bounds; usually ten"""
 _MET = 1e-9
-"""Of a logarithm, where the last step of a search began"""
+"""Largest error of the logarithm before the last step of a successful search"""
 
 
 class Glide(eqx.Module):
-    """What a glide is planned by.
+    """Parameters of a planned glide.
 
     At high velocity sqrt(density) V^heating_power is constant. At low velocity the lift at
-    a bank carries the weight less the centrifugal force: L cos(bank) = g0 (1 - V^2), with
-    V in units of the circular velocity. Between, the slope of the logarithm of the density
-    goes from the one to the other, and the altitudes of the heating are those that meet it.
+    a constant bank balances the weight less the centrifugal force:
+    L cos(bank) = g0 (1 - V^2), with V in units of the circular velocity. Between the two
+    parts the slope of the logarithm of the density is blended. The constant of the heating
+    part follows from continuity.
     """
 
     bank: Scalar = scalar(60.0 * degree, unit="rad")
-    """Of the equilibrium glide; the bank that flies the plan is another"""
+    """Bank of the equilibrium glide. The bank that flies the plan differs from it"""
     heating_power: Scalar = scalar(3.15)
     join: Scalar = scalar(5000.0, unit="m/s", positive=True)
-    """Velocity of the middle of the blend"""
+    """Velocity at the middle of the blend"""
     blend: Scalar = scalar(100.0, unit="m/s", positive=True)
-    """Half of its width"""
+    """Half of the width of the blend"""
     least_weight: Scalar = scalar(1e-3, positive=True)
-    """Of 1 - V^2"""
+    """Lower limit of 1 - V^2"""
     first: Scalar = scalar(7800.0, unit="m/s", positive=True)
     """Velocity at which the plan begins"""
     last: Scalar = scalar(1000.0, unit="m/s", positive=True)
-    """Velocity at which it ends"""
+    """Velocity at which the plan ends"""
 
 
 @needs_float64
@@ -64,31 +65,32 @@ def plan_glide(
     glide: Glide | None = None,
     intervals: int = 3400,
 ) -> Reference:
-    """A glide with the bank that flies it, over the velocity (m/s).
+    """Plan a glide, and the bank that flies it, over the velocity (m/s).
 
-    Over a planet at rest, with the gravity at the surface for its unit of force. Altitude
-    (m), path angle, bank and angle of attack (rad), drag and lift (m/s2), altitude rate
-    (m/s) and lift_to_drag_up, the ratio of the lift upwards to the drag.
+    The planet does not rotate, and the equilibrium glide uses the gravity at the surface.
+    The reference contains altitude (m), flight-path angle, bank and angle of attack (rad),
+    drag and lift (m/s2), altitude rate (m/s) and lift_to_drag_up, the ratio of the upward
+    lift to the drag.
 
-    The altitude over the velocity gives the path angle by the equations of motion, and
-    that over the velocity the bank. The atmosphere must be twice continuously
-    differentiable, or the bank jumps: see `smoothed`.
+    The equations of motion give the flight-path angle from the altitude over the velocity,
+    and the bank from the flight-path angle over the velocity. The atmosphere must be twice
+    continuously differentiable, or the bank jumps: see `smoothed`.
 
     **Arguments:**
 
     - `angle_of_attack`: rad, over the Mach number.
-    - `glide`: the `Glide()` of the paper if not given.
-    - `intervals`: of the table; four or more.
+    - `glide`: None for `Glide()`, which has the values of the paper.
+    - `intervals`: number of intervals of the table; four or more.
 
-    **Raises:** `ValueError` where there is no such altitude or bank, as far as that is
-    known: under `jit` it is NaN.
+    **Raises:** `ValueError` if there is no such altitude or bank. Under `jit` the values
+    are NaN instead.
     """
     glide = Glide() if glide is None else glide
     world = _World(planet, vehicle, angle_of_attack, glide)
     nodes = grid(glide.last, glide.first, 2 * intervals)
     half = nodes[1] - nodes[0]
 
-    # Simpson's rule from node to node, over every second one.
+    # Simpson's rule over pairs of intervals.
     slopes = jnp.asarray(jax.vmap(world.slope)(nodes))
     parts = slopes[:-2:2] + 4.0 * slopes[1:-1:2] + slopes[2::2]
     start = world.log_density(world.glide_altitude(glide.last))
@@ -140,7 +142,7 @@ def plan_glide(
 
 
 class _World(eqx.Module):
-    """What flies through what, and how."""
+    """Planet, vehicle, angle of attack and parameters of a glide."""
 
     planet: Planet
     vehicle: Vehicle
@@ -151,7 +153,7 @@ class _World(eqx.Module):
         return jnp.log(self.planet.density(altitude))
 
     def air(self, altitude: Scalar, velocity: Scalar) -> tuple[Scalar, AirData]:
-        """The angle of attack (rad) there, and the air."""
+        """Angle of attack (rad) and air data at an altitude and a velocity."""
         mach = velocity / self.planet.atmosphere.speed_of_sound(altitude)
         angle = self.angle_of_attack(mach)
         nothing = jnp.zeros_like(velocity)
@@ -159,7 +161,7 @@ class _World(eqx.Module):
         return angle, air_data(self.planet, self.vehicle, level, angle)
 
     def altitude_at(self, logarithm: Scalar) -> Scalar:
-        """Altitude (m) at which the density has a logarithm."""
+        """Altitude (m) at which the logarithm of the density has a value."""
         middle = jnp.full_like(logarithm, 0.5 * (_LOWEST + _HIGHEST))
         return _root(lambda z: logarithm - self.log_density(z), middle)
 
@@ -189,7 +191,7 @@ class _World(eqx.Module):
 
 
 def _root(excess: Callable[[Scalar], Scalar], start: Scalar) -> Scalar:
-    """Where a logarithm is met between the altitudes; NaN where it is not."""
+    """Altitude at which `excess` is zero between the bounds; NaN if there is none."""
     search = newton(by_jvp(excess), start, _SEARCH, lower=_LOWEST, upper=_HIGHEST)
     found = newton(by_jvp(excess), lax.stop_gradient(search.x), 2)
     met = jnp.abs(found.value) < _MET

@@ -1,4 +1,4 @@
-"""Plan a ground track: fly reference controls over the energy, tabulate what they give."""
+"""Plans a ground track: flies reference controls over the energy, tabulates the outputs."""
 
 import equinox as eqx
 import jax
@@ -26,10 +26,10 @@ _STEPS_BACK = 100
 
 
 class GroundTrackPlan(eqx.Module):
-    """A reference for `GroundTrackTracking`, and where it ends."""
+    """A reference for `GroundTrackTracking`, and its final state."""
 
     table: QuinticTable
-    """What `along_reference` gives, over the energy (J/kg)"""
+    """Values of `along_reference` over the energy (J/kg)"""
     end: EntryState
 
 
@@ -44,17 +44,19 @@ def plan_ground_track(
 ) -> GroundTrackPlan:
     """Fly the reference controls of a model open loop, and tabulate the outputs.
 
-    The motion is integrated over the energy, equations (10) to (15), one step for each
-    interval of the table. The outputs and their derivatives are those by the expressions
-    of the law that will track it. Guidance and end conditions of the scenario are not used.
+    The motion is integrated over the energy, equations (10) to (15), with one step for each
+    interval of the table. The outputs and their derivatives are computed with the
+    expressions of the law that tracks the reference. Guidance and end conditions of the
+    scenario are not used.
 
     **Arguments:**
 
-    - `scenario`: what flies, from its initial state.
-    - `end_energy`: where the table ends, J/kg.
-    - `first_energy`: where it begins (J/kg), for a reference that reaches beyond the
-      initial state: the motion is followed back to there. None for the initial state.
-    - `intervals`: of the table; even, and four or more.
+    - `scenario`: planet, vehicle and initial state of the flight.
+    - `end_energy`: energy at the end of the table, J/kg.
+    - `first_energy`: energy at the start of the table (J/kg), for a reference that starts
+      before the initial state: the motion is integrated backwards to it. None for the
+      initial state.
+    - `intervals`: number of intervals of the table; even, and four or more.
     """
     planet = scenario.planet
 

@@ -1,4 +1,4 @@
-"""The flight that has a drag over its velocity: altitude, path angle and lift upwards.
+"""Inverse dynamics of a drag profile: altitude, flight-path angle and upward lift.
 
 Reference: D.-W. Lee, K.-R. Cho, H. Yan, "Re-Entry Trajectory Tracking Via an Inverse
 Dynamics Method", KSME International Journal 18(9), 2004, section 3.
@@ -24,20 +24,20 @@ from ..world.vehicle import Vehicle
 
 _LOWEST, _HIGHEST = 0.0, 150.0 * km
 _SEARCH = 60
-"""Newton steps to an altitude, or halvings where these lead astray"""
+"""Largest number of Newton steps to an altitude, or of bisections where these fail"""
 _AGAIN = 3
-"""More of them, which are differentiated: exact up to the seventh derivative"""
+"""Further Newton steps that are differentiated: exact up to the seventh derivative"""
 
 
 class InversePoint(eqx.Module):
-    """A point of the flight that has the drag."""
+    """A point of the flight that follows a drag profile."""
 
     altitude: Scalar = output(unit="m")
     flight_path_angle: Scalar = output(unit="rad")
     lift_to_drag_up: Scalar = output()
     """Lift in the vertical plane over drag: C_L / C_D times the cosine of the bank"""
     lift_to_drag: Scalar = output()
-    """All of it; a bank is there where the one up is not larger"""
+    """Total lift over drag. A bank exists where `lift_to_drag_up` is not larger"""
 
     @property
     def cos_bank(self) -> Scalar:
@@ -45,7 +45,7 @@ class InversePoint(eqx.Module):
 
 
 class AbstractInverse(eqx.Module):
-    """Finds the flight of a drag profile, in a plane, over a sphere at rest."""
+    """Finds the flight that follows a drag profile, in a plane, over a sphere at rest."""
 
     planet: Planet
     vehicle: Vehicle
@@ -66,7 +66,7 @@ class AbstractInverse(eqx.Module):
         )
 
     def altitude(self, velocity: Scalar) -> Scalar:
-        """Where the air is so dense that there is the drag, m."""
+        """Altitude at which the drag has the value of the profile, m."""
         wanted = jnp.log(self.drag(velocity))
 
         def excess(altitude: Scalar) -> Scalar:
@@ -84,7 +84,10 @@ class AbstractInverse(eqx.Module):
     def _upwards(
         self, velocity: Scalar, altitude: Scalar, path: Scalar, bend: Scalar
     ) -> Scalar:
-        """Lift over drag that bends the path so: `bend` is its slope over the velocity."""
+        """Upward lift over drag for a flight-path angle with the slope `bend`.
+
+        `bend` is the derivative of the flight-path angle with respect to the velocity.
+        """
         radius = self.planet.radius + altitude
         gravity = self.planet.gravity.acceleration(radius)
         sine, cosine = sincos(path)
@@ -94,13 +97,13 @@ class AbstractInverse(eqx.Module):
 
 
 class ExactInverse(AbstractInverse):
-    """From the equations of motion as they are: what flies so has the drag.
+    """Exact inverse of the equations of motion: its flight has exactly the planned drag.
 
-    For any atmosphere and aerodynamics that are twice differentiable.
+    It works for any twice differentiable atmosphere and aerodynamics.
     """
 
     def _path(self, velocity: Scalar) -> tuple[Scalar, Scalar]:
-        """Path angle (rad), and altitude (m)."""
+        """Flight-path angle (rad) and altitude (m)."""
         one = jnp.ones_like(velocity)
         altitude, climb = jax.jvp(self.altitude, (velocity,), (one,))
         gravity = self.planet.gravity.acceleration(self.planet.radius + altitude)
@@ -117,11 +120,11 @@ class ExactInverse(AbstractInverse):
 
 
 class SmallAngleInverse(AbstractInverse):
-    """Equations (19) and (23), corrected: gravity along the path is left out.
+    """Equations (19) and (23), corrected. They neglect gravity along the path.
 
-    The bracket of (23) is 4/V^2 + (C_D'/C_D)^2 + C_D'/(V C_D) - C_D''/C_D, of which the
-    print loses the square and a sign. Where the path is steep, as at the end, what is flown
-    so leaves the profile: for the paper's case by some 240 m.
+    The bracket of (23) is 4/V^2 + (C_D'/C_D)^2 + C_D'/(V C_D) - C_D''/C_D; the printed
+    equation lacks the square and a sign. Where the path is steep, as at the end, the flight
+    deviates from the profile: by some 240 m in the case of the paper.
     """
 
     def at(self, velocity: Scalar) -> InversePoint:
@@ -136,7 +139,7 @@ class SmallAngleInverse(AbstractInverse):
         air = self.air(altitude, velocity)
 
         def log_coefficient(velocity: Scalar) -> Scalar:
-            # Of the drag, at the altitude: with V^2 and the density taken out.
+            # Drag coefficient at the altitude, apart from constant factors.
             there = self.air(lax.stop_gradient(altitude), velocity)
             return jnp.log(there.drag / velocity**2)
 

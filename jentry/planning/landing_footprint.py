@@ -1,4 +1,4 @@
-"""The landing footprint: where a vehicle can end, as the outline of a set of points."""
+"""The landing footprint: the outline of all points at which a vehicle can end."""
 
 import dataclasses
 import itertools
@@ -22,14 +22,15 @@ from .optimization import Optimized
 
 
 _FAR = 2.0
-"""How far away the targets lie that are approached, in half-widths of the footprint"""
+"""Distance of the targets that flights approach, in half-widths of the footprint"""
 
 
 class Aim(eqx.Module):
-    """Where a flight is to end: all the flights of a footprint are of one program.
+    """Objective of the flights of a footprint, which all use one compiled program.
 
-    Small is to be the sum of downrange and crossrange, as `AtEnd` counts them, with
-    weights, and of half the square of the distance from the target in units of two lengths.
+    It is the weighted sum of downrange and crossrange (as in `AtEnd`), plus half the square
+    of the distance from the target, scaled by one length along and one across. The flights
+    minimise it.
     """
 
     downrange: Scalar = scalar(0.0)
@@ -49,16 +50,16 @@ class Aim(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class Footprint:
-    """Points on the outline of where a vehicle can end, around it."""
+    """Points on the outline of all places where a vehicle can end, in order around it."""
 
     downrange: np.ndarray
-    """(points,) m, as in `misses`"""
+    """(points,) Downrange, m, as in `misses`"""
     crossrange: np.ndarray
-    """(points,) m, positive to the left"""
+    """(points,) Crossrange, m, positive to the left"""
     flights: tuple[Optimized, ...]
-    """That end there"""
+    """Flights that end at the points"""
     failed: tuple[str, ...] = ()
-    """Why a direction has no point, if some have none"""
+    """Directions without a point, with the reasons"""
 
 
 @needs_float64
@@ -71,30 +72,32 @@ def footprint(
 ) -> Footprint:
     """Points on the outline of the set of places where a vehicle can end its flight.
 
-    First the largest and the smallest downrange and crossrange are found. Then targets
-    outside, in directions at equal angles around the middle (in units of the two widths),
-    are approached as near as can be. Each flight is an optimum, with the constraints of the
-    problem, and begins with the controls, or their mirror image, of one that ends near. All
-    points can be reached; what lies between two of them can only where the set is convex.
+    First the flights with the largest and the smallest downrange and crossrange are found.
+    Then flights approach targets outside the footprint as closely as possible. The targets
+    lie at equal angles around the middle, in units of the two widths. Each flight is an
+    optimum under the constraints of the problem. Its search starts with the controls of a
+    flight that ends nearby, or with their mirror image. The vehicle can reach all points of
+    the outline; it can reach all places between them only if the set is convex.
 
     **Arguments:**
 
-    - `problem`: what is free and what is kept; its objective does not matter.
-    - `directions`: how many points more there are than the first four.
-    - `report`: is told how many of the flights are found.
+    - `problem`: free controls and constraints; its objective is not used.
+    - `directions`: number of points in addition to the first four.
+    - `report`: function that is called with the number of flights so far.
 
-    **Raises:** `ValueError` where the first four are not found, and for motion in a plane.
-    A direction without an optimum is left out, and told of.
+    **Raises:** `ValueError` if one of the first four flights is not found, and for motion
+    in a plane. A direction without an optimum is left out, and listed in
+    `Footprint.failed`.
     """
     if not scenario.dynamics.has_crossrange:
         raise ValueError(
-            f"{type(scenario.dynamics).__name__} has no crossrange, and a footprint has: "
-            "take dynamics=EntryDynamics()"
+            f"{type(scenario.dynamics).__name__} has no crossrange, which a footprint "
+            "needs: take dynamics=EntryDynamics()"
         )
     if directions < 0:
         raise ValueError(f"directions is {directions}: it must be 0 or more")
     bank, extremes = problem.bank, []
-    # A bank to the right turns to where the crossrange is negative.
+    # A bank to the right turns towards negative crossrange.
     to_the_left = dataclasses.replace(bank, start=max(bank.least, -abs(bank.start)))
     for name, weight in (
         ("downrange", -1.0),
@@ -108,7 +111,7 @@ def footprint(
             largest=False,
             bank=bank if name == "downrange" else to_the_left,
         )
-        # The flight to the right begins as the mirror image of that to the left.
+        # The search for the flight to the right starts with the mirrored flight.
         begin = _mirrored(extremes[-1], problem) if len(extremes) == 3 else None
         extremes.append(best_flight(scenario, asked, solver, begin))
         report(len(extremes))
@@ -118,8 +121,8 @@ def footprint(
     along, across = 0.5 * (far - near), 0.5 * (left - right)
     if not (along > 0.0 and across > 0.0):
         raise ValueError(
-            f"the footprint is {2.0 * along:g} m long and {2.0 * across:g} m wide: nothing "
-            "is left that could be free"
+            f"the footprint is {2.0 * along:g} m long and {2.0 * across:g} m wide: the "
+            "controls have no freedom left"
         )
     asked = dataclasses.replace(
         problem, objective=Aim(along=along, across=across), largest=False
@@ -149,7 +152,7 @@ def _place(best: Optimized) -> tuple[float, float]:
 
 
 def _mirrored(best: Optimized, problem: FlightProblem) -> AbstractLaw:
-    """The splines with the bank to the other side, as far as it may be."""
+    """The splines with the opposite bank, clipped to its bounds."""
     scenario = best.scenario
     least, most = problem.bank.least, problem.bank.most
     (address,) = addresses_of(scenario, bank_coefficients)
@@ -160,7 +163,7 @@ def _mirrored(best: Optimized, problem: FlightProblem) -> AbstractLaw:
 def _nearest(
     found: list[Optimized], problem: FlightProblem, aim: tuple[float, float]
 ) -> AbstractLaw:
-    """Of the flights and their mirror images that which ends nearest to an aim."""
+    """Controls of the flight, or of the mirror image, that ends nearest to an aim."""
 
     def off(best: Optimized, side: float) -> float:
         downrange, crossrange = _place(best)

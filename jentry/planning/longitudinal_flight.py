@@ -1,4 +1,4 @@
-"""Flights in the vertical plane as references: of a bank over the velocity, or flown."""
+"""Flights in the vertical plane as references, from a bank profile or from a flight."""
 
 import jax
 import jax.numpy as jnp
@@ -31,7 +31,7 @@ from .reference_flight import ReferenceFlight, no_memory
 
 
 _STEPS = 4000
-"""Of the classical Runge-Kutta method over the velocity, in each part"""
+"""Steps of the classical Runge-Kutta method over the velocity, in each part"""
 _STEPS_BETWEEN_NODES = 50
 
 
@@ -39,16 +39,17 @@ _STEPS_BETWEEN_NODES = 50
 def plan_bank_over_velocity(
     inverse: AbstractInverse, ends: Vector, intervals: int = 400
 ) -> JoinedProfile:
-    """Cosine of the bank over the velocity (m/s) that an inverse of a drag profile has.
+    """Cosine of the bank over the velocity (m/s) that follows a drag profile.
 
     **Arguments:**
 
+    - `inverse`: inverse dynamics of the drag profile.
     - `ends`: rising velocities (m/s): the least, those at which the cosine jumps, and the
-      largest. The second derivatives of the angle of attack are those of either side.
-    - `intervals`: of the table between two of them.
+      largest. At a jump each part uses the derivatives of the angle of attack on its side.
+    - `intervals`: number of intervals of the table in each part.
 
-    **Raises:** `ValueError` where the drag cannot be flown: where no altitude has it, or
-    where it asks for more lift than there is.
+    **Raises:** `ValueError` if the drag cannot be flown: if no altitude has it, or if it
+    needs more lift than there is.
     """
     ends = jnp.asarray(ends, float)
     pairs = zip(ends[:-1], ends[1:], strict=True)
@@ -61,25 +62,26 @@ def plan_bank_over_velocity(
             where = int(jnp.argmax(wrong))
             raise ValueError(
                 f"at {float(nodes[where]):.0f} m/s, between {float(low):g} and "
-                f"{float(high):g} m/s, the drag profile asks for a cosine of the bank of "
-                f"{float(cosine[where]):.3g}: there is no such flight; take another drag, "
+                f"{float(high):g} m/s, the drag profile requires a cosine of the bank of "
+                f"{float(cosine[where]):.3g}: there is no such flight; use another drag, "
                 "or an angle of attack with more lift"
             )
     return JoinedProfile(tuple(table for *_, table in parts), ends)
 
 
 _DEGREE = 80
-"""Of the polynomial through cosines of the inverse, whose derivatives those of the table
-are: to take them through the inverse itself compiles ten times as long"""
+"""Degree of the polynomial through the cosines of the inverse, which provides the
+derivatives of the table. Derivatives of the inverse itself take ten times as long to
+compile"""
 
 
 def _bank_table(
     inverse: AbstractInverse, low: Scalar, high: Scalar, intervals: int
 ) -> tuple[Vector, Vector, QuinticProfile]:
-    """Velocities, the cosines there, and the table through them."""
+    """Velocities, the cosines of the bank there, and the table through them."""
     places = jnp.asarray(legendre_gauss_lobatto(_DEGREE).nodes)
     velocities = low + 0.5 * (high - low) * (1.0 + places)
-    # What jumps does so at the ends: they count as being this side of them.
+    # Jumps are at the ends of a part; the last point is moved inside the part.
     inside = velocities.at[-1].set(jnp.nextafter(high, low))
     cosines = jnp.asarray(jax.vmap(lambda v: inverse.at(v).cos_bank)(inside))
     nodes = grid(low, high, intervals)
@@ -97,15 +99,15 @@ def fly_longitudinal(
     parts: int = 5,
     degree: int = 10,
 ) -> LongitudinalReference:
-    """The flight of the model in the vertical plane under a bank over the velocity.
+    """The flight of the model in the vertical plane with a bank over the velocity.
 
     **Arguments:**
 
-    - `cos_bank`: the velocity must fall all the way through its parts.
-    - `start`: in the last of these.
-    - `end_velocity`: where the flight ends, m/s; in the first of them.
-    - `parts`: of equal duration, in each part of `cos_bank`.
-    - `degree`: of the polynomials over the time in each of those.
+    - `cos_bank`: cosine of the bank; the velocity must fall through all of its parts.
+    - `start`: initial state, in the last part of `cos_bank`.
+    - `end_velocity`: velocity at the end of the flight, m/s, in the first part.
+    - `parts`: number of pieces of equal duration in each part of `cos_bank`.
+    - `degree`: degree of the polynomials over the time in each piece.
 
     **Raises:** `ValueError` if the velocity does not fall throughout.
     """
@@ -153,7 +155,7 @@ def _flown(
         return runge_kutta(over_velocity, state.velocity, until, y, _STEPS)[0]
 
     def pieces(profile, state, length):
-        """The last state, and states and controls at the nodes of each part."""
+        """The last state, and states and controls at the nodes of each piece."""
         slope = lambda _, state: flow(profile, state)
         steps = 0.5 * length * jnp.diff(nodes)
 
@@ -193,13 +195,13 @@ def as_longitudinal(
 ) -> LongitudinalReference:
     """A flight in the vertical plane as a reference over the time since its start.
 
-    It ends with the last whole interval of the flight.
+    The reference ends with the last whole interval of the flight.
 
     **Arguments:**
 
-    - `flight`: under a law without memory, which is flown at once.
-    - `parts`: of equal duration.
-    - `degree`: of the polynomials over the time in each of those.
+    - `flight`: flight with a law without memory, whose commands are followed without delay.
+    - `parts`: number of pieces of equal duration.
+    - `degree`: degree of the polynomials over the time in each piece.
     """
     scenario = flight.scenario
     planet, origin = scenario.planet, scenario.initial_state

@@ -1,4 +1,4 @@
-"""Optimise a flight itself: numbers of a scenario, under constraints on how it flies."""
+"""Optimises one flight: numbers of its scenario, under constraints on the flight."""
 
 import dataclasses
 import warnings
@@ -32,37 +32,40 @@ _flown = kept(fly)
 
 @dataclasses.dataclass(frozen=True)
 class Optimized:
-    """The best flight that was found, and what holds it there."""
+    """The optimal flight that was found, with the Lagrange multipliers of its limits."""
 
     scenario: Scenario
     parameters: Any
-    """What was given, with the best values: the scenario, or what it is built from"""
+    """The `start` of `optimize` with the best values: the scenario, or the pytree from
+    which it is built"""
     flight: Flight
     objective: float
     at_start: float
-    """The objective where it began"""
+    """The objective at the start"""
     values: dict[str, np.ndarray]
-    """Of the parameters, by address"""
+    """Values of the parameters, by address"""
     constraints: dict[str, np.ndarray]
     """Values of the constrained quantities; NaN for entries after the end"""
     prices: dict[str, np.ndarray]
-    """By how much the best objective rises with the limit that binds, for each value: the
-    multipliers, in the unit of the objective over that of the quantity. Positive where the
-    least value binds, negative where the largest does, zero where none"""
+    """Prices of the constraints, which are their multipliers: the derivative of the best
+    objective with respect to the limit that binds, for each value, in the unit of the
+    objective over that of the quantity. They are positive where the least value binds,
+    negative where the largest value binds, and zero where no limit binds"""
     bound_prices: dict[str, np.ndarray]
-    """Likewise of the bounds of the parameters, by address"""
+    """Prices of the bounds of the parameters, by address"""
     slope_left: float
-    """Largest slope of the objective that the prices leave, as a share of the slope where
-    it began, or of a thousandth of the objective if that is more: zero at an optimum"""
+    """Largest slope of the objective that the prices do not balance; zero at an optimum. It
+    is a share of the slope at the start, or of a thousandth of the objective if that is
+    larger"""
     iterations: int
     flights: int
-    """That were flown with derivatives"""
+    """Number of flights that were flown with derivatives"""
     remarks: tuple[str, ...] = ()
-    """What was warned of"""
+    """Texts of the warnings"""
 
     @property
     def active(self) -> dict[str, list[int]]:
-        """The entries of constraints and of bounded parameters whose limits bind."""
+        """Entries of constraints and parameters at which a limit or a bound binds."""
         prices = {**self.prices, **self.bound_prices}
         found = {name: np.flatnonzero(x) for name, x in prices.items()}
         return {name: list(map(int, x)) for name, x in found.items() if x.size}
@@ -82,36 +85,38 @@ def optimize(
     tolerance: float = 1e-9,
     iterations: int = 1000,
 ) -> Optimized:
-    """Make an objective of one flight small, within constraints on the flight.
+    """Minimise an objective of one flight, within constraints on the flight.
 
-    The unknowns are any numbers of the scenario: the coefficients of an angle of attack
-    and of a bank, see `free_controls`, or the gains of a law. Each step flies with the
-    exact derivatives of objective and constraints through the flight, its end included,
-    in forward mode. SLSQP finds an optimum near the start, which need not be the best.
+    The unknowns are any numbers of the scenario: the coefficients of a bank and of an angle
+    of attack, see `free_controls`, or the gains of a law. Each step flies with the exact
+    derivatives of objective and constraints through the flight and its end, in forward
+    mode. SLSQP finds a local optimum near the start, which need not be the global one.
 
     **Arguments:**
 
-    - `start`: the scenario where it begins; or, with `build`, any pytree of numbers.
-    - `where`: lens to the leaves of it to vary, of any shape; None for all.
-    - `objective`: a number of scenario and flight. To make one large, give its negative.
-    - `constraints`: by name.
-    - `build`: takes the start to the scenario that is flown, in terms of jax.numpy.
-    - `ranges`: by address `Bounds(lower, upper)`, or the `Scale(size)` of a number that
-      may be any. The scale is a quarter of the way between bounds, or else the size of
-      the leaf. Numbers that their field restricts stay within that.
+    - `start`: the scenario at which the search starts; or, with `build`, any pytree of
+      numbers.
+    - `where`: lens to the leaves of `start` to vary, of any shape; None for all leaves.
+    - `objective`: function of scenario and flight that returns one number. To maximise it,
+      pass its negative.
+    - `constraints`: constraints by name.
+    - `build`: function from `start` to the scenario, written with jax.numpy.
+    - `ranges`: by address `Bounds(lower, upper)`, or `Scale(size)` for an unbounded number.
+      The default scale is a quarter of the distance between the bounds, or else the size of
+      the leaf. Numbers stay within the range of their field.
     - `solver`, `history`: as for `fly`.
-    - `tolerance`: of the objective, in units of what a step by one scale along its slope
-      changes at the start, or of a thousandth of its value if that is more; and of the
-      constraints, in units of their scales.
-    - `iterations`: of SLSQP, at most.
+    - `tolerance`: tolerance of the constraints in units of their scales, and of the
+      objective. The unit for the objective is its change by a step of one scale along its
+      slope at the start, or a thousandth of its value if that is larger.
+    - `iterations`: largest number of iterations of SLSQP.
 
-    Define functions once, at module level: others are compiled anew. Of an `eqx.Module`
-    as the objective the arrays are not part of the program.
+    Define functions once, at module level: another function is compiled again. If the
+    objective is an `eqx.Module`, its arrays are not part of the compiled program.
 
-    **Raises:** `ValueError` for what cannot be varied, for a start whose flight has no end
-    or numbers that are not finite, and where no optimum is found, with the constraints
-    that are not met. **Warns** of a flight that does not end as it should, and of a limit
-    of `within_limits` that is exceeded between the entries of the history.
+    **Raises:** `ValueError` for leaves that cannot be varied, for a start whose flight has
+    no end or numbers that are not finite, and if no optimum is found, with the constraints
+    that are not met. **Warns** of a flight that does not reach its end condition, and of a
+    limit of `within_limits` that is exceeded between the entries of the history.
 
         best = optimize(
             free_controls(scenario, bank=-60 * deg, angle_of_attack=17 * deg),
@@ -129,7 +134,7 @@ def optimize(
     limits = scaled_limits(parameters, asked, problem.shapes())
     first = _seen(problem, jnp.zeros_like(limits.x.lower))
     _require_finite(problem, first, limits)
-    # At an optimum already there is no slope to measure by.
+    # A start that is already an optimum has no slope that could be the scale.
     least = _LEAST_SLOPE * abs(float(first.value))
     scale = max(float(np.linalg.norm(first.slope)), least) or 1.0
     flights = 0
@@ -190,7 +195,7 @@ def optimize(
 
 
 class _Problem(eqx.Module):
-    """What is flown and what is looked at of it, as a function of free numbers."""
+    """The flight, its objective and its constraints as functions of free numbers."""
 
     parameters: Parameters
     objective: Quantity
@@ -203,7 +208,7 @@ class _Problem(eqx.Module):
         return scenario, fly(scenario, self.solver, self.history)
 
     def outputs(self, x: Float[Array, " n"]) -> tuple[tuple[Array, Array], Array]:
-        """The objective, the constrained values, and which of these are after the end."""
+        """The objective, the constrained values, and which values are after the end."""
         scenario, flight = self.flown(x)
         value = jnp.asarray(self.objective(scenario, flight), float)
         if value.shape != ():
@@ -224,7 +229,7 @@ class _Problem(eqx.Module):
         return (value, jnp.concatenate(values)), jnp.concatenate(over)
 
     def shapes(self) -> list[tuple[int, ...]]:
-        """Of the constrained values."""
+        """Shapes of the constrained values."""
         values = jax.eval_shape(self._at_start)
         return [value.shape for value in values]
 
@@ -268,7 +273,7 @@ def _seen(problem: _Problem, x: Float[Array, " n"]) -> _Seen:
 
 
 def _require_finite(problem: _Problem, seen: _Seen, limits: ScaledLimits) -> None:
-    """Refuse a start that says nothing."""
+    """Refuse a start without an end, or with numbers that are not finite."""
     values = np.where(seen.over, 0.0, seen.values)
     rows = np.where(np.asarray(seen.over)[:, None], 0.0, seen.rows)
     if all(np.all(np.isfinite(x)) for x in (seen.value, seen.slope, values, rows)):
@@ -277,7 +282,7 @@ def _require_finite(problem: _Problem, seen: _Seen, limits: ScaledLimits) -> Non
     if not has_end(flight.outcome):
         outcome = Outcome(int(flight.outcome)).message
         raise ValueError(
-            f"the flight at the start says nothing, {outcome}: start elsewhere"
+            f"the flight at the start cannot be used, it {outcome}: start elsewhere"
         )
     whole = [np.isfinite(values), *np.isfinite(rows.T)]
     odd = [name for name, x in limits.named(~np.all(whole, 0)).items() if np.any(x)]
@@ -290,25 +295,26 @@ def _require_finite(problem: _Problem, seen: _Seen, limits: ScaledLimits) -> Non
 
 
 _LEAST_SLOPE = 1e-3
-"""Of the objective, as a share of its value for a step by one scale"""
+"""Least slope of the objective by which it is scaled, as a share of its value for a step of
+one scale"""
 
 _SLOPE_LEFT = 1e-3
-"""As a share of the slope at the start: more is worth a word"""
+"""Remaining slope above which there is a warning, as a share of the slope at the start"""
 
 _MORE = 1e-3
-"""Share of a limit by which a peak may exceed it between two entries without a word"""
+"""Share of a limit by which a peak may exceed it between two entries without a warning"""
 
 
 def _remarks(
     scenario: Scenario, flight: Flight, quantities: Iterable[tuple[str, Quantity]]
 ) -> list[str]:
-    """Sentences about the best flight that a reader must know."""
+    """Warnings about the best flight."""
     found = []
     outcome = Outcome(int(flight.outcome))
     if outcome != Outcome.REACHED:
         name = scenario.termination.names[int(flight.ended_by)]
         found.append(
-            f"the best flight ends by {name}, {outcome.message}: make it a constraint that "
+            f"the best flight ends by {name}, {outcome.message}: add a constraint so that "
             "it ends elsewhere"
         )
     for _, quantity in quantities:

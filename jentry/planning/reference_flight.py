@@ -1,4 +1,4 @@
-"""Plan a reference: solve a bank profile for its end point, tabulate what it flies."""
+"""Plans a reference: solves a bank profile for its end point, and tabulates its flight."""
 
 from collections.abc import Callable, Mapping
 
@@ -44,11 +44,11 @@ def plan_bank_profile(
 ) -> PolynomialProfile:
     """Bank profile that meets the target of a scenario at a velocity.
 
-    cos(bank) = c0 + c1 z + c2 z^2 with z from 0 at `end_velocity` (m/s) to 1 at the
-    initial velocity. c2 is `curvature`; c0 and c1 are found by Newton's method through
-    the flight itself, so that altitude and downrange of the target are met where the
-    velocity falls to `end_velocity`. Differentiable in the numbers of the scenario and in
-    the curvature, by the implicit function theorem.
+    cos(bank) = c0 + c1 z + c2 z^2, where z rises from 0 at `end_velocity` (m/s) to 1 at the
+    initial velocity. c2 is `curvature`. Newton's method finds c0 and c1 with simulated
+    flights, so that altitude and downrange of the target are met at the point where the
+    velocity falls to `end_velocity`. By the implicit function theorem the profile is
+    differentiable in the numbers of the scenario and in the curvature.
 
     The guidance and the end conditions of the scenario are not used.
 
@@ -63,10 +63,10 @@ def plan_bank_profile(
 
 
 def require_planned(plan: PyTree) -> None:
-    """Raise `ValueError` for a plan that was not found, where that is known.
+    """Raise `ValueError` if a plan was not found.
 
-    Under `jit` it is not, and what could not be planned is NaN: call this on the result.
-    (A check inside would keep the program out of the compilation cache.)
+    Under `jit` a plan that was not found is NaN, and this check does nothing: call it on
+    the result outside. (A check inside the program would prevent its compilation cache.)
     """
     known = [x for x in jax.tree.leaves(plan) if not isinstance(x, Tracer)]
     if any(np.isnan(x).any() for x in known):
@@ -91,9 +91,9 @@ def _misses(given, coefficients: Float[Array, " 2"], solver: FixedStep):
 
 
 def _search(given, guess: Float[Array, " 2"], solver: FixedStep) -> Float[Array, " 2"]:
-    """Newton's method with a Jacobian of differences.
+    """Newton's method with a Jacobian by finite differences.
 
-    They serve as well as derivatives here, and compile in a third of the time.
+    It converges as well as with exact derivatives, and compiles in a third of the time.
     """
     offsets = jnp.concatenate([jnp.zeros((1, 2)), _DIFFERENCE * jnp.eye(2)])
 
@@ -108,9 +108,9 @@ def _search(given, guess: Float[Array, " 2"], solver: FixedStep) -> Float[Array,
 
 _DIFFERENCE = 1e-5
 _IMPROVEMENTS = 8
-"""From a guess 0.2 off to rounding, with two to spare."""
+"""Newton steps from a guess that is 0.2 off to rounding, with two steps in reserve."""
 _PLANNED_TO = 1e-9
-"""In units of 100 km, before the last improvement."""
+"""Largest miss of a plan before the last Newton step, in units of 100 km."""
 
 
 _solve = eqx.filter_custom_jvp(_search)
@@ -118,7 +118,7 @@ _solve = eqx.filter_custom_jvp(_search)
 
 @_solve.def_jvp
 def _solve_jvp(primals, tangents):
-    """The implicit function theorem: what moves the misses is balanced by the profile."""
+    """Derivative by the implicit function theorem: the profile balances the misses."""
     given, guess, solver = primals
     moved, _, _ = tangents
     found = _search(given, guess, solver)
@@ -130,7 +130,7 @@ def _solve_jvp(primals, tangents):
 def open_loop(
     scenario: Scenario, cos_bank: PolynomialProfile, end_velocity: Scalar | float
 ) -> Scenario:
-    """The scenario with a bank profile in place of its law, ended at a velocity (m/s)."""
+    """The scenario with a bank profile in place of its law, and a velocity (m/s) as end."""
     return eqx.tree_at(
         lambda s: (s.guidance, s.termination),
         scenario,
@@ -145,9 +145,9 @@ def open_loop(
 
 
 def no_memory(scenario: Scenario, interval: float) -> PyTree:
-    """The memory of a law that has none: nothing, or for a composed law a tree of it.
+    """The empty memory of a law without memory: None, or a tree of None for a composed law.
 
-    **Raises:** `ValueError` for a law with a memory, of which a state alone tells nothing.
+    **Raises:** `ValueError` for a law with a memory, which does not follow from the state.
     """
     memory = jax.eval_shape(lambda: begin(scenario, interval).moving.memory)
     if jax.tree.leaves(memory):
@@ -159,11 +159,11 @@ def no_memory(scenario: Scenario, interval: float) -> PyTree:
 
 
 Quantities = Callable[[Scalar, EntryState], Mapping[str, Scalar]]
-"""Numbers by name, as a function of time (s) and state"""
+"""Function of time (s) and state that returns numbers by name"""
 
 
 class ReferenceFlight(eqx.Module):
-    """A flown reference, dense enough to find any point of it by one step more."""
+    """A reference flight, with states so dense that one more step reaches any point."""
 
     scenario: Scenario
     interval: float = eqx.field(static=True)
@@ -171,13 +171,13 @@ class ReferenceFlight(eqx.Module):
     states: EntryState
     """States at `times`, each of shape (n,); NaN past the end"""
     end: EntryState
-    """Where it ends"""
+    """State at the end of the flight"""
 
     @classmethod
     def of(cls, scenario: Scenario, interval: float = 0.1) -> "ReferenceFlight":
         """Fly a scenario whose law has no memory, such as a bank profile.
 
-        It may be composed, with an angle of attack over the velocity.
+        The law may be composed, with an angle of attack over the velocity.
 
         **Raises:** `ValueError` for a law with a memory.
         """
@@ -195,18 +195,19 @@ class ReferenceFlight(eqx.Module):
         first_value: Scalar | None = None,
         power: int = 1,
     ) -> QuinticTable:
-        """Quantities over an index as a table with exact nodes.
+        """Tabulate quantities over an index, with exact values at the nodes.
 
-        Each node is a state of the flight itself: one step of the solver from the state
-        before it. The derivatives are those along the flow.
+        Each node is a state of the flight itself, one step of the solver after a stored
+        state. The derivatives are those along the flow.
 
         **Arguments:**
 
-        - `quantities`: of time and state, to numbers by name.
-        - `index`: monotonic from `first_value` on.
-        - `intervals`: how many between `first_value` and the end.
-        - `first_value`: of the index; its value at the start if not given.
-        - `power`: 1 for even intervals, 2 for short ones at first. See `QuinticTable`.
+        - `quantities`: function of time and state that returns numbers by name.
+        - `index`: index that is monotonic from `first_value` on.
+        - `intervals`: number of intervals between `first_value` and the end.
+        - `first_value`: first value of the index; None for its value at the start.
+        - `power`: 1 for even intervals, 2 for intervals that are short at first. See
+          `QuinticTable`.
         """
         start, end = self._ends(index, first_value)
         nodes = grid(start, end, intervals, power)
@@ -219,9 +220,9 @@ class ReferenceFlight(eqx.Module):
         quantities: Quantities,
         index: AbstractIndex,
     ) -> dict[str, Scalar]:
-        """Largest error of a table half way between its nodes, in units of the quantity.
+        """Largest error of a table midway between its nodes, in units of the quantity.
 
-        There the error of a quintic is largest. The exact values are those of the flight.
+        The error of a quintic is largest there. The exact values are those of the flight.
         """
         some = next(iter(table.coefficients.values()))
         intervals = some.shape[0]
@@ -255,7 +256,7 @@ class ReferenceFlight(eqx.Module):
         nodes: Float[Array, " nodes"],
         first_value: Scalar | None,
     ) -> dict[str, Nodes]:
-        """Quantities with two derivatives over the index, where it has given values."""
+        """Quantities with two derivatives over the index, at the nodes."""
 
         planet = self.scenario.planet
         field = vector_field(self.scenario, None)
@@ -313,13 +314,13 @@ class ReferenceFlight(eqx.Module):
             return found
 
         def early(point, wanted):
-            """Time since the point had the wanted index, s, to first order."""
+            """Time since the point had the required index, s, to first order."""
             value, rate = jax.jvp(index_at, (point,), (flow(point),))
             return (value - wanted) / rate
 
         def on_the_node(point, wanted):
-            # The point lies on the node to rounding; this moves it there to first order,
-            # for the derivative of the node with respect to the flight.
+            # The point lies on the node to rounding. This step to first order provides the
+            # derivative of the node with respect to the flight.
             late, rates = -early(point, wanted), lax.stop_gradient(flow(point))
             return jax.tree.map(lambda x, rate: x + late * rate, point, rates)
 
@@ -334,11 +335,11 @@ def plan_drag_reference(
     intervals: int = 2000,
     power: int = 1,
 ) -> DragReference:
-    """Drag of a flown bank profile over an index, for a drag-tracking law.
+    """Drag reference of a flight with a bank profile, over an index, for drag tracking.
 
-    With a gate (m/s2) the table starts where the drag first exceeds it. Over energy from
-    the entry interface on, `power=2` makes the table's error small there; see
-    `ReferenceFlight.interpolation_error`.
+    With a gate (m/s2) the table starts where the drag first exceeds the gate. For a table
+    over energy that starts at the entry interface, `power=2` makes its error small there;
+    see `ReferenceFlight.interpolation_error`.
     """
     scenario = flight.scenario
     law = scenario.guidance

@@ -1,6 +1,6 @@
 """Figures of a campaign: bands over the runs, error histograms and footprints.
 
-They are built without pyplot and its global state, so they need no display.
+They do not use pyplot and its global state, and need no display.
 """
 
 from .bands import at_velocity as at_velocity, velocity_grid as velocity_grid

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 _SPREADS = ((5.0, 95.0, 0.18), (25.0, 75.0, 0.32))
-"""Percentiles of each band, and its opacity; they overlap"""
+"""Lower and upper percentile of each band, and its opacity; the bands overlap"""
 _GRID = 400
-"""Velocities at which the runs are compared"""
+"""Number of velocities at which the runs are compared"""
 
 
 def velocity_grid(velocity: np.ndarray, points: int = _GRID) -> np.ndarray:
@@ -36,11 +36,11 @@ def velocity_grid(velocity: np.ndarray, points: int = _GRID) -> np.ndarray:
 def at_velocity(
     velocity: np.ndarray, values: np.ndarray, grid: np.ndarray, *, cubic: bool = False
 ) -> np.ndarray:
-    """Each run's values where it first slows to each velocity of a rising grid.
+    """Values of each run at the point where it first slows to each velocity of a grid.
 
-    Linear between the samples, or cubic, for differences of runs that are nearly equal;
-    from the sample of highest velocity on. Shapes (runs, time) to (runs, grid); NaN where
-    a run does not fly.
+    The grid rises. Interpolation starts at the sample of highest velocity. It is linear, or
+    cubic for differences between runs that are nearly equal. Shape (runs, time) becomes
+    (runs, grid), with NaN where a run does not have the velocity.
     """
     found = np.full((len(velocity), len(grid)), np.nan)
     for row, speeds, quantity in zip(found, velocity, values, strict=True):
@@ -61,9 +61,9 @@ def at_velocity(
 
 
 def _cubic(places: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """The cubic through the four samples about each place of a grid; NaN beyond them all.
+    """The cubic through the four samples nearest to each place of a grid; NaN outside.
 
-    By Neville's scheme. A spline is as exact, and to import one takes 0.3 s of a campaign.
+    It uses Neville's scheme. A spline is as accurate, but its import takes 0.3 s.
     """
     samples = min(4, places.size)
     first = np.clip(places.searchsorted(grid) - 2, 0, places.size - samples)
@@ -80,7 +80,10 @@ def _cubic(places: np.ndarray, values: np.ndarray, grid: np.ndarray) -> np.ndarr
 def draw_bands(
     axes: "matplotlib.axes.Axes", grid: np.ndarray, values: np.ndarray
 ) -> None:
-    """Percentiles over the runs of values (runs, grid); NaN where a run is not."""
+    """Draw bands of percentiles over the runs and the median.
+
+    `values` has shape (runs, grid), with NaN where a run has no value.
+    """
     somewhere = np.isfinite(values).any(axis=0)
     if not somewhere.any():
         return
@@ -101,9 +104,9 @@ def draw_bands(
 
 
 def percentiles(values: np.ndarray, which: Sequence[float]) -> np.ndarray:
-    """Percentiles of each column, of what is not NaN in it: shape (percentiles, columns).
+    """Percentiles of each column without its NaN: shape (percentiles, columns).
 
-    `np.nanpercentile` takes the columns one by one, which takes 0.3 s of a campaign.
+    `np.nanpercentile` processes columns one by one, which takes 0.3 s in a campaign.
     """
     ordered = np.sort(values, axis=0)  # NaN last
     last = np.count_nonzero(np.isfinite(values), axis=0) - 1

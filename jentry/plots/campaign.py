@@ -1,4 +1,4 @@
-"""The figures of a campaign, by name, and the files that they go to."""
+"""Figures of a campaign by name, and their files."""
 
 import functools
 import io
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 DrawFigure = Callable[[FigureData], Optional["matplotlib.figure.Figure"]]
-"""A figure of flown runs; None where these have nothing to draw"""
+"""Function that draws a figure of runs; it returns None if there is nothing to draw"""
 
 
 def _of_trajectories(
@@ -36,7 +36,7 @@ def _of_trajectories(
 
 
 def drag_deviation(data: FigureData) -> "matplotlib.figure.Figure | None":
-    """Bands of the drag less that of the nominal flight, at equal velocity."""
+    """Bands of the drag minus that of the nominal flight, at equal velocity."""
     runs, nominal = data.trajectories, data.nominal
     if runs is None or nominal is None or DRAG.name not in runs:
         return None
@@ -64,17 +64,17 @@ def end_errors(data: FigureData) -> "matplotlib.figure.Figure":
 
 
 def states(data: FigureData) -> "matplotlib.figure.Figure | None":
-    """Every run over time: the state."""
+    """States of all runs over time."""
     return _all_over_time(data, glide.STATES)
 
 
 def controls(data: FigureData) -> "matplotlib.figure.Figure | None":
-    """Every run over time: angle of attack and bank angle."""
+    """Angle of attack and bank angle of all runs over time."""
     return _all_over_time(data, glide.CONTROLS)
 
 
 def constraints(data: FigureData) -> "matplotlib.figure.Figure | None":
-    """Every run over time: the path constraints, with their limits."""
+    """Path constraints of all runs over time, with their limits."""
     runs = data.trajectories
     return None if runs is None else _all_over_time(data, glide.constraints_of(runs))
 
@@ -89,7 +89,7 @@ def _all_over_time(data: FigureData, names: tuple[str, ...]):
 def overview(data: FigureData) -> "matplotlib.figure.Figure | None":
     """One wide figure: drag, bank and downrange error.
 
-    Without trajectories, or without their drag: downrange error and footprint.
+    Without trajectories, or without their drag, it shows downrange error and footprint.
     """
     if error_of("downrange") not in data.results:
         return None
@@ -116,7 +116,7 @@ HISTORIES: Mapping[str, DrawFigure] = {
     "bank": functools.partial(_of_trajectories, BANK),
     "corridor": corridor,
 }
-"""Percentile bands of the runs at equal velocity, and the bank of some over time"""
+"""Percentile bands of the runs at equal velocity, and the bank of some runs over time"""
 
 USUAL: Mapping[str, DrawFigure] = {
     **HISTORIES,
@@ -124,7 +124,7 @@ USUAL: Mapping[str, DrawFigure] = {
     "footprint": footprint,
     "overview": overview,
 }
-"""Of a mission that says nothing else: bands, and errors along and across the track"""
+"""Default figures of a mission: bands, and errors along and across the track"""
 
 GLIDE: Mapping[str, DrawFigure] = {
     "end_errors": end_errors,
@@ -133,20 +133,21 @@ GLIDE: Mapping[str, DrawFigure] = {
     "controls": controls,
     "constraints": constraints,
 }
-"""Of a glide to a target with a direction: bands, errors, and every run over time"""
+"""Figures of a glide to a target with a required heading: bands, errors, all runs over
+time"""
 
 
 def campaign_figures(
     data: FigureData, figures: Mapping[str, DrawFigure] = USUAL
 ) -> dict[str, "matplotlib.figure.Figure"]:
-    """Every figure of a campaign, by name.
+    """All figures of a campaign by name.
 
-    Those that lack what they are drawn of, such as trajectories or a limit, are left out.
+    Figures whose data are missing, such as trajectories or a limit, are left out.
 
     **Arguments:**
 
     - `data`: the runs, `FigureData.of(results, trajectories, nominal, scenario, title)`.
-    - `figures`: what is drawn: `USUAL`, `GLIDE`, or functions of your own.
+    - `figures`: figures to draw: `USUAL`, `GLIDE`, or your own functions by name.
 
         figures = campaign_figures(data, mission.figures)
         save_figures(figures, "figures")
@@ -157,7 +158,7 @@ def campaign_figures(
 
 
 FORMATS = "png", "pdf", "svg"
-"""Of files of figures"""
+"""Formats of figure files"""
 
 
 def save_figures(
@@ -165,10 +166,11 @@ def save_figures(
     folder: str | Path,
     formats: Sequence[str] = FORMATS[:1],
 ) -> list[Path]:
-    """Write each figure as `folder/<name>.png`, 150 dots per inch, and say where.
+    """Write each figure as `folder/<name>.png` with 150 dots per inch; return the paths.
 
-    With `formats` as pdf or svg as well, or in place of png. Raises `ValueError` for
-    another format.
+    `formats` selects png, pdf and svg.
+
+    **Raises:** `ValueError` for another format.
     """
     for unknown in set(formats) - set(FORMATS):
         raise ValueError(
@@ -185,15 +187,15 @@ def save_figures(
 
 
 def _drawn(figure: "matplotlib.figure.Figure", kind: str) -> bytes:
-    """The contents of a file of a figure: the same figure, the same bytes."""
+    """The contents of a figure file. Equal figures give equal bytes."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     drawn = io.BytesIO()
     with in_style():
         if kind == "png":
-            # Where `savefig` draws twice, the first time for the layout alone.
+            # `savefig` would draw twice, the first time for the layout only.
             figure.set_dpi(150)
-            # Files are a seventh larger than at the usual level, which takes 0.1 s of all.
+            # Files are a seventh larger than at the default level, which takes 0.1 s more.
             FigureCanvasAgg(figure).print_png(drawn, pil_kwargs={"compress_level": 1})
         else:
             date = {"CreationDate" if kind == "pdf" else "Date": None}

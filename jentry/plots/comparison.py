@@ -1,4 +1,4 @@
-"""Campaigns beside one another: how their errors are distributed."""
+"""Compares campaigns: the distributions of their errors."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -18,26 +18,27 @@ if TYPE_CHECKING:
 
 
 _PANELS = 3
-"""Of a row"""
+"""Largest number of panels in a row"""
 _WIDTH, _HEIGHT = 4.2, 3.4
-"""Inches of a panel"""
+"""Width and height of a panel, inches"""
 _LINE, _HANDLE, _LETTER = 0.2, 0.5, 0.075
-"""Inches of the legend: height of a line, width beside its words, and of a letter"""
+"""Legend in inches: height of a line, width without text, width of a letter"""
 _DASHES = "-", "--", ":"
-"""Of the lines, when the colours are used up"""
+"""Line styles, which change when all colours are used"""
 
 
 def draw_comparison(
     campaigns: "Mapping[str, xarray.Dataset]", names: Sequence[str], title: str = ""
 ) -> "matplotlib.figure.Figure":
-    """Share of the runs below each value of an output, campaigns over one another.
+    """Cumulative distribution of outputs, with one curve for each campaign.
 
-    A run without a finite flight is below none, so that its campaign does not reach 100 %.
+    A run without a finite flight is below no value, so that its campaign does not reach
+    100 %.
 
     **Arguments:**
 
-    - `campaigns`: results by what the legend calls them.
-    - `names`: outputs that all of them have. Of what is an error the magnitude is drawn.
+    - `campaigns`: results by the name for the legend.
+    - `names`: outputs that all campaigns have. For errors the magnitude is drawn.
     """
     flown = {name: finite_flights(results) for name, results in campaigns.items()}
     runs = {name: results.sizes["run"] for name, results in campaigns.items()}
@@ -58,7 +59,7 @@ def draw_comparison(
 
 
 def _told(name: str, finite: int, runs: int) -> str:
-    """What the legend calls a campaign."""
+    """Label of a campaign in the legend."""
     return (
         f"{name}, {runs} runs" if finite == runs else f"{name}, {finite} of {runs} runs"
     )
@@ -69,7 +70,7 @@ def _draw_shares(
     outputs: "Mapping[str, xarray.DataArray]",
     runs: Sequence[int],
 ) -> None:
-    """Share of all runs below each value of one output, in one unit for all."""
+    """Share of all runs below each value of one output, in one unit for all campaigns."""
     import xarray
 
     magnitude = is_error(str(next(iter(outputs.values())).name))
@@ -83,7 +84,7 @@ def _draw_shares(
     ):
         values = output.values / drawn.size
         values = np.sort(np.abs(values) if magnitude else values)
-        # A step at each of the runs, from none of them on.
+        # A step at each run, starting from zero.
         values = np.concatenate([values[:1], values])
         axes.step(
             values,

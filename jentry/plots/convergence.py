@@ -1,4 +1,4 @@
-"""The course of a tuning run: its loss, and the numbers that are tuned."""
+"""The course of a tuning run: its loss, and the values of the tuned numbers."""
 
 import itertools
 from typing import TYPE_CHECKING
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def _best_so_far(tuned: Tuned) -> list[int]:
-    """At each step the place of the best point: one that loses a flight is none."""
+    """Place of the best point up to each step, in the order of `Entry.better_than`."""
     places = [0]
     for place in range(1, len(tuned.course)):
         better = tuned.course[place].better_than(tuned.course[places[-1]])
@@ -23,9 +23,9 @@ def _best_so_far(tuned: Tuned) -> list[int]:
 
 
 def draw_course(tuned: Tuned, title: str = "") -> "matplotlib.figure.Figure":
-    """Loss of every point that was tried, and the numbers as shares of the first ones.
+    """Loss of all evaluated points, and the tuned numbers as shares of their first values.
 
-    A number that was zero at first is drawn as its change. The best point is marked.
+    For a number that starts at zero, its change is drawn. The best point is marked.
     """
     losses = np.array([entry.loss for entry in tuned.course])
     steps = np.arange(1, losses.size + 1)

@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 
 
 _LINEAR = 1.0
-"""Per span; below it the axes are linear, and logarithmic above"""
+"""Value per span below which the axes are linear; they are logarithmic above"""
 
 
 def draw_eigenvalues(found: FrozenLoop, title: str = "") -> "matplotlib.figure.Figure":
-    """Real and imaginary parts over the index, per span of the index, as time goes on.
+    """Real and imaginary parts per span of the index, over the index, with time rightwards.
 
-    Dots are eigenvalues, crosses transmission zeros; the band is as far from zero as the
-    zero that is the farthest. Deadbeat eigenvalues have no place and are counted.
+    Dots are eigenvalues, and crosses are transmission zeros. The band extends to the
+    magnitude of the largest zero. Deadbeat eigenvalues are not drawn, but counted.
     """
     unit, size = edge_unit(found.unit, found.index)
     at = found.index / size

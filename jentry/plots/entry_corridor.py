@@ -1,4 +1,4 @@
-"""The entry corridor: the limits of the path constraints, with the flights among them."""
+"""The entry corridor: limits of the path constraints, with flights."""
 
 import itertools
 from typing import TYPE_CHECKING
@@ -21,18 +21,20 @@ if TYPE_CHECKING:
 
 
 _VELOCITIES = 80
-"""At which the limits are drawn"""
+"""Number of velocities at which the limits are drawn"""
 
 _MARGIN = 1.3
-"""Drag up to which the figure reaches, in units of the largest that is flown or allowed"""
+"""Largest drag of the figure, in units of the largest drag of the runs and the limits"""
 
 
 def corridor(data: FigureData) -> "matplotlib.figure.Figure | None":
     """Altitude and drag over velocity, with the limit of each path constraint.
 
-    The limits are those of `Scenario.constraints` for level flight at the angle of attack
-    that the nominal flight has at that velocity. None without trajectories, and without a
-    constraint that has a limit and a value at each point.
+    The limits are those of `Scenario.constraints` for level flight with the angle of attack
+    of the nominal flight at that velocity.
+
+    **Returns:** the figure. None if there are no trajectories, or if no constraint has a
+    limit and a value at each point.
     """
     scenario, runs, flown = data.scenario, data.trajectories, data.nominal
     if scenario is None or runs is None or flown is None:

@@ -1,4 +1,4 @@
-"""Errors at the end: histogram of the downrange error, and footprints."""
+"""Errors at the end of flights: histogram of the downrange error, and footprints."""
 
 import itertools
 import math
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
 
 _MOST_BINS = 40
 _FLAT = 1e-3
-"""In the unit of the axis. Errors closer together than this count as equal"""
+"""Difference below which errors count as equal, in the unit of the axis"""
 
 _ALONG, _ACROSS, _UP = map(error_of, ("downrange", "crossrange", "altitude"))
 _WORST = 3
-"""Runs whose numbers stand beside them"""
+"""Number of worst runs that are labelled with their run number"""
 
 _CROSSRANGE_SPREAD = 1.0
-"""m, above which the crossrange has a panel of its own"""
+"""Standard deviation of the crossrange above which it has its own panel, m"""
 
 
 def draw_downrange(axes: "matplotlib.axes.Axes", runs: "xarray.Dataset") -> None:
@@ -64,7 +64,7 @@ def draw_downrange(axes: "matplotlib.axes.Axes", runs: "xarray.Dataset") -> None
 def _mark_moments(
     axes: "matplotlib.axes.Axes", errors: np.ndarray, unit: str
 ) -> list[str]:
-    """Lines at the mean and a standard deviation about it, and both in words."""
+    """Draw lines at the mean and one standard deviation from it; return both as text."""
     mean = float(errors.mean())
     axes.axvline(mean, color=MEAN, lw=1.8)
     if errors.size == 1:
@@ -79,7 +79,7 @@ def _mark_moments(
 
 
 def _bin_edges(errors: np.ndarray) -> np.ndarray:
-    """Of 40 bins at most; of one unit about errors that are all equal."""
+    """Edges of 40 bins at most; bins of one unit if all errors are equal."""
     if np.ptp(errors) < _FLAT:
         return np.mean(errors) + np.arange(-2.5, 3.0)
     bins = int(np.clip(np.sqrt(errors.size), 5, _MOST_BINS))
@@ -87,7 +87,7 @@ def _bin_edges(errors: np.ndarray) -> np.ndarray:
 
 
 def _number(value: float, scale: float, sign: str = "") -> str:
-    """Three digits of a number of this scale, down to thousandths."""
+    """A number with three digits at this scale, and three decimals at most."""
     digits = np.clip(2 - np.floor(np.log10(max(scale, _FLAT))), 0, 3)
     return f"{value:{sign}.{digits:.0f}f}".replace("-", "−")
 
@@ -110,7 +110,7 @@ def footprint(
 
 
 def _draw_circles(axes: "matplotlib.axes.Axes", runs: "xarray.Dataset") -> None:
-    """Circles about the target that hold shares of the runs, and the ellipse of them."""
+    """Draw circles about the target that contain shares of the runs, and their ellipse."""
     found = ellipse_of(runs, RADII)
     if found is None:
         return
@@ -142,7 +142,7 @@ def _draw_circles(axes: "matplotlib.axes.Axes", runs: "xarray.Dataset") -> None:
 
 
 def _mark_worst(axes: "matplotlib.axes.Axes", runs: "xarray.Dataset") -> None:
-    """The numbers of the runs that end the farthest from the target."""
+    """Label the runs that end farthest from the target with their numbers."""
     along, across = scaled(runs[_ALONG]), scaled(runs[_ACROSS])
     distance = np.hypot(runs[_ALONG].values, runs[_ACROSS].values)
     for place in np.argsort(-distance, kind="stable")[:_WORST]:
@@ -178,7 +178,7 @@ def _draw_ends(
     nominal: "xarray.Dataset | None",
     error: str,
 ) -> None:
-    """Where the runs ended about the target, by the condition that ended them."""
+    """Draw the ends of the runs relative to the target, by end condition."""
     axes.axhline(0.0, color=MUTED, lw=0.8)
     axes.axvline(0.0, color=MUTED, lw=0.8)
     along, aside = scaled(runs[_ALONG]), scaled(runs[error])
@@ -209,7 +209,7 @@ def _draw_ends(
 
 
 def _by_end(runs: "xarray.Dataset") -> dict[str, np.ndarray]:
-    """Which runs each end condition ended, by the legend's words."""
+    """Masks of the runs that each end condition ended, by the label in the legend."""
     if "ended_by" not in runs or "flag_meanings" not in runs["ended_by"].attrs:
         return {"runs": np.ones(runs.sizes["run"], dtype=bool)}
     codes = runs["ended_by"].values

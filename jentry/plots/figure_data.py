@@ -1,4 +1,4 @@
-"""What the figures of a campaign are drawn of."""
+"""Data from which the figures of a campaign are drawn."""
 
 import dataclasses
 from typing import TYPE_CHECKING
@@ -15,10 +15,9 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class FigureData:
-    """Flown runs of a scenario, as a figure of a mission is given them.
+    """Runs of a scenario, as the argument of a function that draws a figure of a mission.
 
-    A figure is a function of this. It returns None where it lacks something, and is left
-    out then:
+    The function returns None if data are missing. The figure is then left out:
 
         def velocity(data):
             figure, (axes,) = panelled(6.4, 4.2, 1, data.title)
@@ -29,19 +28,19 @@ class FigureData:
     """
 
     results: "xarray.Dataset"
-    """All runs that are finite and have an end, as of `jentry.campaign.results.dataset`"""
+    """All runs that are finite and have an end, from `jentry.campaign.results.dataset`"""
     trajectories: "xarray.Dataset | None" = None
     """Some of these runs with histories, on (run, time), NaN after the end"""
     nominal: "xarray.Dataset | None" = None
-    """The same of one flight, the nominal one"""
+    """The nominal flight with its history, as one run"""
     scenario: Scenario | None = None
-    """The nominal one"""
+    """Nominal scenario"""
     title: str = ""
-    """Above each figure"""
+    """Title of each figure"""
     lost: int = 0
-    """Runs that are left out of the results"""
+    """Number of runs that are left out of the results"""
     lost_trajectories: int = 0
-    """Runs that are left out of the trajectories"""
+    """Number of runs that are left out of the trajectories"""
 
     @classmethod
     def of(
@@ -52,7 +51,7 @@ class FigureData:
         scenario: Scenario | None = None,
         title: str = "",
     ) -> "FigureData":
-        """Of stored results, as they are: runs without an end are left out and counted."""
+        """Data from stored results. Runs without an end are left out and counted."""
         ends = finite_flights(results)
         lost = results.sizes["run"] - ends.sizes["run"]
         if trajectories is None:
@@ -64,7 +63,7 @@ class FigureData:
     def noted(
         self, figure: "matplotlib.figure.Figure", histories: bool = False
     ) -> "matplotlib.figure.Figure":
-        """A figure of the results, or of histories, that says how many runs it lacks."""
+        """The figure with a note of how many runs were left out of results or histories."""
         if histories and self.trajectories is not None:
             note(figure, self.lost_trajectories, self.trajectories)
         else:

@@ -1,4 +1,4 @@
-"""The landing footprint: its outline, and the ground tracks that end on it."""
+"""The landing footprint: its outline, and the ground tracks of its flights."""
 
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def draw_footprint(found: Footprint, title: str = "") -> "matplotlib.figure.Figure":
-    """Downrange and crossrange of the points, with the tracks of the flights to them."""
+    """Downrange and crossrange of the points, with the ground tracks of their flights."""
     with in_style():
         figure, (axes,) = panelled(8.0, 5.0, 1, title)
         for number, best in enumerate(found.flights):
@@ -39,7 +39,7 @@ def draw_footprint(found: Footprint, title: str = "") -> "matplotlib.figure.Figu
 
 
 def _track(best) -> tuple[np.ndarray, np.ndarray]:
-    """Downrange and crossrange along a flight, to its end, in km."""
+    """Downrange and crossrange along a flight up to its end, km."""
     scenario, history = best.scenario, best.flight.history
     origin = scenario.target.origin
     origin = scenario.initial_state if origin is None else origin
@@ -48,7 +48,7 @@ def _track(best) -> tuple[np.ndarray, np.ndarray]:
     along, across = (np.asarray(x)[flown] for x in place(history.states))
     last = ground_track(scenario.planet, origin, best.flight.state)
     along = np.append(along, float(last[0]))
-    # Beyond half of the way around an arc begins again from behind.
+    # An arc changes its sign beyond half of the circumference.
     along = np.unwrap(along / float(scenario.planet.radius))
     along = along * float(scenario.planet.radius)
     return along / km, np.append(across, float(last[1])) / km

@@ -1,4 +1,4 @@
-"""Figures of a glide to a target: states, controls, constraints, errors at the end."""
+"""Figures of a glide to a target: states, controls, path constraints, errors at the end."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ END_ERRORS = (
     MISS_DISTANCE,
     *(error_of(miss) for miss in ("flight_path_angle", "heading", "velocity")),
 )
-"""The paper's figure 12"""
+"""Errors of figure 12 of the paper"""
 
 
 def over_time(
@@ -31,14 +31,14 @@ def over_time(
     names: tuple[str, ...],
     title: str = "",
 ) -> "matplotlib.figure.Figure":
-    """Every run over time, a panel for each quantity.
+    """All runs over time, with one panel for each quantity.
 
     **Arguments:**
 
     - `trajectories`: runs with histories, on (run, time), NaN after the end.
-    - `names`: such as `STATES`, `CONTROLS` or `CONSTRAINTS`.
+    - `names`: quantities, such as `STATES`, `CONTROLS` or `CONSTRAINTS`.
 
-    Path constraints of the scenario have a line at their limit.
+    A path constraint has a line at its limit.
     """
     with in_style():
         figure, panels = panelled(3.1 * len(names), 2.9, len(names), title)
@@ -56,7 +56,7 @@ def over_time(
 
 
 def _name_line(axes: "matplotlib.axes.Axes", at: float, name: str, color: str) -> None:
-    """Its name above a level line: the best place of a legend takes long to find here."""
+    """Write a name above a level line. A legend would need long to find its place."""
     axes.annotate(
         name,
         (1.0, at),
@@ -71,9 +71,9 @@ def _name_line(axes: "matplotlib.axes.Axes", at: float, name: str, color: str) -
 
 
 def constraints_of(trajectories: "xarray.Dataset") -> tuple[str, ...]:
-    """Names of the path constraints of runs with histories, but for the drag.
+    """Names of the path constraints of runs with histories, without the drag.
 
-    That has a figure of its own. The usual ones are first.
+    The drag has its own figure. The constraints of `CONSTRAINTS` come first.
     """
     held = [str(n) for n in trajectories.data_vars if peak_of(str(n)) in trajectories]
     usual = [name for name in CONSTRAINTS if name in trajectories]
@@ -83,7 +83,7 @@ def constraints_of(trajectories: "xarray.Dataset") -> tuple[str, ...]:
 def velocity_errors(
     campaigns: "Mapping[str, xarray.Dataset]", title: str = ""
 ) -> "matplotlib.figure.Figure":
-    """Velocity error at the end of every run, campaigns over one another: figure 15."""
+    """Velocity error at the end of all runs of several campaigns, as in figure 15."""
     with in_style():
         figure, (axes,) = panelled(7.2, 3.6, 1, title)
         for colour, (name, results) in zip(ENDS, campaigns.items(), strict=False):
@@ -107,7 +107,7 @@ def velocity_errors(
 def end_errors(
     results: "xarray.Dataset", title: str = "", names: tuple[str, ...] = END_ERRORS
 ) -> "matplotlib.figure.Figure":
-    """Histograms of miss distance and errors, a panel for each of these that there is."""
+    """Histograms of miss distance and errors, with one panel for each in the results."""
     names = tuple(name for name in names if name in results)
     with in_style():
         figure, panels = panelled(3.0 * len(names), 2.8, len(names), title)
@@ -120,7 +120,7 @@ def end_errors(
 
 
 def draw_errors(axes: "matplotlib.axes.Axes", values: np.ndarray, label: str) -> None:
-    """A histogram, in powers of ten of the unit where the values are small."""
+    """Draw a histogram. Small values are drawn in a power of ten of the unit."""
     what, _, unit = label.rstrip(")").rpartition(" (")
     largest = np.max(np.abs(values), initial=0.0)
     if 0.0 < largest < 1e-2:
@@ -133,9 +133,9 @@ def draw_errors(axes: "matplotlib.axes.Axes", values: np.ndarray, label: str) ->
 def draw_velocity_map(
     k1: np.ndarray, k2: np.ndarray, velocity: np.ndarray, wanted: float | None = None
 ) -> "matplotlib.figure.Figure":
-    """Velocity at the target over k1 and k2, (n, m) in m/s: figure 10.
+    """Velocity at the target over k1 and k2, shape (n, m) in m/s, as in figure 10.
 
-    `wanted` (m/s) is drawn as a line.
+    A line marks the desired velocity (m/s), the last argument.
     """
     with in_style():
         figure, (axes,) = panelled(5.4, 3.9, 1, "", measured=True)
@@ -151,7 +151,7 @@ def draw_velocity_map(
 def prediction_errors(
     to_go: np.ndarray, errors: Mapping[str, np.ndarray]
 ) -> "matplotlib.figure.Figure":
-    """Magnitude of the error (m/s) of velocity predictions over the way to go (m)."""
+    """Mean magnitude of errors (m/s) of velocity predictions over the range to go (m)."""
     with in_style():
         figure, (axes,) = panelled(6.4, 3.6, 1, "")
         edges = np.linspace(0.0, np.max(to_go), 25)

@@ -1,4 +1,4 @@
-"""One flight: its path, its controls, how near it comes to its limits, its track."""
+"""Figure of one flight: path, controls, path constraints and ground track."""
 
 import itertools
 from typing import TYPE_CHECKING
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 def draw_flight(
     scenario: Scenario, flight: Flight, title: str = ""
 ) -> "matplotlib.figure.Figure":
-    """Altitude over velocity, the controls and what has a limit over time, the track.
+    """Altitude over velocity, controls and path constraints over time, and ground track.
 
-    What the attitude lags behind is drawn as well: the commanded bank and angle of attack.
+    The commanded bank and angle of attack are drawn as well if the history has them.
 
     **Raises:** `ValueError` for a flight without a history.
     """
     history = flight.history
     if history is None:
         raise ValueError(
-            "the flight has no history to draw: keep one, fly(..., history=1.0)"
+            "the flight has no history to draw: store one, fly(..., history=1.0)"
         )
     draw = [_path, _controls]
     if _limited(scenario):
@@ -45,13 +45,13 @@ def draw_flight(
 
 
 def _limited(scenario: Scenario) -> dict[str, float]:
-    """Limits of the path constraints that have one to count in."""
+    """Positive limits of the path constraints, of which shares can be drawn."""
     limits = {name: each.limit for name, each in scenario.constraints.items()}
     return {n: float(x) for n, x in limits.items() if x is not None and float(x) > 0.0}
 
 
 def _flown(history: History, values, end=None) -> np.ndarray:
-    """Values while the flight goes on, and the one at its end."""
+    """Values during the flight, followed by the value at its end if one is passed."""
     flown = np.asarray(values)[np.isfinite(np.asarray(history.time))]
     return flown if end is None else np.append(flown, np.asarray(end))
 

@@ -1,4 +1,4 @@
-"""What all figures share: colours, fonts, headings and legends."""
+"""Common style of all figures: colours, fonts, headings and legends."""
 
 import contextlib
 import re
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 RUNS = "#0072B2"
-"""Okabe and Ito's blue: all that is drawn over many runs"""
+"""Blue of Okabe and Ito, for everything that shows many runs"""
 ENDS = (RUNS, "#E69F00", "#CC79A7", "#009E73", "#56B4E9", "#D55E00")
-"""Of the same colour-blind-safe palette: runs by the condition that ended them"""
+"""Colours of the colour-blind-safe palette of Okabe and Ito, for runs by end condition"""
 NOMINAL = "#1A1A1A"
 RUNS_LIGHT = "#80B9D9"
-"""Half of the way to white"""
+"""`RUNS`, mixed with an equal part of white"""
 MEAN = "#D55E00"
 MUTED = "#6E6E6E"
 
@@ -53,7 +53,7 @@ _STYLE: "dict[RcKeyType, Any]" = {
 }
 
 _MANY_POINTS = 20_000
-"""Too many to search them for the best place of a legend"""
+"""Number of points from which the best place of a legend is not searched"""
 
 
 @contextlib.contextmanager
@@ -65,16 +65,16 @@ def in_style():
 
 
 _LEFT, _RIGHT, _BELOW, _ABOVE, _BETWEEN = 0.85, 0.2, 0.65, 0.55, 0.9
-"""Inches about the panels of a figure: room for numbers of seven digits, and a title"""
+"""Margins of the panels of a figure, inches, for numbers of seven digits and a title"""
 
 
 def panelled(
     width: float, height: float, panels: int, title: str, *, measured: bool = False
 ) -> tuple["matplotlib.figure.Figure", "list[matplotlib.axes.Axes]"]:
-    """A figure of so many inches with panels side by side, under one title.
+    """A figure of this size (inches) with panels side by side, under one title.
 
-    The room about the panels is known. With `measured` it is made for what is drawn there,
-    such as names for numbers or a legend: that takes a quarter of the time of a figure.
+    The margins of the panels are fixed. With `measured` they are fitted to their contents,
+    such as a legend or long labels, which takes a quarter of the time of a figure.
     """
     from matplotlib.figure import Figure
 
@@ -92,7 +92,7 @@ def panelled(
             wspace=_BETWEEN / each,
         )
     if title:
-        # A letter is about half as wide as it is high, of which an inch has 72 points.
+        # A letter is about half as wide as high, and its height is in points of 1/72 inch.
         fits = 72.0 * width / (0.55 * len(title))
         figure.suptitle(title, fontsize=min(11.0, fits))
     return figure, axes
@@ -103,16 +103,16 @@ class Scaled(NamedTuple):
 
     values: Any
     label: str
-    """Of an axis: what it is, and the unit"""
+    """Label of an axis: quantity and unit"""
     unit: str
     size: float
     """SI value of the unit"""
 
 
 def scaled(variable: "xarray.DataArray") -> Scaled:
-    """A variable in the unit in which people read it, and the label of its axis.
+    """A variable in its usual display unit, with the label of its axis.
 
-    Its words and its unit are those that the results have from the fields of the flight.
+    The results store the name and the unit, which come from the fields of the flight.
     """
     values, unit = shown(variable)
     words = variable.attrs.get("long_name", in_words(str(variable.name)))
@@ -123,14 +123,14 @@ def scaled(variable: "xarray.DataArray") -> Scaled:
 
 
 def typeset(unit: str) -> str:
-    """A unit with raised powers: `m/s2` is m/s²."""
+    """A unit with superscript powers: `m/s2` becomes m/s²."""
     return re.sub("(?<=[A-Za-z])[23]", lambda m: "²³"["23".index(m[0])], unit)
 
 
 def note(
     figure: "matplotlib.figure.Figure", left_out: int, runs: "xarray.Dataset"
 ) -> None:
-    """Says below the figure how many runs are left out beside those that it has."""
+    """Write below a figure how many runs are left out."""
     if left_out:
         total = left_out + runs.sizes["run"]
         text = f"{left_out} of {total} runs not finite or without an end: left out"
@@ -143,14 +143,14 @@ def count(runs: "xarray.Dataset") -> str:
 
 
 def legend_above(axes: "matplotlib.axes.Axes") -> None:
-    """A legend over the axes, where lines fill all of them."""
+    """Draw a legend above the axes, for panels that are filled with lines."""
     handles, _ = axes.get_legend_handles_labels()
     if handles:
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
 
 
 def legend(axes: "matplotlib.axes.Axes") -> None:
-    """A legend, if there is something to tell; its dots all of one size."""
+    """Draw a legend if there are labels. All its dots have the same size."""
     from matplotlib.collections import PathCollection
 
     handles, _ = axes.get_legend_handles_labels()

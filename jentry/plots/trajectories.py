@@ -20,15 +20,16 @@ _REFERENCE = {"lw": 1.1, "ls": (0, (5, 3))}
 
 @dataclasses.dataclass(frozen=True)
 class Trajectory:
-    """A quantity of histories on (run, time), and over what it is drawn."""
+    """A quantity of histories on (run, time), drawn over velocity or over time."""
 
     name: str
-    """Of the variable"""
+    """Name of the variable"""
     over_time: bool = False
-    """Else over the velocity, which falls to the left as time goes on"""
+    """Whether to draw over time, or else over the velocity, where time runs to the left"""
     each: int | None = None
-    """Draw so many of the runs themselves, with their signs and their reversals, and no
-    percentiles, which say nothing of what jumps or is at a limit; None for percentiles"""
+    """Number of runs to draw as lines instead of percentiles; None for percentiles.
+    Percentiles are not useful for a quantity that jumps, such as a bank with reversals, or
+    that is at a limit"""
 
     def draw(
         self,
@@ -66,7 +67,7 @@ class Trajectory:
             axes.yaxis.set_major_locator(MultipleLocator(30.0))
 
     def _draw_each(self, axes, runs, values, most: int) -> None:
-        """The first runs over time."""
+        """Draw the first runs over time."""
         first = values[:most]
         lines = axes.plot(runs["time"].values, first.T, color=RUNS, lw=0.7, alpha=0.45)
         if lines:
@@ -100,9 +101,10 @@ def draw_deviation(
     runs: "xarray.Dataset",
     nominal: "xarray.Dataset",
 ) -> None:
-    """Bands of a quantity less that of the nominal flight, at equal velocity.
+    """Bands of a quantity minus that of the nominal flight, at equal velocity.
 
-    Of what follows a reference the bands about its own value are too narrow to be seen.
+    For a quantity that tracks a reference, bands of the quantity itself would be too narrow
+    to see.
     """
     grid = velocity_grid(runs["velocity"].values)
     drawn, speed = scaled(runs[name]), scaled(runs["velocity"])

@@ -1,4 +1,4 @@
-"""Floor 7: what campaigns say: summaries, intervals, acceptance, comparison, ranking."""
+"""Floor 7: statistics of campaigns: summary, acceptance, comparison and ranking."""
 
 from .acceptance import (
     Decision as Decision,

@@ -1,4 +1,4 @@
-"""Several campaigns beside one another: a row of statistics each, and their differences."""
+"""Comparison of several campaigns: a row of statistics for each, and differences."""
 
 import csv
 import dataclasses
@@ -25,73 +25,75 @@ if TYPE_CHECKING:
 
 
 PERCENTILES = (50.0, 95.0, 99.0)
+"""Default percentiles of each output"""
 
 _ROUNDING = 1e-6
-"""SI: an error that is nowhere larger says nothing"""
+"""Errors that are nowhere larger than this, SI, are not compared by default"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Output:
-    """What a column is of; of an error the magnitude counts."""
+    """Output of a column. Errors are compared by their magnitude."""
 
     name: str
     unit: str
     shown_unit: str
     shown_size: float
-    """SI value of the unit in which people read it, the same for all campaigns"""
+    """SI value of the printed unit, which is equal for all campaigns"""
 
     @property
     def words(self) -> str:
-        """What people call it; the magnitude between bars."""
+        """Printed name of the output, between bars if its magnitude is compared."""
         return words(self.name)
 
 
 @dataclasses.dataclass(frozen=True)
 class Levels:
-    """How large one output of a campaign becomes, SI."""
+    """Percentiles and maximum of one output of a campaign, SI."""
 
     percentiles: dict[float, float]
-    """Over all runs. One without a finite flight counts as larger than any number:
-    infinite where the percentile is beyond the finite ones"""
+    """Percentiles over all runs. A run without a finite flight counts as larger than any
+    number. A percentile among such runs is infinite"""
     maximum: float
-    """Of the finite flights; NaN where there is none"""
+    """Maximum of the finite flights. NaN if there is none"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Alternative:
-    """One campaign among several."""
+    """One campaign of several, with its statistics."""
 
     name: str
     runs: int
     failures: int
-    """Runs that did not reach the end, or of which an output is not finite"""
+    """Runs that did not reach the end of guided flight, or with an output that is not
+    finite"""
     not_finite: int
-    """Those of them that have no finite flight, see `finite_flights`"""
+    """Failures that are not among the `finite_flights`"""
     outcomes: dict[Outcome, int]
     levels: dict[str, Levels]
-    """By the names of the outputs"""
+    """Levels by the names of the outputs"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Alternatives:
-    """Several campaigns, each as one row, and the differences between them."""
+    """Comparison of several campaigns: a row for each, and differences between them."""
 
     outputs: list[Output]
     rows: list[Alternative]
-    """In the order in which they were given: the first is what others are compared with"""
+    """Campaigns in the order of the call. The others are compared with the first"""
     same_draws: bool
-    """Whether run i of each has the draws of run i of the first"""
+    """Whether run i of each campaign has the draw of run i of the first"""
     why: str
-    """Why they have, or which of them has not and why"""
+    """Why they have the same draws, or which campaign has other draws and why"""
     beyond: int
-    """Runs that not all of them have, and that are left out"""
+    """Runs that are left out because not all campaigns have them"""
     differences: dict[tuple[str, str], Comparison]
-    """By the names of two campaigns: the second less the first"""
+    """Comparisons by the names of two campaigns, second minus first"""
     untold: dict[tuple[str, str], str]
-    """Pairs that have no differences, and why"""
+    """Reasons, by the names of two campaigns, why there is no comparison"""
 
     def plain(self) -> dict[str, Any]:
-        """As plain values, SI; what is not finite is None."""
+        """Dictionary of plain values, SI. Numbers that are not finite are None."""
         return without_nan(
             {
                 "same_draws": self.same_draws,
@@ -136,11 +138,11 @@ class Alternatives:
         }
 
     def as_json(self) -> str:
-        """All of it, SI; null for a percentile beyond the finite flights."""
+        """The comparison as JSON, SI. A percentile beyond the finite flights is null."""
         return json.dumps(self.plain(), indent=2, allow_nan=False) + "\n"
 
     def as_csv(self) -> str:
-        """The rows, SI, all digits: one line for each, a column for each statistic.
+        """The rows as CSV, SI, with all digits: a column for each statistic.
 
         A percentile beyond the finite flights is inf.
         """
@@ -169,24 +171,24 @@ def alternatives_of(
     *,
     all_pairs: bool = False,
 ) -> Alternatives:
-    """Campaigns beside one another: statistics of each, and their differences.
+    """Compare several campaigns: statistics of each, and differences.
 
-    Where all are of the same draws, the runs that all of them have are compared. A run
-    without a finite flight counts as larger than any number in the percentiles, so that a
-    law does not gain by the runs that it fails in.
+    If all campaigns have the same draws, only the runs that all of them have are compared.
+    A run without a finite flight counts as larger than any number in the percentiles: a law
+    does not gain from runs in which it fails.
 
     **Arguments:**
 
-    - `campaigns`: results by what they are called; the first is what the others are
-      compared with.
-    - `outputs`: which; if not given, the miss distance and the errors that all have and
-      that are more than rounding, or all outputs where there is no error. The differences
-      are of all outputs then.
-    - `percentiles`: above 0 and below 100.
-    - `all_pairs`: whether each campaign is compared with each before it.
+    - `campaigns`: results by name. The others are compared with the first.
+    - `outputs`: names of the outputs to compare. By default the rows have the miss distance
+      and the errors, if all campaigns have them and they exceed rounding, or all outputs if
+      there is no such error. The differences then have all outputs.
+    - `percentiles`: percentiles of each output, above 0 and below 100.
+    - `all_pairs`: whether each campaign is compared with every campaign before it, and not
+      with the first only.
 
-    **Raises:** `ValueError` for less than two campaigns, for a percentile that is none and
-    for an output that one of them does not have.
+    **Raises:** `ValueError` for fewer than two campaigns, for a percentile outside of these
+    limits, and for an output that one of them does not have.
 
         found = alternatives_of({"r5": open_campaign("r5"), "a8": open_campaign("a8")})
         print(found.as_csv())
@@ -242,17 +244,19 @@ def alternatives_of(
 
 
 def shared_runs(campaigns: "Mapping[str, xarray.Dataset]") -> np.ndarray:
-    """Numbers of the runs that all of them have."""
+    """Numbers of the runs that all campaigns have."""
     return functools.reduce(
         np.intersect1d, (x["run"].values for x in campaigns.values())
     )
 
 
 def usual_outputs(campaigns: "Mapping[str, xarray.Dataset]") -> list[str]:
-    """Outputs by which campaigns are compared unless told otherwise.
+    """Outputs that are compared by default.
 
-    The miss distance and the errors that all have, if they are more than rounding in one
-    of them; all outputs where there is none.
+    They are the miss distance and the errors that all campaigns have and that exceed
+    rounding in one of them. If there is none, they are all common outputs.
+
+    **Raises:** `ValueError` if the campaigns have no output in common.
     """
     every = [set(map(str, results.data_vars)) for results in campaigns.values()]
     common = set.intersection(*every) - END_STATE
@@ -280,12 +284,12 @@ def _require(
 
 
 def no_output(campaign: str, output: str, known: Sequence[str]) -> str:
-    """Sentence about an output that a campaign does not have."""
+    """Message about an output that a campaign does not have, with the nearest names."""
     return f"{campaign} has no output {output}; {nearest(output, known)}"
 
 
 def _sizes(results: "xarray.Dataset", name: str) -> np.ndarray:
-    """Of an output; of an error the magnitudes."""
+    """Values of an output, or the magnitudes of an error."""
     values = np.asarray(results[name].values, dtype=float)
     return np.abs(values) if is_error(name) else values
 
@@ -327,10 +331,12 @@ def _row(
 
 
 def _percentile(ordered: np.ndarray, runs: int, percentile: float) -> float:
-    """Of so many runs, of which those that are not in rising order here lie above.
+    """A percentile of so many runs, of which those not in `ordered` are infinite.
 
-    Between two runs linearly, as numpy has it.
+    `ordered` holds the finite values in increasing order. The interpolation between two
+    runs is linear, as in `numpy.percentile`.
     """
+    # With infinite values, `numpy.percentile` is NaN from the last finite value on.
     place = (runs - 1) * percentile / 100.0
     if not place <= ordered.size - 1:
         return np.inf

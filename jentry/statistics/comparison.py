@@ -1,6 +1,7 @@
-"""Two campaigns beside each other: differences of statistics, paired where draws agree."""
+"""Comparison of two campaigns: differences of statistics, paired where the draws agree."""
 
 import dataclasses
+import functools
 import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -11,7 +12,14 @@ from .._printed import in_words
 from ..addresses import nearest
 from ..campaign.outputs import edge_of, is_error, is_output
 from ..campaign.populations import finite_flights
-from .intervals import CONFIDENCE, FEWEST, MOST_AT_ONCE, RESAMPLES, Interval
+from .intervals import (
+    CONFIDENCE,
+    FEWEST,
+    MOST_AT_ONCE,
+    RESAMPLES,
+    Interval,
+    share_bound,
+)
 from .summary import END_STATE
 
 
@@ -20,50 +28,51 @@ if TYPE_CHECKING:
 
 
 PERCENTILE = 95.0
-"""That is compared, beside mean and standard deviation"""
+"""Percentile that is compared, besides mean and standard deviation"""
 
 
 class TooFewFlights(ValueError):
-    """There are no two finite flights to compare."""
+    """A campaign has fewer than two finite flights to compare."""
 
 
 def words(name: str) -> str:
-    """What people call an output that is compared; the magnitude between bars."""
+    """Printed name of an output, between bars if its magnitude is compared."""
     return f"|{in_words(name)}|" if is_error(name) else in_words(name)
 
 
 def quantity(name: str) -> str:
-    """An output that is compared in files, where names stay as they are."""
+    """Name of an output in files, between bars if its magnitude is compared."""
     return f"|{name}|" if is_error(name) else name
 
 
 @dataclasses.dataclass(frozen=True)
 class Difference:
-    """One output of the second campaign less that of the first; SI."""
+    """Differences of the statistics of one output, second campaign minus first, SI."""
 
     name: str
-    """Of the output; of what is an error the magnitude is compared"""
+    """Name of the output. Errors are compared by their magnitude"""
     unit: str
     shown_unit: str
     shown_size: float
     first: float
     """Mean of the first campaign"""
     second: float
+    """Mean of the second campaign"""
     mean: Interval
-    """Difference of the means, with its interval; the others likewise"""
+    """Difference of the means, with its interval. The next two are alike"""
     standard_deviation: Interval
     percentile: Interval
     smaller: Interval | None
-    """Share of the runs in which the second has the smaller value, equal ones by half;
-    None where the runs are no pairs"""
+    """Share of the pairs in which the second value is smaller. Pairs of equal values count
+    as one half. None if the runs are not paired"""
 
     @property
     def words(self) -> str:
-        """What people call it; the magnitude between bars."""
+        """Printed name of the output, between bars if its magnitude is compared."""
         return words(self.name)
 
     def plain(self) -> dict[str, Any]:
-        """As plain values, SI."""
+        """Dictionary of plain values, SI."""
         return {
             "quantity": quantity(self.name),
             "unit": self.unit,
@@ -78,31 +87,32 @@ class Difference:
 
 @dataclasses.dataclass(frozen=True)
 class Comparison:
-    """The second of two campaigns beside the first."""
+    """Comparison of a second campaign with a first."""
 
     paired: bool
-    """Whether run i of one has the draws of run i of the other"""
+    """Whether run i of both campaigns has the same draw"""
     why: str
-    """Why the runs are pairs, or why not"""
+    """Why the runs are paired, or why they are not"""
     flights: tuple[int, int]
-    """Finite flights that are compared, of each"""
+    """Numbers of finite flights of the first and the second that are compared"""
     left_out: int
-    """Pairs of which a flight is not finite; or flights"""
+    """Pairs with a flight that is not finite or, without pairs, such flights"""
     differences: list[Difference]
     only_one: list[str]
-    """Outputs that one of them has and the other has not"""
+    """Outputs that only one of the campaigns has"""
     beyond: int
-    """Runs of either campaign that have no partner; 0 without pairs"""
+    """Runs of either campaign that have no partner. 0 without pairs"""
     spread: bool
-    """Whether a sampler has spread the runs of one of them: the intervals are too wide"""
+    """Whether a sampler has spread the runs of a campaign evenly: the intervals are
+    too wide"""
 
     @property
     def runs(self) -> int:
-        """Pairs of finite flights; or the smaller number of finite flights."""
+        """Number of pairs or, without pairs, the smaller number of finite flights."""
         return min(self.flights)
 
     def plain(self) -> dict[str, Any]:
-        """As plain values, SI."""
+        """Dictionary of plain values, SI."""
         return {
             "paired": self.paired,
             "why": self.why,
@@ -121,20 +131,22 @@ def compared(
     second: "xarray.Dataset",
     outputs: Sequence[str] | None = None,
 ) -> Comparison:
-    """The outputs of one campaign beside those of another.
+    """Compare the outputs of two campaigns.
 
-    Where run i of one has the same inputs as run i of the other, to the last bit, the
-    flights are pairs: what the draws have in common falls out of the differences. Inputs
-    that only one of them has, as a law's own, do not count; there must be a common one.
-    Intervals are percentiles of a bootstrap that draws pairs, or, without pairs, the runs
-    of each campaign by themselves; without bounds where there are fewer than `FEWEST`.
+    The flights are paired if run i of both has the same inputs to the last bit. The effect
+    of the common draws then cancels in the differences. Inputs that only one campaign has,
+    such as those of a law, do not count. At least one input must be common and vary.
+
+    The intervals are percentiles of a bootstrap. It resamples pairs or, without pairs, the
+    runs of each campaign separately. The bounds are NaN for fewer than `FEWEST` flights.
 
     **Arguments:**
 
-    - `outputs`: which of those that both have; all if not given.
+    - `outputs`: names of the outputs to compare. The default is all that both have.
 
-    **Raises:** `TooFewFlights`, a `ValueError`, for campaigns of which one has no two
-    finite flights; `ValueError` for an output that neither has.
+    **Raises:** `TooFewFlights`, a `ValueError`, if there are fewer than two pairs of finite
+    flights or, without pairs, fewer than two finite flights in a campaign. `ValueError` for
+    an output that neither has.
     """
     first, second = (x.drop_dims("time", errors="ignore") for x in (first, second))
     paired, why = are_pairs(first, second)
@@ -177,9 +189,9 @@ def compared(
 
 
 def are_pairs(first: "xarray.Dataset", second: "xarray.Dataset") -> tuple[bool, str]:
-    """Whether run i of both has the same draws, and why or why not.
+    """Whether run i of both campaigns has the same draw, and why or why not.
 
-    Runs are known by their number, wherever they stand.
+    Runs are identified by their number, not by their position.
     """
     inputs = [
         {str(n) for n, x in runs.data_vars.items() if "." in str(n)}
@@ -189,7 +201,7 @@ def are_pairs(first: "xarray.Dataset", second: "xarray.Dataset") -> tuple[bool, 
     if not both.size:
         return False, "they have no run in common"
     first, second = first.sel(run=both), second.sel(run=both)
-    # What is the same in all runs makes no pairs.
+    # An input that is equal in all runs does not identify pairs.
     common = [
         address
         for address in sorted(inputs[0] & inputs[1])
@@ -208,7 +220,7 @@ def are_pairs(first: "xarray.Dataset", second: "xarray.Dataset") -> tuple[bool, 
 
 
 def common_runs(first: "xarray.Dataset", second: "xarray.Dataset") -> np.ndarray:
-    """Numbers of the runs that both have."""
+    """Numbers of the runs that both campaigns have."""
     return np.intersect1d(first["run"].values, second["run"].values)
 
 
@@ -221,16 +233,8 @@ def _difference(
     one, other = values
     unit = first[name].attrs.get("units", "1")
     shown_unit, size = edge_of(first[name], np.concatenate(values))
-    drawn = _resampled(one, other, paired)
-    here = _statistics(other[None]) - _statistics(one[None])
-    tails = 50.0 * (1.0 - CONFIDENCE), 50.0 * (1.0 + CONFIDENCE)
-    bounds = np.percentile(drawn, tails, axis=1)
-    if min(one.size, other.size) < FEWEST:
-        bounds[:] = np.nan
-    found = [
-        Interval(float(value), float(low), float(high))
-        for value, low, high in zip(here[:, 0], *bounds, strict=True)
-    ]
+    numbers = zip(_changes(one, other), *_bounds(one, other, paired), strict=True)
+    found = [Interval(*map(float, each)) for each in numbers]
     return Difference(
         name=name,
         unit=unit,
@@ -245,45 +249,42 @@ def _difference(
     )
 
 
-def _statistics(values: np.ndarray) -> np.ndarray:
-    """Mean, standard deviation and percentile of samples (samples, runs): (3, samples)."""
+def _changes(one: np.ndarray, other: np.ndarray, axis: int = -1) -> np.ndarray:
+    """Differences of mean, standard deviation and percentile, (3, ...)."""
+    statistics = (
+        np.mean,
+        functools.partial(np.std, ddof=1),
+        functools.partial(np.percentile, q=PERCENTILE),
+    )
     return np.stack(
-        [
-            values.mean(axis=1),
-            values.std(axis=1, ddof=1),
-            np.percentile(values, PERCENTILE, axis=1),
-        ]
+        [each(other, axis=axis) - each(one, axis=axis) for each in statistics]
     )
 
 
-def _resampled(one: np.ndarray, other: np.ndarray, paired: bool) -> np.ndarray:
-    """Differences of the statistics of resamples, (3, resamples)."""
-    generator = np.random.default_rng(0)
-    most = max(1, MOST_AT_ONCE // max(one.size, other.size))
-    found = []
-    for begin in range(0, RESAMPLES, most):
-        many = min(most, RESAMPLES - begin)
-        places = generator.integers(one.size, size=(many, one.size))
-        others = (
-            places
-            if paired
-            else generator.integers(other.size, size=(many, other.size))
-        )
-        found.append(_statistics(other[others]) - _statistics(one[places]))
-    return np.concatenate(found, axis=1)
+def _bounds(one: np.ndarray, other: np.ndarray, paired: bool) -> np.ndarray:
+    """Bounds of the differences by a percentile bootstrap, (2, 3)."""
+    if min(one.size, other.size) < FEWEST:
+        return np.full((2, 3), np.nan)
+    from scipy.stats import bootstrap  # takes a while
+
+    drawn = bootstrap(
+        (one, other),
+        _changes,
+        n_resamples=RESAMPLES,
+        batch=max(1, MOST_AT_ONCE // max(one.size, other.size)),
+        paired=paired,
+        axis=-1,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        rng=np.random.default_rng(0),
+    )
+    return np.array(drawn.confidence_interval)
 
 
 def _smaller(one: np.ndarray, other: np.ndarray) -> Interval:
-    """Share of the pairs in which the second is smaller: Clopper and Pearson's interval."""
-    from scipy.special import betaincinv
-
+    """Share of the pairs in which the second is smaller, with Clopper-Pearson bounds."""
     runs = one.size
     smaller = float(np.sum(other < one) + 0.5 * np.sum(other == one))
     missed = 0.5 * (1.0 - CONFIDENCE)
-    lower = betaincinv(smaller, runs - smaller + 1.0, missed) if smaller > 0.0 else 0.0
-    upper = (
-        betaincinv(smaller + 1.0, runs - smaller, 1.0 - missed)
-        if smaller < runs
-        else 1.0
-    )
-    return Interval(smaller / runs, float(lower), float(upper))
+    lower = 1.0 - share_bound(runs - smaller, runs, missed)
+    return Interval(smaller / runs, lower, share_bound(smaller, runs, missed))

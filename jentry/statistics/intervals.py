@@ -1,4 +1,4 @@
-"""How far a statistic of a sample can be believed: intervals of confidence."""
+"""Confidence intervals of the statistics of a sample."""
 
 import bisect
 from typing import NamedTuple
@@ -8,32 +8,33 @@ from jaxtyping import Float
 
 
 CONFIDENCE = 0.95
-"""Of two-sided intervals"""
+"""Confidence of the two-sided intervals"""
 
 RESAMPLES = 2000
-"""Of a bootstrap"""
+"""Number of resamples of a bootstrap"""
 
 FEWEST = 30
-"""Runs of a bootstrap that has bounds. Of fewer they are too near: intervals of normal
-numbers cover their standard deviation in 91 of 100 samples of 30, and in 82 of 10"""
+"""Smallest number of runs for which a bootstrap has bounds. With fewer runs the intervals
+are too narrow: an interval of nominally 95 % covers the standard deviation of a normal
+distribution in 91 % of the samples of 30 runs, and in 82 % of those of 10"""
 
 MOST_AT_ONCE = 2**22
-"""Numbers that a block of resamples takes"""
+"""Largest number of values in one block of resamples, which limits the memory"""
 
 METHODS = {
-    "mean": f"bootstrap of {RESAMPLES} resamples, bias-corrected and accelerated, of "
+    "mean": f"bootstrap of {RESAMPLES} resamples, bias-corrected and accelerated, for "
     f"{FEWEST} runs or more",
     "standard_deviation": f"bootstrap of {RESAMPLES} resamples, bias-corrected and "
-    f"accelerated, of {FEWEST} runs or more",
+    f"accelerated, for {FEWEST} runs or more",
     "percentiles": "order statistics, without an assumption on the distribution",
 }
-"""How the intervals of each statistic are found"""
+"""Method of the intervals of each statistic"""
 
 
 class Interval(NamedTuple):
-    """A statistic of a sample, and an interval that covers the one of the population.
+    """A statistic of a sample, with a confidence interval for the population.
 
-    A bound that the sample is too small for is NaN.
+    A bound is NaN if the sample is too small for it.
     """
 
     value: float
@@ -46,12 +47,17 @@ def moment_intervals(
 ) -> list[tuple[Interval, Interval]]:
     """Mean and standard deviation of each quantity, with bootstrap intervals.
 
-    The resamples are the same for all quantities, and the same in every call: the same
-    sample has the same intervals. Bias-corrected and accelerated, after B. Efron, "Better
-    Bootstrap Confidence Intervals", Journal of the American Statistical Association
-    82(397), 1987. Of fewer than `FEWEST` runs there are no bounds, and of one no standard
-    deviation.
+    The bootstrap is bias-corrected and accelerated, after B. Efron, "Better Bootstrap
+    Confidence Intervals", Journal of the American Statistical Association 82(397), 1987.
+    All quantities and all calls use the same resamples, so that equal samples have equal
+    intervals. The bounds are NaN for fewer than `FEWEST` runs. The standard deviation is
+    NaN for one run.
+
+    **Raises:** `ValueError` if there are no runs.
     """
+    # `scipy.stats.bootstrap` with this generator has the same bounds to 13 digits. It needs
+    # 12 times as long for 1000 runs and 28 times for 10 000: its jackknife copies the
+    # sample for each run. It takes 0.4 s to import.
     runs = values.shape[1]
     if runs == 0:
         raise ValueError("a statistic takes one run or more: there is none")
@@ -64,7 +70,7 @@ def moment_intervals(
             (_unbounded(x), _unbounded(s))
             for x, s in zip(centers, spreads, strict=True)
         ]
-    # In units of the spread about the mean, where the squares keep their digits.
+    # Centred and scaled by the standard deviation: the squares lose no digits.
     scales = np.where(spreads > 0.0, spreads, 1.0)
     scaled = (values - centers[:, None]) / scales[:, None]
     means, deviations = _resampled(scaled)
@@ -98,12 +104,21 @@ def percentile_interval(
     percentile: float,
     confidence: float = CONFIDENCE,
 ) -> Interval:
-    """A percentile of a sample, given in rising order, with an interval of its own numbers.
+    """A percentile of a sample, with bounds that are order statistics of the sample.
 
     The number of runs below the percentile of the population is binomial, whatever the
-    distribution: the bounds are the nearest order statistics for which each side is missed
-    with at most half of what the confidence leaves.
+    distribution. Each bound is the order statistic nearest to the percentile for which the
+    probability of error is at most (1 - confidence) / 2.
+
+    **Arguments:**
+
+    - `ordered`: the sample in increasing order.
+    - `percentile`: above 0 and below 100.
+
+    **Raises:** `ValueError` for any other percentile.
     """
+    # `scipy.stats.quantile_test` has the same bounds. It takes 15 to 20 times as long, and
+    # 0.4 s to import.
     from scipy.special import bdtr
 
     if not 0.0 < percentile < 100.0:
@@ -121,9 +136,22 @@ def percentile_interval(
     )
 
 
+def share_bound(count: float, runs: int, missed: float) -> float:
+    """Clopper and Pearson's upper bound of a share, from `count` of `runs`.
+
+    The probability that the share of the population exceeds the bound is at most `missed`.
+    The count need not be a whole number: runs with equal values may count as one half.
+    """
+    # `scipy.stats.binomtest` takes whole numbers only, and 300 times as long.
+    from scipy.special import betainccinv
+
+    if count == runs:
+        return 1.0
+    return float(betainccinv(count + 1.0, runs - count, missed))
+
+
 def _resampled(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means and standard deviations of resamples of all quantities, each (quantities,
-    resamples)."""
+    """Means and standard deviations of the resamples, each (quantities, resamples)."""
     quantities, runs = values.shape
     both = np.concatenate([values, np.square(values)]).T
     generator = np.random.default_rng(0)
@@ -141,7 +169,7 @@ def _resampled(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _without_each(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Means and standard deviations without each of the runs, each (quantities, runs)."""
+    """Means and standard deviations with one run left out, each (quantities, runs)."""
     others = values.shape[1] - 1
     squares = np.square(values)
     means = (values.sum(axis=1, keepdims=True) - values) / others
@@ -150,7 +178,7 @@ def _without_each(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _deviation(means: np.ndarray, squares: np.ndarray, runs: int) -> np.ndarray:
-    """Sample standard deviation by the means of values and of their squares."""
+    """Sample standard deviation from the means of the values and of their squares."""
     if runs == 1:
         return np.zeros_like(means)
     return np.sqrt(np.maximum(squares - np.square(means), 0.0) * (runs / (runs - 1)))
@@ -159,9 +187,10 @@ def _deviation(means: np.ndarray, squares: np.ndarray, runs: int) -> np.ndarray:
 def _accelerated(
     value: float, resampled: np.ndarray, left_out: np.ndarray, confidence: float
 ) -> np.ndarray:
-    """The two bounds: percentiles of the resamples, shifted for bias and skewness.
+    """Both bounds: percentiles of the resamples, shifted for bias and skewness.
 
-    `left_out` is the statistic of the sample without each of its runs.
+    `value` is the statistic of the sample. `left_out` holds it with one run left out, for
+    each run.
     """
     from scipy.special import ndtr, ndtri
 

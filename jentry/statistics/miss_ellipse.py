@@ -1,4 +1,4 @@
-"""Where flights end about their target: circular errors, and the ellipse of the misses."""
+"""Distribution of the misses about the target: circular errors and the error ellipse."""
 
 import dataclasses
 import math
@@ -17,36 +17,37 @@ if TYPE_CHECKING:
 ALONG, ACROSS = map(error_of, ("downrange", "crossrange"))
 
 _LEAST_SPREAD = 1.0
-"""m, below which there is nothing across to speak of: a flight in a plane"""
+"""Standard deviation of the crossrange error, m. Flights with less are in a plane"""
 
 
 @dataclasses.dataclass(frozen=True)
 class MissEllipse:
-    """The misses of a campaign over the ground: downrange and crossrange errors.
+    """Distribution of the downrange and crossrange errors of a campaign.
 
     The ellipse is that of a normal distribution with the mean and the covariance of the
-    runs. How much of the runs it holds is counted beside it.
+    runs. The shares of the runs that are inside it are stored with it.
     """
 
     mean: tuple[float, float]
-    """Downrange and crossrange, m"""
+    """Mean downrange and crossrange errors, m"""
     semi_axes: tuple[float, float]
     """Standard deviations along the axes of the ellipse, the larger one first, m"""
     angle: float
-    """Of the larger axis from downrange towards positive crossrange, rad, in (-pi/2,
-    pi/2]"""
+    """Direction of the larger axis, from downrange towards positive crossrange, rad, in
+    (-pi/2, pi/2]"""
     radii: dict[float, Interval]
-    """Radius about the target (m) that a percentage of the runs is within, by it; that of
-    50 is the circular error probable"""
+    """Radius about the target, m, by the percentage of the runs that are inside it. The
+    radius for 50 is the circular error probable"""
     inside: dict[float, float]
-    """Share of the runs in the ellipse that holds a percentage of a normal distribution"""
+    """Share of the runs inside the ellipse, by the percentage of a normal distribution that
+    is inside it"""
 
     def scale(self, percentage: float) -> float:
-        """How many standard deviations the ellipse of a percentage reaches."""
+        """Semi-axes of the ellipse of a percentage, in standard deviations."""
         return math.sqrt(-2.0 * math.log1p(-percentage / 100.0))
 
     def outline(self, percentage: float, points: int = 181) -> np.ndarray:
-        """Downrange and crossrange (m) around the ellipse of a percentage, (2, points)."""
+        """Downrange and crossrange on the ellipse of a percentage, m, (2, points)."""
         around = np.linspace(0.0, 2.0 * np.pi, points)
         major, minor = (self.scale(percentage) * axis for axis in self.semi_axes)
         cosine, sine = math.cos(self.angle), math.sin(self.angle)
@@ -55,7 +56,7 @@ class MissEllipse:
         return np.stack([along, self.mean[1] + sine * x + cosine * y])
 
     def plain(self) -> dict[str, Any]:
-        """As plain values, SI."""
+        """Dictionary of plain values, SI."""
         return {
             "mean_downrange_error": self.mean[0],
             "mean_crossrange_error": self.mean[1],
@@ -72,8 +73,8 @@ def ellipse_of(
 ) -> MissEllipse | None:
     """The ellipse and the circular errors of finite flights.
 
-    None where the results have no crossrange error, or one that does not spread by 1 m,
-    or fewer than three runs.
+    It is None if there are fewer than three runs, if the results have no downrange or no
+    crossrange error, or if the standard deviation of the crossrange error is below 1 m.
     """
     if ALONG not in flown or ACROSS not in flown or flown.sizes["run"] < 3:
         return None
@@ -83,16 +84,14 @@ def ellipse_of(
     mean = errors.mean(axis=1)
     covariance = np.cov(errors)
     variances, axes = np.linalg.eigh(covariance)
-    minor, major = np.sqrt(np.maximum(variances, 0.0))
+    minor, major = spreads = np.sqrt(np.maximum(variances, 0.0))
     angle = math.atan2(axes[1, 1], axes[0, 1])
     if angle <= -0.5 * math.pi or angle > 0.5 * math.pi:  # an axis has no direction
         angle -= math.copysign(math.pi, angle)
     distances = np.sort(np.hypot(*errors))
     # In standard deviations along the axes.
-    axes_of = (axes.T @ (errors - mean[:, None])) / np.maximum(
-        np.sqrt(np.maximum(variances, 0.0)), np.finfo(float).tiny
-    )[:, None]
-    reach = np.hypot(*axes_of)
+    units = np.maximum(spreads, np.finfo(float).tiny)
+    reach = np.hypot(*(axes.T @ (errors - mean[:, None]) / units[:, None]))
     found = MissEllipse(
         mean=(float(mean[0]), float(mean[1])),
         semi_axes=(float(major), float(minor)),

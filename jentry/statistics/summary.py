@@ -1,4 +1,4 @@
-"""What a campaign says: statistics with intervals, outcomes, limits, misses, acceptance."""
+"""Summary of a campaign: outcomes, limits, caveats, statistics, misses, requirements."""
 
 import csv
 import dataclasses
@@ -32,25 +32,26 @@ if TYPE_CHECKING:
 
 
 PERCENTILES = (1.0, 5.0, 50.0, 95.0, 99.0)
+"""Default percentiles of each output"""
 
 RADII = (50.0, 90.0, 99.0)
 """Percentages of the circular errors and of the ellipses"""
 
 END_STATE = {at_end(name) for name in units_of(EntryState)}
-"""Its errors are told instead"""
+"""Outputs without statistics here: the errors of the end state replace them"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Statistics:
-    """Of one output of the finite flights; SI."""
+    """Statistics of one output over the finite flights, SI."""
 
     name: str
     magnitude: bool
-    """Whether they are of the magnitude of an error"""
+    """Whether the statistics are those of the magnitude of an error"""
     unit: str
     shown_unit: str
     shown_size: float
-    """SI value of the unit in which people read it"""
+    """SI value of the printed unit"""
     minimum: float
     maximum: float
     mean: Interval
@@ -59,12 +60,12 @@ class Statistics:
 
     @property
     def words(self) -> str:
-        """What people call it; the magnitude between bars."""
+        """Printed name of the output, between bars if it is a magnitude."""
         words = in_words(self.name)
         return f"|{words}|" if self.magnitude else words
 
     def plain(self) -> dict[str, Any]:
-        """As plain values, SI."""
+        """Dictionary of plain values, SI."""
         return {
             "quantity": f"|{self.name}|" if self.magnitude else self.name,
             "unit": self.unit,
@@ -81,53 +82,54 @@ class Statistics:
 
 @dataclasses.dataclass(frozen=True)
 class Caveat:
-    """What a reader must know of some of the runs: see `Flight.caveats`."""
+    """Reason to doubt some of the runs: see `Flight.caveats`."""
 
     flights: int
-    """How many of the runs have it"""
+    """Number of runs with the caveat"""
     largest_share: float
-    """In one of them"""
+    """Largest share in a run"""
     largest_distance: float | None = None
-    """Beyond a table, in one of them, where it is of a table"""
+    """Largest distance beyond the table in a run. None if the caveat is not of a table"""
     unit: str | None = None
-    """Of the distance"""
+    """Unit of the distance"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Limit:
-    """How many flights exceed the limit of a path constraint."""
+    """Limit of a path constraint, and the number of flights that exceed it."""
 
     name: str
     limit: float
     unit: str
     shown_unit: str | None
-    """In which the same number is shown, such as g"""
+    """Printed unit of the same number, such as g"""
     beyond: int
+    """Number of finite flights that exceed the limit"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Summary:
-    """What a campaign says, of numbers alone: printed, written and drawn elsewhere."""
+    """Numbers of a campaign. Other modules print, write and draw them."""
 
     campaign: dict[str, Any]
-    """What was flown: mission, law, case, worlds, seed and versions, where results tell"""
+    """Mission, law, case, worlds, seed and versions, as far as the results state them"""
     runs: int
     finite: int
-    """Flights that the statistics are of: with an end, and all outputs finite"""
+    """Number of flights in the statistics: they have an end, and all outputs are finite"""
     outcomes: dict[Outcome, tuple[int, int]]
-    """How many ended so, and how many of these are left out of the statistics"""
+    """For each outcome: number of runs, and how many of them the statistics leave out"""
     limits: list[Limit]
     caveats: dict[str, Caveat]
-    """Of how the law decided, and of time beyond tables"""
+    """Caveats of the decisions of the law and of time beyond tables, by name"""
     statistics: list[Statistics]
     ellipse: MissEllipse | None
     verdicts: list[Verdict]
     counted_from: str | None = None
-    """What errors of downrange and crossrange are counted from, in words"""
+    """Description of the origin of downrange and crossrange errors"""
 
     @property
     def caution(self) -> str | None:
-        """What the intervals are not, of runs that were not drawn independently."""
+        """Warning about the intervals if the runs were not drawn independently, or None."""
         sampler = self.campaign.get("sampler")
         if sampler is None:
             return None
@@ -135,15 +137,16 @@ class Summary:
         if whole != self.runs:
             return (
                 f"these are {self.runs} of the {whole} runs that the sampler spreads "
-                "together: what they say is neither of independent draws nor of the whole"
+                "together: their statistics are neither those of independent draws nor "
+                "those of all runs"
             )
         return (
             "the intervals are those of independent draws: runs of a sampler that spreads "
-            "them evenly repeat themselves better than these say"
+            "them evenly have statistics that vary less than these say"
         )
 
     def as_json(self) -> str:
-        """All of it, SI; what is not known is null."""
+        """The summary as JSON, SI. Numbers that are not finite are null."""
         contents = {
             "campaign": self.campaign,
             "runs": self.runs,
@@ -169,7 +172,7 @@ class Summary:
         return json.dumps(without_nan(contents), indent=2, allow_nan=False) + "\n"
 
     def as_csv(self) -> str:
-        """The statistics: a line for each of an output, with its interval, SI."""
+        """The statistics as CSV, SI: a line for each statistic, with its bounds."""
         written = io.StringIO()
         table = csv.writer(written, lineterminator="\n")
         table.writerow(("quantity", "unit", "statistic", "value", "lower", "upper"))
@@ -196,16 +199,16 @@ def summarize(
     *,
     sequential: bool = False,
 ) -> Summary:
-    """What the runs of a campaign say.
+    """Summarize the runs of a campaign.
 
     **Arguments:**
 
-    - `results`: as `open_campaign` gives them.
-    - `percentiles`: of each output, above 0 and below 100.
+    - `results`: all runs, as returned by `open_campaign`.
+    - `percentiles`: percentiles of each output, above 0 and below 100.
     - `requirements`, `sequential`: as for `judged`.
 
-    **Raises:** `ValueError` for a percentile that is none, and for a requirement that
-    cannot be judged.
+    **Raises:** `ValueError` for a percentile outside of these limits, and for a requirement
+    that cannot be judged.
 
         summary = summarize(open_campaign("results/mars-drag-tracking"))
         print(summary.as_csv())
@@ -239,14 +242,14 @@ def summarize(
 
 
 def _described(results: "xarray.Dataset") -> dict[str, Any]:
-    """What stands in the results of how they were flown, without the scenario."""
+    """Description of the campaign in the results, without the scenario."""
     described = json.loads(results.attrs.get("campaign", "{}"))
     told = (
         "mission",
         "law",
         "case",
         "world",
-        "variant",  # as earlier versions had it
+        "variant",  # the name in earlier versions
         "seed",
         "sampler",
         "solver",
@@ -330,7 +333,7 @@ def _statistics(
 
 
 def without_nan(value: Any) -> Any:
-    """Plain values in which a number that is not finite is None."""
+    """Replace numbers that are not finite by None in plain values."""
     if isinstance(value, dict):
         return {key: without_nan(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):

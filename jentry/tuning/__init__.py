@@ -1,4 +1,4 @@
-"""Floor 8: numbers of a scenario tuned by gradient through its Monte Carlo."""
+"""Floor 8: tunes numbers of a scenario with gradients of its Monte Carlo flights."""
 
 from ..parameters import Bounds as Bounds, Scale as Scale
 from .course import Budget as Budget

@@ -1,9 +1,10 @@
-"""Outputs of a batch of flights, and the gradient of a loss of them, in constant memory.
+"""Outputs of many flights, and the gradient of a loss of them, in constant memory.
 
-The loss is a function of all flights at once (a percentile, a worst case), so it is
-differentiated in two passes: the flights, then the loss with respect to what they gave,
-then flight by flight the gradient of that much of its numbers. No pass keeps more than a
-cache-full of flights and the outputs.
+The loss is a function of all flights at once, such as a percentile or a worst case. It is
+therefore differentiated in two passes. The first pass computes the outputs of all flights
+and the derivatives of the loss with respect to them, the weights. The second pass computes,
+flight by flight, the gradient of the weighted sum of the outputs. Memory holds the outputs
+of all flights, and one batch of flights that fits into the cache.
 """
 
 import dataclasses
@@ -27,36 +28,41 @@ from ..parameters.parameters import Free, Parameters, Tangent
 
 
 Outputs = Callable[[Scenario, Flight], Any]
-"""What is looked at of a flight, such as `misses`: a pytree of numbers"""
+"""Function of a scenario and its flight that returns a pytree of numbers, like `misses`"""
 
 Loss = Callable[[Any], Any]
-"""A number of the outputs of many flights, each of shape (flights, ...)"""
+"""Function of the outputs of many flights, each of shape (flights, ...): one number"""
 
 FORWARD_UP_TO = 8
-"""Parameters. Measured: a tangent costs 1.7 of a flight, and reverse mode 11."""
+"""Largest number of parameters for which forward mode is used.
+
+Measured cost in units of one flight: 1.7 for a tangent, 11 for reverse mode.
+"""
 
 ROUNDING = 1e-12
-"""Of the derivative to the parameter that matters most to a flight: what is smaller
-does not reach it"""
+"""Share of the largest derivative of a flight. A parameter whose derivative is smaller has
+no effect on the flight"""
 
 _BEYOND_MEASURE = 1e6
-"""Times the median of the flights beside it: the derivative of a flight that diverges.
-It is judged by the outputs of the flights alone, whatever the loss makes of them: the
-flights of a tail, on which a loss may look alone, have usual derivatives."""
+"""A flight diverges if its derivative exceeds the median of its batch by this factor.
+
+The derivatives are those of the outputs and not of the loss: a loss may depend on the
+flights of a tail only, and the outputs of these flights have usual derivatives.
+"""
 
 
 class Simulation(eqx.Module):
-    """How a run is flown, and what is looked at of it."""
+    """How a run is flown, and the outputs that are computed from it."""
 
     outputs: Outputs = eqx.field(static=True)
     solver: AbstractSolver
     history: float | None = eqx.field(default=None, static=True)
-    """Interval (s) at which a flight keeps its history; none is kept if not given"""
+    """Interval (s) at which the history of a flight is stored; None for no history"""
 
     def __call__(
         self, scenario: Scenario, inputs: dict[str, Array]
     ) -> tuple[Any, Bool[Array, ""]]:
-        """Outputs of one run, and whether it has an end and all of them are finite."""
+        """Outputs of one run, and whether it has an end and all outputs are finite."""
         flight, dispersed = fly_run(scenario, inputs, self.solver, self.history)
         outputs = jax.tree.map(jnp.asarray, self.outputs(dispersed, flight))
         finite = all_finite(outputs) & has_end(flight.outcome)
@@ -64,7 +70,7 @@ class Simulation(eqx.Module):
 
 
 class Problem(eqx.Module):
-    """What is flown with which parameters."""
+    """A simulation whose scenario depends on parameters."""
 
     parameters: Parameters | Tangent
     simulation: Simulation
@@ -72,22 +78,24 @@ class Problem(eqx.Module):
     def __call__(
         self, free: Free, inputs: dict[str, Array]
     ) -> tuple[Any, Bool[Array, ""]]:
-        """As the simulation. The tuned values are nominal ones: a tuned entry point moves
-        the target along."""
+        """Outputs of one run at a point, and whether they are finite; see `Simulation`.
+
+        The tuned values are nominal values: a tuned entry point also moves the target.
+        """
         return self.simulation(self.parameters.scenario(free), inputs)
 
 
 class Gradient(eqx.Module):
-    """Of a loss, with respect to the free numbers."""
+    """Gradient of a loss with respect to the free numbers."""
 
     total: Free
     moved: dict[str, Array]
-    """Flights to which the parameter makes a difference, by address"""
+    """Number of flights on which each parameter has an effect, by address"""
     counted: Array
-    """Flights that the loss looks at"""
+    """Number of flights on which the loss depends"""
     failed: Array
-    """Of these, those that were left out: their gradient is not finite, or the derivative
-    of their outputs is beyond all measure"""
+    """Number of counted flights that are left out, because their gradient is not finite or
+    because they diverge: the derivatives of their outputs are too large"""
 
 
 def all_finite(tree: PyTree) -> Bool[Array, ""]:
@@ -101,7 +109,7 @@ def all_finite(tree: PyTree) -> Bool[Array, ""]:
 def batch_outputs(
     simulation: Simulation, scenario: Scenario, inputs: dict[str, Any]
 ) -> tuple[Any, np.ndarray]:
-    """Outputs of every run as a loss takes them, and which of the runs are finite."""
+    """Outputs of all runs in the form that a loss takes, and which runs are finite."""
     large = simulation.history is not None
     outputs, finite = over_runs(_fly, (simulation, scenario), inputs, large=large)
     return jax.tree.map(jnp.asarray, outputs), finite
@@ -113,8 +121,10 @@ def _fly(shared: tuple[Simulation, Scenario], inputs: dict[str, Array]) -> Any:
 
 
 def _along_ones(jacobian: Any, free: Free) -> Float[Array, ""]:
-    """Size of the derivatives of a flight, by which flights are compared: the largest of
-    its outputs when all free numbers move alike. What is not finite counts as nothing."""
+    """Largest derivative of the outputs of a flight when all free numbers change equally.
+
+    Flights are compared by this number. Derivatives that are not finite count as zero.
+    """
     is_row = lambda node: isinstance(node, dict) and node.keys() == free.keys()
 
     def along(row: dict[str, Array]) -> Array:
@@ -134,8 +144,11 @@ def _largest(x: Array) -> Array:
 
 
 def within_measure(sizes: Float[Array, " flights"]) -> Bool[Array, " flights"]:
-    """Which flights do not diverge: the derivatives of one that does are larger than
-    those of the flights beside it by orders of magnitude."""
+    """Which flights do not diverge.
+
+    The derivatives of a flight that diverges are larger than those of the other flights of
+    its batch by orders of magnitude.
+    """
     usual = jnp.nanmedian(jnp.where(sizes > 0.0, sizes, jnp.nan))
     return jnp.isfinite(sizes) & ~(sizes > _BEYOND_MEASURE * usual)
 
@@ -162,8 +175,8 @@ def batch_gradient(
 ) -> Gradient:
     """Gradient of the sum of weights times outputs, over all runs.
 
-    A flight whose gradient is not finite, or whose outputs have derivatives beyond all
-    measure, adds nothing.
+    A flight adds nothing if its gradient is not finite or if it diverges; see
+    `within_measure`.
     """
     assert isinstance(problem.parameters, Parameters)
     about = dataclasses.replace(problem, parameters=problem.parameters.about(free))
@@ -173,7 +186,7 @@ def batch_gradient(
 def _gradient_of(
     shared: tuple[Problem, Free, bool], runs: tuple[dict[str, Array], Any], counts
 ) -> Gradient:
-    """Of a cache-full of flights, summed."""
+    """Sum of the gradients of one batch of flights."""
     gradients, moved = jax.vmap(lambda run: _gradient_of_run(shared, run))(runs)
     counts = counts & jax.vmap(_any)(runs[1])
     sizes = {a: jax.vmap(_size)(g) for a, g in gradients.items()}
@@ -199,7 +212,7 @@ def _gradient_of(
 def _gradient_of_run(
     shared: tuple[Problem, Free, bool], run: tuple[dict[str, Array], Any]
 ) -> tuple[Free, Array]:
-    """Of one flight, and the size of the derivatives of its outputs."""
+    """Gradient of one flight, and the size of the derivatives of its outputs."""
     problem, free, forward = shared
     inputs, weights = run
 
@@ -226,7 +239,10 @@ def _gradient_of_run(
 
 
 def _contracted(weights: Any, jacobian: Any, free: Free) -> Free:
-    """Weights times the Jacobian. An output without weight need not have a derivative."""
+    """Weights times the Jacobian.
+
+    An output whose weight is zero need not have a finite derivative.
+    """
     leaves, structure = jax.tree.flatten(weights)
     rows = structure.flatten_up_to(jacobian)
 
@@ -247,7 +263,7 @@ def _any(tree: PyTree) -> Bool[Array, ""]:
 
 
 def _size(tree: PyTree) -> Array:
-    """Largest magnitude; NaN if there is one."""
+    """Largest magnitude; NaN if any number is NaN."""
     return jnp.max(jnp.abs(tree))
 
 
@@ -257,7 +273,7 @@ def where_finite(outputs: Any, finite: np.ndarray) -> Any:
 
 
 def put_back(values: Any, finite: np.ndarray) -> Any:
-    """Values of the finite runs among all runs; zero for the others."""
+    """Values of the finite runs at their places among all runs, and zero elsewhere."""
 
     def put(x: Float[Array, "..."]):
         everywhere = np.zeros((len(finite), *x.shape[1:]), x.dtype)

@@ -1,4 +1,4 @@
-"""The course of a tuning run: its points so far, the best of them, and when it ends."""
+"""The course of a tuning run: its points so far, its best point, and when it ends."""
 
 import dataclasses
 import time
@@ -17,23 +17,27 @@ from .steppers import AbstractStepper
 
 
 COARSE_STEP = 0.02
-"""In free numbers: 2 % of a positive number. Steps of tuning are rather longer"""
+"""Step of a central difference, in free numbers: 2 % of a positive number. Steps of tuning
+are usually longer"""
 
 _MEASURED_AGAIN = 1e-3
-"""Of the loss at which its rounding was measured before"""
+"""Share of the loss at which rounding was last measured. Once the loss is smaller than
+this, rounding is measured again"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Budget:
-    """When a tuning run ends, at the latest."""
+    """Limits at which a tuning run ends."""
 
     steps: int = 100
-    """Points that are tried"""
+    """Largest number of points that are evaluated"""
     patience: int = 20
+    """Number of steps over which progress is measured, see `tolerance`"""
     tolerance: float = 1e-4
-    """It ends when the best loss has not fallen by this share of it in `patience` steps"""
+    """Share of the best loss. Tuning ends if the best loss falls by less than this in
+    `patience` steps"""
     seconds: float | None = None
-    """Of the wall clock"""
+    """Limit of wall-clock time, s; None for no limit"""
 
     def __post_init__(self):
         for name in ("steps", "patience"):
@@ -43,7 +47,7 @@ class Budget:
 
 
 class Course:
-    """The points so far, and where tuning goes next."""
+    """The evaluated points so far, and the next point to evaluate."""
 
     def __init__(self, start: Free):
         self.entries: list[Entry] = []
@@ -55,7 +59,10 @@ class Course:
         self._begin, self._before = time.perf_counter(), 0.0
 
     def resume(self, file: CourseFile, evaluate: Evaluator) -> None:
-        """Go on from a file, if its first loss is what the loss is now."""
+        """Continue from a file if the first loss in the file equals the present loss.
+
+        **Raises:** `ValueError` if the two losses differ.
+        """
         self.entries, self._following, self._stored_state, done = file.read()
         self._converged = done
         self._before = self.entries[-1].seconds
@@ -71,7 +78,7 @@ class Course:
     def advance(
         self, evaluate: Evaluator, stepper: AbstractStepper, parameters: Parameters
     ) -> None:
-        """Evaluate the next point and step on from it."""
+        """Evaluate the next point, then let the stepper choose the one after it."""
         here = self._following
         evaluation = evaluate(here, len(self.entries))
         if not self.entries:
@@ -90,7 +97,7 @@ class Course:
         following, self._state, self._converged = stepper.step(
             here, self._state, evaluation, best
         )
-        # As host arrays: a program is compiled anew for each placement of its arguments.
+        # As host arrays: a program is compiled again for each placement of its arguments.
         self._following = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)), following)
 
     def _entry(
@@ -127,7 +134,10 @@ class Course:
     def _rounding(
         self, here: Free, evaluation: Evaluation, evaluate: Evaluator
     ) -> float:
-        """Measured at the start, and again where the loss has become much smaller."""
+        """Rounding of the followed loss; see `Evaluation.followed`.
+
+        It is measured at the start, and again where the loss has become much smaller.
+        """
         if self.entries:
             last = self.entries[-1].rounding
             since = next(entry for entry in self.entries if entry.rounding == last)
@@ -143,7 +153,7 @@ class Course:
             self.best = place
 
     def why_stop(self, budget: Budget) -> str:
-        """Empty if there is no reason to."""
+        """The reason to stop; empty if there is none."""
         if not self.entries:
             return ""
         last, best = self.entries[-1], self.entries[self.best]
@@ -183,7 +193,7 @@ def _require_start(evaluation: Evaluation) -> None:
 
 
 def _norm(gradient: Free) -> float:
-    """Scaled, so that the square of a large one does not overflow."""
+    """Euclidean norm, computed with scaling so that large numbers do not overflow."""
     numbers = np.concatenate([np.ravel(g) for g in gradient.values()])
     largest = np.max(np.abs(numbers))
     if largest == 0.0:

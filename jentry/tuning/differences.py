@@ -1,17 +1,18 @@
 """Derivatives of the mean of many flights, by central differences with the same draws.
 
-A flight may jump in what is varied: a law that decides in cycles decides one cycle later,
-or takes one cycle more to the end. Between its jumps it has an exact derivative, which
-knows nothing of them, and the mean of such derivatives is not the derivative of the mean:
-with jumps of size J at places of density p it lacks the mean of J p. (The places are
-spread by the draws, so that the mean is smooth where no flight is.) With the step h, the
-loss L and the draws held fixed,
+The outputs of a flight may jump as a parameter varies: a law with a guidance cycle decides
+one cycle later, or needs one more cycle to the end. Between its jumps a flight has an exact
+derivative, which does not contain the jumps. The mean of these derivatives is therefore not
+the derivative of the mean: with jumps of size J at places of density p it lacks the mean of
+J p. (The draws spread the places of the jumps, so that the mean is smooth although no
+flight is.) With the step h, the loss L and fixed draws,
 
-    (L(x + h) - L(x - h)) / 2h  =  d/dx of the mean of L over [x - h, x + h],
+    (L(x + h) - L(x - h)) / 2h  =  d/dx of the mean of L over [x - h, x + h].
 
-jumps included and without remainder. What is left is the curvature within the step, of
-order h^2, and the luck of the draws, which with jumps is of order sqrt(J^2 p / h runs).
-Its standard error is that of the mean of what each flight adds to the difference.
+This holds exactly, with jumps included. Two errors remain as an estimate of the derivative
+at x: the curvature within the step, of order h^2, and the sampling error of the draws,
+which with jumps is of order sqrt(J^2 p / h runs). Its standard error is the standard error
+of the mean of the contributions of the flights to the difference.
 """
 
 import dataclasses
@@ -33,39 +34,39 @@ class Differences:
 
     gradient: Free
     error: float
-    """Standard error: root of the sum of the squares of those of the single numbers"""
+    """Standard error: the root of the summed squares of the errors of all components"""
     failed: int
-    """Flights that a difference is without, since they are not finite on both sides of
-    it; of the difference with most of them"""
+    """Largest number of flights that a difference leaves out because they are not finite
+    on both of its sides"""
     shares: dict[str, float]
-    """Share of the flights that change with the parameter, by address"""
+    """Share of the flights that change with each parameter, by address"""
 
 
 Fly = Callable[[Free], tuple[Any, np.ndarray]]
-"""Outputs of all flights at a point, and which of them are finite and count"""
+"""Function of a point: outputs of all flights, and which of the flights are finite"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Slope:
-    """Central difference of a loss along a direction, over the step."""
+    """Central difference of a loss along a direction, divided by the step."""
 
     value: float
     error: float
-    """Standard error; zero of a single flight"""
+    """Standard error; zero for a single flight"""
     flights: int
-    """Finite on both sides: the difference is of them alone"""
+    """Number of flights that are finite on both sides. Only these are used"""
     changed: float
-    """Share of them that add something"""
+    """Share of these flights that contribute to the difference"""
 
 
 def slope_along(
     fly: Fly, loss: Loss, free: Free, direction: Free, step: float
 ) -> Slope:
-    """Of the loss of the flights that are finite on both sides.
+    """Central difference of the loss of the flights that are finite on both sides.
 
     **Arguments:**
 
-    - `step`: half of the width of the difference, in units of the direction.
+    - `step`: half of the width of the difference, in units of `direction`.
     """
     sides, finite = [], []
     for signed in (step, -step):
@@ -86,7 +87,13 @@ def slope_along(
 def gradient_by_differences(
     fly: Fly, runs: int, loss: Loss, free: Free, step: float
 ) -> Differences:
-    """Number by number, each over the step; of so many runs that count."""
+    """Gradient of a loss by one central difference for each free number.
+
+    **Arguments:**
+
+    - `runs`: number of runs that can contribute.
+    - `step`: half of the width of each difference, in free numbers.
+    """
     gradient, errors, failed, found = {}, [], 0, {}
     nothing = jax.tree.map(jnp.zeros_like, free)
     for address, here in free.items():
@@ -103,10 +110,11 @@ def gradient_by_differences(
 
 
 def _difference(loss: Loss, ahead: Any, behind: Any) -> tuple[float, np.ndarray]:
-    """Of the loss, and what each flight adds to it.
+    """Difference of the loss, and the contribution of each flight to it.
 
-    By the trapezoidal rule between the two sides: the mean of the two derivatives of the
-    loss with respect to an output, times the difference of the output.
+    The contribution follows from the trapezoidal rule between the two sides: the mean of
+    the derivatives of the loss with respect to an output on both sides, times the
+    difference of the output.
     """
     ends = [loss_and_weights(loss, side) for side in (ahead, behind)]
 

@@ -1,4 +1,4 @@
-"""The dispersed runs of a tuning run: those to tune on, and those to judge by."""
+"""The dispersed runs of a tuning run: tuning draws and held-out draws."""
 
 import dataclasses
 import zlib
@@ -15,7 +15,7 @@ from ..flight.scenario import Scenario
 
 @dataclasses.dataclass(frozen=True)
 class Draws:
-    """What is dispersed, and how many draws are tuned on and judged by.
+    """Dispersions, and the numbers of draws for tuning and for the held-out evaluation.
 
     Draws(mission.dispersion_table(), jax.random.key(0), runs=256)
     """
@@ -23,11 +23,13 @@ class Draws:
     dispersions: Mapping[str, Dispersion]
     key: Key[Array, ""]
     runs: int = 256
-    """Draws of which the loss is"""
+    """Number of draws over which the loss is computed"""
     held_out: int = 5000
-    """Other draws, which tuning never sees, to judge by"""
+    """Number of held-out draws, on which the tuned scenario is evaluated. Tuning never
+    uses them"""
     fresh: bool = False
-    """Whether each gradient has new draws; the best point is still judged by the same"""
+    """Whether each gradient uses new draws. The losses that decide which point is best
+    still use the same draws at all points"""
 
     def __post_init__(self):
         if not self.dispersions:
@@ -38,13 +40,15 @@ class Draws:
                 raise ValueError(f"{name} is {value}: it must be at least 2")
 
     def inputs(self, scenario: Scenario, step: int = 0) -> dict[str, np.ndarray]:
-        """Dispersed leaves of the runs of a step, by address. The steps share no draw."""
+        """Dispersed leaves of the runs of one step, by address. Steps share no draws."""
         runs = step * self.runs + np.arange(self.runs)
         return drawn_inputs(scenario, self.dispersions, self.key, runs)
 
     def check(self, scenario: Scenario, steps: int) -> None:
-        """Refuse dispersions, and any draw of so many steps or held out, that cannot be
-        flown."""
+        """Check the dispersions, the held-out draws and fresh draws of `steps` steps.
+
+        **Raises:** `ValueError` if any of them cannot be flown.
+        """
         check_dispersions(scenario, self.dispersions)
         if self.fresh:
             runs = np.arange((steps + 1) * self.runs)
@@ -54,5 +58,5 @@ class Draws:
 
 
 def held_out(key: Key[Array, ""]) -> Key[Array, ""]:
-    """The key of draws that tuning with a key never sees."""
+    """The key of the held-out draws, which tuning with `key` never uses."""
     return jax.random.fold_in(key, zlib.crc32(b"held-out"))

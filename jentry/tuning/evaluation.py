@@ -1,4 +1,4 @@
-"""Points of a tuning run evaluated: which law, which draws, and what rounding does."""
+"""Evaluates points of a tuning run: loss, gradient, penalty and the effect of rounding."""
 
 import dataclasses
 
@@ -15,12 +15,12 @@ from .penalties import Penalty, penalty_and_slopes
 
 
 _NUDGE = 1e-13
-"""Of a free number: some hundred roundings of the value that it stands for, and far
-less than what a difference of the loss is to be told from"""
+"""Change of a free number that shows the effect of rounding. It is some hundred times the
+rounding error of the value, and far smaller than any step of tuning"""
 
 
 class Evaluator:
-    """Evaluates points: loss and gradient."""
+    """Computes loss and gradient at points."""
 
     def __init__(
         self,
@@ -30,9 +30,9 @@ class Evaluator:
         gradient: GradientMethod,
         penalty: Penalty | None = None,
     ):
-        """The loss is that of `exact`, and the gradient that of its surrogate.
+        """The loss is computed with `exact`, and the gradient with its surrogate, if any.
 
-        The penalty is added to both, and its gradient to that of the flights.
+        The penalty is added to both losses, and its gradient to the gradient.
         """
         assert isinstance(exact.parameters, Parameters)
         self._exact = self._followed = exact
@@ -48,7 +48,7 @@ class Evaluator:
         self.flights_per_step = (batches + self._apart) * draws.runs
 
     def __call__(self, free: Free, step: int) -> Evaluation:
-        """At a point, in a step that has draws of its own if they are fresh."""
+        """Evaluate a point. With fresh draws the gradient uses the draws of this step."""
         inputs = self._drawn(step)
         found = self._gradient(self._followed, self._loss_of, free, inputs)
         if self._apart:
@@ -65,28 +65,31 @@ class Evaluator:
         )
 
     def loss(self, free: Free) -> float:
-        """Of the exact law, at a point, with the penalty."""
+        """Loss of the exact law at a point, including the penalty."""
         flown = batch_loss(self._exact, self._loss_of, free, self._inputs)[0]
         return flown + self.penalty(free)
 
     def penalty(self, free: Free) -> float:
-        """Of the scenario at a point; 0 without one."""
+        """Penalty of the scenario at a point; 0 if there is no penalty."""
         return 0.0 if self._penalty_of is None else self._penalty_with_slopes(free)[0]
 
     def _penalty_with_slopes(self, free: Free) -> tuple[float, Free]:
         parameters = self._exact.parameters
         assert isinstance(parameters, Parameters) and self._penalty_of is not None
-        # Once, and not on every device that the flights are spread over.
+        # Computed once, and not on every device over which the flights are spread.
         free = {a: jnp.asarray(np.asarray(x)) for a, x in free.items()}
         value, slopes = penalty_and_slopes(self._penalty_of, parameters, free)
         if not all_finite((value, slopes)):
-            # As of flights that are not finite: never the best point.
+            # Infinite, as for flights that are not finite: this is never the best point.
             return np.inf, {a: jnp.zeros_like(x) for a, x in free.items()}
         return float(value), slopes
 
     def slope_along(self, free: Free, direction: Free, step: int, size: float) -> Slope:
-        """Central difference of the loss that is followed, of a step of this size to both
-        sides, with the draws of the gradient of a step of tuning."""
+        """Central difference of the followed loss along a direction.
+
+        The followed loss is that of `Evaluation.followed`, with the draws of a step of
+        tuning. `size` is the step to each side, in units of `direction`.
+        """
         inputs = self._drawn(step)
         fly = lambda free: fly_at(self._followed, free, inputs)
         slope = slope_along(fly, self._loss_of, free, direction, size)
@@ -100,8 +103,10 @@ class Evaluator:
         return dataclasses.replace(slope, value=slope.value + change)
 
     def rounding(self, free: Free, step: int, loss: float) -> float:
-        """Of the loss that is followed: how much it changes by itself when all free
-        numbers change by their rounding."""
+        """Change of the followed loss when all free numbers change by about their rounding.
+
+        `loss` is the followed loss at the point itself, see `Evaluation.followed`.
+        """
         inputs = self._drawn(step)
         changes = []
         for nudge in (_NUDGE, -_NUDGE):
@@ -111,7 +116,7 @@ class Evaluator:
         return max((change for change in changes if np.isfinite(change)), default=0.0)
 
     def _drawn(self, step: int) -> Inputs:
-        """The draws of a gradient."""
+        """The draws of the gradient in a step."""
         return self._draw(step + 1) if self._draws.fresh else self._inputs
 
     def _draw(self, step: int) -> Inputs:

@@ -1,4 +1,4 @@
-"""Loss and gradient of a batch of flights at one point, by either of two methods."""
+"""Loss and gradient of many flights at one point, by one of two methods."""
 
 from collections.abc import Callable
 from typing import Any
@@ -24,37 +24,40 @@ from .differences import gradient_by_differences
 
 
 Surrogate = Callable[[Scenario], Scenario]
-"""From a scenario to a smoother one, whose gradient is followed in place of that of the
-exact law, such as `smooth_switching`"""
+"""Function from a scenario to a smoother one, such as `smooth_switching`. The gradient of
+the smoother scenario replaces the gradient of the exact law"""
 
 Inputs = dict[str, Any]
-"""By address, each of shape (runs,)"""
+"""Dispersed leaves by address, each of shape (runs,)"""
 
 
 class Evaluation(eqx.Module):
-    """What is known of one point."""
+    """Loss, gradient and counts of flights at one point."""
 
     loss: float
-    """Of the exact law, over the draws that are the same for all points"""
+    """Loss of the exact law, over draws that are the same for all points"""
     followed: float
-    """Of the law and the draws of the gradient: the same, unless these are others"""
+    """Followed loss: the loss with the law and the draws of the gradient. It equals `loss`
+    unless a surrogate or fresh draws are used"""
     gradient: Free
     failed: int
-    """Flights of the exact law that are not finite, and that the loss leaves out"""
+    """Number of flights of the exact law that are not finite. The loss leaves them out"""
     gradients_failed: int
-    """Flights whose gradient is left out: not finite, or of outputs whose derivatives are
-    beyond all measure; by differences, flights that are not finite on both sides"""
+    """Number of flights that only the gradient leaves out. With automatic differentiation
+    their gradient is not finite or they diverge; with differences they are not finite on
+    both sides"""
     gradient_shares: dict[str, float]
-    """Share of the flights that the loss looks at to which each parameter matters"""
+    """Share of the flights in the loss on which each parameter has an effect"""
     gradient_error: float = np.nan
-    """Standard error of a gradient by differences"""
+    """Standard error of a gradient by differences; NaN for automatic differentiation"""
 
 
 class AutomaticDifferentiation(eqx.Module):
-    """The mean of the exact derivatives of the flights, each between its jumps."""
+    """Mean of the exact derivatives of the flights, which do not contain their jumps."""
 
     forward: bool | None = eqx.field(default=None, static=True)
-    """Forward or reverse mode; by the number of parameters if not given"""
+    """Whether to use forward mode or reverse mode; None chooses by the number of
+    parameters"""
     surrogate: Surrogate | None = eqx.field(default=None, static=True)
 
     def __call__(
@@ -71,20 +74,20 @@ class AutomaticDifferentiation(eqx.Module):
         return Evaluation(value, value, found.total, failed, left_out, shares)
 
     def batches(self, parameters: int) -> int:
-        """How often every run is flown, a flight with its derivatives counting once."""
+        """How often each run is flown. A flight with its derivatives counts once."""
         return 1
 
 
 class CentralDifferences(eqx.Module):
-    """Differences of the loss with the same draws, number by number, to both sides.
+    """Gradient by central differences of the loss, with the same draws on both sides.
 
-    They are exact for the loss averaged over the interval, jumps of the flights included,
-    and come with a standard error, `Entry.gradient_error`. A step in which hardly a flight
-    jumps tells little.
+    There is one difference for each free number. It is exact for the loss averaged over
+    the interval, including the jumps of the flights. `Entry.gradient_error` is its standard
+    error. If few flights jump within a step, the estimate is poor.
     """
 
     step: float = eqx.field(default=0.02, static=True)
-    """In free numbers: 0.02 is 2 % of a positive number"""
+    """Step to each side, in free numbers: 0.02 is 2 % of a positive number"""
     surrogate: Surrogate | None = eqx.field(default=None, static=True)
 
     def __check_init__(self):
@@ -112,18 +115,21 @@ class CentralDifferences(eqx.Module):
         )
 
     def batches(self, parameters: int) -> int:
-        """How often every run is flown: at the point, and beside it for each number."""
+        """How often each run is flown: once at the point, and twice for each number."""
         return 1 + 2 * parameters
 
 
 GradientMethod = AutomaticDifferentiation | CentralDifferences
-"""How the gradient of a loss is found"""
+"""Method by which the gradient of a loss is computed"""
 
 
 def batch_loss(
     problem: Problem, loss: Loss, free: Free, inputs: Inputs
 ) -> tuple[float, Any, int]:
-    """Loss of the finite runs, its derivative to all outputs, and how many are not."""
+    """Loss of the finite runs, its derivatives, and the number of runs that are not finite.
+
+    The derivatives are with respect to the outputs of all runs.
+    """
     outputs, finite = fly_at(problem, free, inputs)
     failed = len(finite) - int(finite.sum())
     if not finite.any():
@@ -136,7 +142,7 @@ def batch_loss(
 def fly_at(problem: Problem, free: Free, inputs: Inputs) -> tuple[Any, np.ndarray]:
     """Outputs of every run at a point, and which of them are finite.
 
-    None is where the scenario that is built there has a number that cannot be flown.
+    No run is finite if the scenario at that point has a number that cannot be flown.
     """
     assert isinstance(problem.parameters, Parameters)
     parameters = problem.parameters

@@ -1,4 +1,4 @@
-"""Judge a tuned scenario against the one before: the exact law, on the same new draws."""
+"""Compares a tuned scenario with the original one, on the same held-out draws."""
 
 import dataclasses
 from collections.abc import Callable, Mapping
@@ -23,13 +23,13 @@ from .batch_gradients import Loss, Simulation, batch_outputs, where_finite
 
 _RESAMPLES = 1000
 _CONFIDENCE = (2.5, 97.5)
-"""Percent"""
+"""Percentiles of the bounds of a confidence interval"""
 
 _NUDGE = 1.0 + 4.0 * np.finfo(float).eps
-"""Factor on draws and entry velocity, to see what rounding does to a statistic"""
+"""Factor on draws and entry velocity that shows the effect of rounding on a statistic"""
 
 _ROUNDINGS = 10.0
-"""Of a statistic, as far as it is seen in a few flights"""
+"""Factor on the measured effect of rounding, since it is measured on a few flights only"""
 
 
 class Estimate(eqx.Module):
@@ -49,31 +49,31 @@ class Comparison:
     before: Estimate
     after: Estimate
     change: Estimate
-    """After minus before, run by run: narrower than the two intervals let expect. The
-    interval is that of the bootstrap, wider on both sides by ten times what rounding
-    does to the statistic: a difference of rounding is none"""
+    """After minus before, with paired runs. Its interval is therefore narrower than the two
+    intervals suggest. It is the bootstrap interval, widened on both sides by ten times the
+    effect of rounding, so that a difference by rounding is not significant"""
 
     @property
     def lower(self) -> bool:
-        """Whether it became smaller, beyond the confidence interval."""
+        """Whether the whole confidence interval of the change is negative."""
         return self.change.high < 0.0
 
 
 @dataclasses.dataclass(frozen=True)
 class Judgement:
-    """How two scenarios compare on draws that neither has seen."""
+    """Comparison of two scenarios on held-out draws."""
 
     runs: int
-    """Finite ones, with both"""
+    """Number of runs that are finite with both scenarios"""
     not_finite_before: int
     not_finite_after: int
     comparisons: tuple[Comparison, ...]
-    """None if fewer than two runs are finite"""
+    """Empty if fewer than two runs are finite"""
 
     def __getitem__(self, name: tuple[str, str]) -> Comparison:
         """The comparison of a quantity and a statistic, such as `"downrange", "std"`.
 
-        That of the loss is `"loss", ""`, and comes first.
+        The comparison of the loss is `"loss", ""`. It comes first.
         """
         for comparison in self.comparisons:
             if (comparison.quantity, comparison.statistic) == name:
@@ -98,11 +98,11 @@ def judge(
     loss: Loss,
     simulation: Simulation,
 ) -> Judgement:
-    """Fly both with the same draws, and compare loss and outputs with intervals.
+    """Fly both scenarios with the same draws, and compare their losses and outputs.
 
-    The intervals are those of a bootstrap over the runs, 95 %. What rounding does is seen
-    in the first flights, flown again with draws and an entry velocity that differ in their
-    last digits.
+    The confidence intervals (95 %) follow from a bootstrap over the runs. The effect of
+    rounding is measured on the first flights. They are flown again with draws and an entry
+    velocity that differ in their last digits.
     """
     flown: list[tuple[Any, np.ndarray]] = []
     rounding: dict[str, float] = {}
@@ -139,9 +139,10 @@ def judge(
 def _nudged(
     scenario: Scenario, inputs: Mapping[str, np.ndarray]
 ) -> tuple[Scenario, dict[str, np.ndarray]]:
-    """The scenario, and the inputs of the first flights, in other last digits.
+    """The scenario, and the inputs of the first flights, with changed last digits.
 
-    What only chooses, as one profile of an ensemble, stays: another is another flight.
+    Inputs that choose, such as one profile of an ensemble, do not change: another choice is
+    another flight.
     """
     chooses = {a: bool(field_metadata(scenario, a).get("choice")) for a in inputs}
     nudged = {
@@ -152,7 +153,7 @@ def _nudged(
 
 
 def _rounding(pair: tuple[Any, Any], loss: Loss, some: bool) -> dict[str, float]:
-    """Of the loss, and of the outputs that are one number: the largest of a flight."""
+    """Effect of rounding on the loss, and the largest effect on each scalar output."""
     if not some:
         return {}
     found = {"loss": abs(float(loss(pair[0]) - loss(pair[1])))}
@@ -173,14 +174,14 @@ def _comparison(
 
 
 def _estimate(values: np.ndarray) -> Estimate:
-    """The first is of the sample itself, the others of what is drawn from it."""
+    """Estimate from the value of the sample (first) and the values of its resamples."""
     low, high = np.percentile(values[1:], _CONFIDENCE)
     return Estimate(float(values[0]), float(low), float(high))
 
 
 @kept
 def _resampled(pair: tuple[Any, Any], loss: Loss, count: int) -> tuple[Any, Any]:
-    """Losses, and statistics by quantity: of the sample, then of draws from it."""
+    """Losses, and statistics by quantity: of the sample first, then of its resamples."""
 
     def of_sample(key):
         drawn = jax.random.randint(key, (count,), 0, count)
@@ -205,7 +206,7 @@ def _resampled(pair: tuple[Any, Any], loss: Loss, count: int) -> tuple[Any, Any]
 
 
 def _columns(outputs: Any) -> dict[str, Array]:
-    """The outputs that are one number a flight, by name."""
+    """The outputs that are one number for each flight, by name."""
     return {
         named(name): values
         for name, values in leaves_by_address(outputs).items()

@@ -1,11 +1,11 @@
-"""Losses: what is to be made small, as plain functions of the outputs of many flights.
+"""Losses: plain functions of the outputs of many flights, which tuning minimises.
 
     def loss(misses):
         return mean_square(misses.downrange / km) + 10.0 * mean_square(misses.altitude / km)
 
-Each of these takes values of shape (flights,), in units that make them of order one, and
-gives one number. All are differentiable; their gradient with respect to a flight is zero
-where that flight does not matter.
+Each function takes values of shape (flights,), in units that make them of order one, and
+returns one number. All functions are differentiable. The gradient with respect to a flight
+is zero if the loss does not depend on that flight.
 """
 
 import dataclasses
@@ -36,8 +36,9 @@ def mean_square(values: Values) -> Scalar:
 def power_mean(values: Values, power: float = 4.0) -> Scalar:
     """The root of the mean power of the magnitudes, in the unit of the values.
 
-    Between the root mean square, of power 2, and the largest: the higher the power, the
-    more the tail counts, and yet each flight does.
+    With power 2 it is the root mean square, and with a large power it approaches the
+    largest magnitude. A higher power gives more weight to the tail, but every flight
+    still counts.
     """
     if not power >= 1.0:
         raise ValueError(f"power is {power}: it must be at least 1")
@@ -47,19 +48,20 @@ def power_mean(values: Values, power: float = 4.0) -> Scalar:
 
 
 def smooth_maximum(values: Values, width: Scalar | float) -> Scalar:
-    """Worst case: the largest value, rounded over a width in the same unit.
+    """Smooth worst case: the largest value, smoothed over a width in the same unit.
 
-    Above the largest by `width * log(flights)` at most. For misses give their magnitude.
+    It exceeds the largest value by `width * log(flights)` at most. For misses, pass their
+    magnitudes.
     """
     return width * jax.nn.logsumexp(values / width)
 
 
 def conditional_value_at_risk(values: Values, share: float = 0.05) -> Scalar:
-    """Mean of the largest share of the values (CVaR). For misses give their magnitude.
+    """Mean of the largest share of the values (CVaR). For misses, pass their magnitudes.
 
     Reference: R. T. Rockafellar, S. Uryasev, "Optimization of conditional value-at-risk",
-    Journal of Risk 2(3), 2000; here for equally likely values, of which the last one of
-    the share counts in part.
+    Journal of Risk 2(3), 2000; here for equally likely values. The last value within the
+    share counts in part.
     """
     if not 0.0 < share <= 1.0:
         raise ValueError(f"share is {share}: it must be above 0 and at most 1")
@@ -71,14 +73,15 @@ def conditional_value_at_risk(values: Values, share: float = 0.05) -> Scalar:
 def probability_outside(
     values: Any, half_widths: Any, softness: Scalar | float = 0.1
 ) -> Scalar:
-    """Soft probability of leaving a box: of any value beyond its half-width.
+    """Soft probability that a flight ends outside a box: any value beyond its half-width.
 
     **Arguments:**
 
-    - `values`: one or several arrays of shape (flights,), as in `(downrange, crossrange)`.
-    - `half_widths`: as many numbers, in the same units.
-    - `softness`: share of the half-width over which a flight goes from in to out. As it
-        goes to zero this becomes the share of flights outside.
+    - `values`: one or several arrays of shape (flights,), such as
+        `(downrange, crossrange)`.
+    - `half_widths`: one number for each array, in the same units.
+    - `softness`: share of the half-width over which a flight changes from inside to
+        outside. As it goes to zero, the result becomes the share of flights outside.
     """
     within = jax.tree.map(
         lambda x, half: jax.nn.sigmoid((half - jnp.abs(x)) / (softness * half)),
@@ -90,24 +93,24 @@ def probability_outside(
 
 
 def excess(values: Values, limit: Scalar | float) -> Scalar:
-    """Penalty of a path constraint: mean square of what exceeds the limit, over the limit.
+    """Penalty of a path constraint: mean square of the excess as a share of the limit.
 
-    Of peaks, such as `excess(peaks.load_factor, 12.0)`.
+    The values are peaks, as in `excess(peaks.load_factor, 12.0)`.
     """
     return jnp.mean(jax.nn.relu(values / limit - 1.0) ** 2)
 
 
 def penalty(excesses: Mapping[str, Any]) -> Scalar:
-    """Penalty of all path constraints with a limit: their mean squares, summed.
+    """Penalty of all path constraints with a limit: the sum of their mean square excesses.
 
-    Of what each flight exceeds each limit by, so take that in the outputs:
+    It takes the excesses of each flight over each limit. Include these in the outputs:
 
         outputs = lambda scenario, flight: (
             misses(scenario, flight), excesses(scenario.constraints, flight.peaks)
         )
         loss = lambda out: mean_square(out[0].downrange / km) + penalty(out[1])
 
-    Raises `ValueError` where no constraint has a limit, so that nothing is a penalty.
+    **Raises:** `ValueError` if no constraint has a limit.
     """
     if not excesses:
         raise ValueError(
@@ -118,11 +121,11 @@ def penalty(excesses: Mapping[str, Any]) -> Scalar:
 
 
 def control_effort(history: History) -> Scalar:
-    """Mean square rate at which a flight turns its lift, 1/s2.
+    """Mean square rate of the controls of one flight, 1/s2.
 
-    Of the cosine of the bank and of the angle of attack, between the entries of its
-    history; bank reversals are discrete and not counted. Of one flight, so take it in the
-    outputs:
+    It is the sum for the cosine of the bank and the angle of attack, computed from the
+    differences between the entries of the history. Bank reversals are discrete and do not
+    count. It is defined for one flight, so compute it in the outputs:
 
         outputs = lambda scenario, flight: (
             misses(scenario, flight), control_effort(flight.history)
@@ -149,24 +152,24 @@ def control_effort(history: History) -> Scalar:
 
 
 class MeanSquare(eqx.Module):
-    """Mean square of residuals: the loss of a law that is to come near its target.
+    """Sum of the mean squares of residuals, such as the misses of a law.
 
     MeanSquare(lambda misses: misses.downrange / km)
     """
 
     residuals: Callable[[Any], Any] = eqx.field(static=True)
-    """Of the outputs of many flights: arrays of shape (flights,)"""
+    """Function of the outputs of many flights that returns arrays of shape (flights,)"""
 
     def __call__(self, outputs: Any) -> Scalar:
         return sum(map(mean_square, jax.tree.leaves(self.residuals(outputs))))
 
 
 class OfDistance(eqx.Module):
-    """A statistic of the distance by which flights miss: the root of summed squares."""
+    """A statistic of the miss of each flight, the root of its summed squared residuals."""
 
     statistic: Callable[[Values], Scalar] = eqx.field(static=True)
     residuals: Callable[[Any], Any] = eqx.field(static=True)
-    """Of the outputs of many flights: arrays of shape (flights,)"""
+    """Function of the outputs of many flights that returns arrays of shape (flights,)"""
 
     def __call__(self, outputs: Any) -> Scalar:
         squares = sum(x**2 for x in jax.tree.leaves(self.residuals(outputs)))
@@ -190,9 +193,9 @@ class MissesAndPeaks:
 
 @dataclasses.dataclass(frozen=True)
 class ScaledMisses:
-    """Residuals: some of the misses, each over what counts as one (m or m/s).
+    """Residuals: chosen misses, each divided by its scale (m or m/s).
 
-    Of the outputs of `MissesAndPeaks`, some of the peaks likewise.
+    From the outputs of `MissesAndPeaks` it can also choose peaks.
     """
 
     scales: tuple[tuple[str, float], ...]
@@ -226,6 +229,6 @@ BY_NAME: Mapping[str, Callable[[ScaledMisses], Callable[[Any], Scalar]]] = {
     "worst-case": functools.partial(OfDistance, _worst),
     "outside": functools.partial(OfDistance, _outside),
 }
-"""Of scaled misses, for the command line: mean square, root of the mean fourth power of
-the distance, mean of the worst twentieth, worst case, and soft probability of a distance
-above one"""
+"""Losses of scaled misses, by their names on the command line: mean square, root of the
+mean fourth power of the distance, mean of the worst 5 %, worst case, and soft probability
+of a distance above one"""

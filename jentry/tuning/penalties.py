@@ -1,4 +1,4 @@
-"""Penalties: what a scenario is not to be, beside what its flights are to do."""
+"""Penalties: functions of the nominal scenario that tuning adds to the loss."""
 
 import functools
 from collections.abc import Callable
@@ -17,16 +17,17 @@ from ..parameters.parameters import Free, Parameters
 
 
 Penalty = Callable[[Scenario], Any]
-"""A number of the nominal scenario of a point, which is added to the loss of its flights:
-differentiable by JAX in the tuned numbers, in forward mode"""
+"""Function of the nominal scenario of a point that returns one number. The number is added
+to the loss of the flights. JAX differentiates it in the tuned numbers, in forward mode"""
 
 
 class DampingBelow(eqx.Module):
-    """Square of how far the least damped mode falls short, of all points of the flight.
+    """Penalty for a damping ratio below a required least value, anywhere along the flight.
 
-    What lacks is in units of the damping that is wanted. Tracking errors hide a lost
-    margin: a loop that hardly damps tracks the nominal flight as well as another. Modes
-    that are slower than `damping.faster_than` do not count, also those that become so.
+    It is `weight` times the square of the shortfall of the smallest damping ratio, as a
+    share of the required value. Tracking errors do not show a lost margin: a poorly damped
+    loop tracks the nominal flight as well as a well damped loop. Modes that are slower than
+    `damping.faster_than` do not count, including modes that become slower during tuning.
 
         damping = Damping.of(scenario, points=40, faster_than=0.1)
         tune(..., penalty=DampingBelow(damping, least=0.3))
@@ -35,7 +36,7 @@ class DampingBelow(eqx.Module):
     damping: Damping
     least: float = eqx.field(default=0.3, static=True)
     weight: float = eqx.field(default=100.0, static=True)
-    """In units of the loss: the penalty of a loop without any damping"""
+    """Penalty of a loop without damping, in units of the loss"""
 
     def __check_init__(self):
         if not 0.0 < self.least <= 1.0:
@@ -52,7 +53,7 @@ class DampingBelow(eqx.Module):
 def penalty_and_slopes(
     penalty: Penalty, parameters: Parameters, free: Free
 ) -> tuple[Scalar, Free]:
-    """Of the scenario at a point, over the free numbers."""
+    """Penalty of the scenario at a point, and its derivatives in the free numbers."""
 
     def value(free: Free) -> tuple[Scalar, Scalar]:
         found = jnp.asarray(penalty(parameters.scenario(free)))

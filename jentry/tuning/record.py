@@ -1,4 +1,4 @@
-"""The course of a tuning run: its points, and the file from which it resumes."""
+"""The points of a tuning run, and the file from which a tuning run resumes."""
 
 import dataclasses
 import functools
@@ -22,18 +22,22 @@ _KIND = "jentry tuning 2"
 
 
 _ROUNDINGS = 10.0
-"""Changes of a loss by rounding are measured twice, and vary by a few times"""
+"""Factor on the effect of rounding on a loss, since two measurements of it differ by a
+factor of a few"""
 
 _AGREES = 0.2
-"""Of a gradient. Optimizers take a step that brings some tenths of what was promised.
-Without jumps a difference of a step of 2 % agrees within 1e-4 of the third derivative"""
+"""Share of a gradient by which a difference may deviate from it. Optimizers accept a step
+that achieves some tenths of the predicted decrease. Without jumps a difference over a step
+of 2 % agrees within 1e-4 of the third derivative"""
 
 _STANDARD_ERRORS = 2.0
-"""With jumps a difference is a matter of luck: of few flights that happen to jump"""
+"""Number of standard errors by which a difference may deviate from a gradient. With jumps a
+difference depends on the few flights that happen to jump"""
 
 _MATTERS = 1e-3
-"""Of the loss, for a step that changes a number by its own size. At a point that is
-best already the gradient is small, and so is all that it lacks"""
+"""Share of the loss by which a difference may deviate from a gradient, for a step that
+changes a number by its own size. Near an optimum the gradient is small, and so is its
+error"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,43 +45,48 @@ class Entry:
     """One evaluated point."""
 
     loss: float
-    """By the exact law, over the draws that are the same for all points"""
+    """Loss of the exact law, over draws that are the same for all points"""
     gradient_norm: float
-    """With respect to the free numbers, of the law and the draws that are followed"""
+    """Norm of the gradient of the followed loss with respect to the free numbers; see
+    `Evaluation.followed`"""
     failed: int
-    """Flights that are not finite: the loss is without them"""
+    """Number of flights that are not finite. The loss leaves them out"""
     gradients_failed: int
-    """Finite flights that the gradient is without"""
+    """Number of finite flights that the gradient leaves out"""
     flights: int
-    """Flown so far, a flight with its gradient counting once"""
+    """Number of flights so far. A flight with its gradient counts once"""
     seconds: float
-    """Since the start, compiling included"""
+    """Time since the start, s, including compilation"""
     values: dict[str, np.ndarray]
-    """Of the tuned leaves, by address"""
+    """Values of the tuned leaves, by address"""
     free: Free
     gradient_shares: dict[str, float]
-    """Share of the flights that the loss looks at to which the parameter matters"""
+    """Share of the flights in the loss on which each parameter has an effect, by address"""
     rounding: float = np.nan
-    """Of the loss that is followed, as it was measured last"""
+    """Effect of rounding on the followed loss, from the last measurement"""
     difference: float = np.nan
-    """Of the loss that is followed, over its own gradient: a coarse central difference
-    beside `gradient_norm`. Measured at the start only, and not of a gradient that is one
-    of differences itself"""
+    """Coarse central difference of the followed loss along its gradient, to be compared
+    with `gradient_norm`. It is computed at the start only, and not for a gradient by
+    differences"""
     difference_error: float = np.nan
-    """Standard error of it"""
+    """Standard error of `difference`"""
     gradient_error: float = np.nan
     """Standard error of a gradient by differences"""
 
     @property
     def is_rounding(self) -> bool:
-        """Whether the gradient promises no change beyond the rounding of the loss, not
-        even for a step that changes a number by its own size."""
+        """Whether the gradient predicts no change of the loss beyond rounding.
+
+        The prediction is for a step that changes a number by its own size.
+        """
         return self.gradient_norm <= _ROUNDINGS * self.rounding
 
     @property
     def contradicted(self) -> bool:
-        """Whether the difference says another thing than the gradient does, beyond its
-        standard error, and one that matters to the loss."""
+        """Whether the difference contradicts the gradient.
+
+        The deviation must exceed the standard error, and must matter to the loss.
+        """
         lacking = abs(self.difference - self.gradient_norm)
         least = max(
             _AGREES * max(abs(self.difference), self.gradient_norm),
@@ -87,7 +96,12 @@ class Entry:
         return lacking > least
 
     def better_than(self, other: "Entry") -> bool:
-        """Finite; then fewer flights that are not finite, or as many and less loss."""
+        """Whether this point is better than another.
+
+        A point with a finite loss is better than one without. Of two such points the one
+        with fewer failed flights is better, and with equal numbers the one with the smaller
+        loss.
+        """
         if np.isfinite(self.loss) != np.isfinite(other.loss):
             return bool(np.isfinite(self.loss))
         if self.failed != other.failed:
@@ -96,36 +110,37 @@ class Entry:
 
 
 NUMBERS = tuple(f.name for f in dataclasses.fields(Entry) if f.type in (int, float))
-"""Fields of an entry that are one number"""
+"""Names of the fields of an entry that hold one number"""
 
 _BY_ADDRESS = "values", "free", "gradient_shares"
 
 
 @dataclasses.dataclass(frozen=True)
 class Record:
-    """How the course of a tuning run is kept, and who is told of it."""
+    """Where the points of a tuning run are stored, and how its progress is reported."""
 
     path: Path | str | None = None
-    """A file that is kept up to date, and from which the same call resumes; it may ask
-    for more steps. None is kept if not given"""
+    """File that is written after each step. The same call resumes from it, with more steps
+    if requested. None for no file"""
     labels: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Kept in the file and compared: what tells your losses and optimizers apart"""
+    """Labels that distinguish your losses and optimizers. They are stored in the file, and
+    compared when a run resumes"""
     report: Callable[[list["Entry"], int], None] | None = None
-    """Called after each step with all points and the place of the best"""
+    """Function that is called after each step with all points and the place of the best"""
 
 
 @dataclasses.dataclass(frozen=True)
 class CourseFile:
-    """The file of a tuning run, and what the run is."""
+    """The file of a tuning run, and the description of the run."""
 
     path: Path
     description: dict[str, Any]
-    """In plain values"""
+    """Description in plain values, which can be written as JSON"""
 
     def write(
         self, entries: list[Entry], following: Free, state: PyTree, converged: bool
     ) -> None:
-        """Store all that resumption needs, at once or not at all."""
+        """Write all that is needed to resume. The file is replaced as a whole."""
         arrays = {"description": np.array(json.dumps(self.description))}
         for name in NUMBERS:
             arrays[name] = np.array([getattr(entry, name) for entry in entries])
@@ -142,8 +157,8 @@ class CourseFile:
     def read(self) -> tuple[list[Entry], Free, list[np.ndarray], bool]:
         """Points, next point, leaves of the stepper's state, and whether it converged.
 
-        **Raises:** `ValueError` for a file that is no record or of another tuning run,
-        and says where they differ.
+        **Raises:** `ValueError` for a file that is no record, or that belongs to another
+        tuning run. The message names the first difference.
         """
         try:
             arrays = read_sealed(self.path, _KIND)
@@ -193,7 +208,7 @@ def _numbers_of(state: PyTree) -> PyTree:
 
 
 def _plain(leaf: Any) -> Any:
-    """Random keys as the numbers that they are made of."""
+    """A random key as its numbers; any other leaf unchanged."""
     return jax.random.key_data(leaf) if _is_key(leaf) else leaf
 
 
@@ -202,9 +217,9 @@ def _is_key(leaf: Any) -> bool:
 
 
 def restored(like: PyTree, stored: list[np.ndarray]) -> PyTree:
-    """The state of a stepper from its stored leaves, in the structure of a fresh one.
+    """The state of a stepper from its stored leaves, with the structure of a new state.
 
-    Raises `ValueError` if they do not fit.
+    **Raises:** `ValueError` if the leaves do not fit.
     """
     numbers, others = eqx.partition(like, eqx.is_array)
     fresh, structure = jax.tree.flatten(numbers)
@@ -221,7 +236,7 @@ def restored(like: PyTree, stored: list[np.ndarray]) -> PyTree:
 
 
 def told(thing: Any) -> Any:
-    """In plain values, what can be told of a loss, a map or an optimizer."""
+    """Description of a loss, a map or an optimizer in plain values, as far as possible."""
     if isinstance(thing, functools.partial):
         return [told(thing.func), told(thing.args), told(thing.keywords)]
     if hasattr(thing, "described") and not isinstance(thing, type):

@@ -1,4 +1,4 @@
-"""What has been tuned as a configuration file, which the command line reads again."""
+"""Writes tuned values as a configuration file that the command line reads."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,13 +22,13 @@ def write_tuned(
     values: Mapping[str, Any],
     comment: str,
 ) -> None:
-    """See `Tuned.save`."""
+    """Write the configuration file of a tuned scenario; see `Tuned.save`."""
     leaves = leaves_by_address(tuned.scenario)
     set_to = {**values, **{address: leaves[address] for address in tuned.moved}}
     dispersions = head["dispersions"]
     contents = {
         **{axis: head[axis] for axis in ("law", "case", "world")},
-        # Before the tables, where TOML has plain values.
+        # TOML has plain values before tables.
         "dispersions": dispersions if isinstance(dispersions, str) else None,
         "set": {a: with_unit(x, unit_of(tuned.scenario, a)) for a, x in set_to.items()},
         "tuned": _what_was_tuned(tuned),
@@ -39,11 +39,11 @@ def write_tuned(
 
 
 def with_unit(value: Any, unit: str) -> Any:
-    """A number as a configuration file has it: `"0.5 rad"`. Tables are lists of them."""
+    """A number with its unit as in a configuration file: `"0.5 rad"`. Arrays give lists."""
     if np.ndim(value):
         return [with_unit(item, unit) for item in value]
     number = float(value)
-    # One over something, such as 1/s, would run into the number.
+    # A unit such as 1/s cannot be told apart from the number before it.
     return number if unit[:1] == "1" else f"{number!r} {unit}"
 
 

@@ -1,4 +1,4 @@
-"""Smooth stand-ins for a law, through which gradients reach what its switches hide."""
+"""Smooth surrogates of a law, whose gradients include the effects of its switches."""
 
 import jax
 
@@ -9,11 +9,12 @@ from ..guidance.switching import AbstractSwitching, Smooth, SmoothReversals
 def smooth_switching(
     scenario: Scenario, switching: AbstractSwitching | None = None
 ) -> Scenario:
-    """The scenario with the smooth switches of `Smooth` in its law.
+    """The scenario with smooth switches in its law, those of `Smooth` by default.
 
-    For `AutomaticDifferentiation(surrogate=smooth_switching)` of `tune`, which follows its
-    gradients and judges by the exact law. Raises `ValueError` for a law that has no
-    switching to replace.
+    It is the surrogate of `AutomaticDifferentiation(surrogate=smooth_switching)`: `tune`
+    then uses its gradients, and computes the loss with the exact law.
+
+    **Raises:** `ValueError` for a law without a switching that can be replaced.
     """
     wanted = Smooth() if switching is None else switching
     found = []
@@ -37,8 +38,9 @@ def smooth_switching(
 
 
 def smooth_reversals(scenario: Scenario) -> Scenario:
-    """The scenario with reversals of its bank that are shared out between cycles.
+    """The scenario with bank reversals that are distributed over guidance cycles.
 
-    For `AutomaticDifferentiation(surrogate=smooth_reversals)`, see `SmoothReversals`.
+    It is the surrogate of `AutomaticDifferentiation(surrogate=smooth_reversals)`; see
+    `SmoothReversals`.
     """
     return smooth_switching(scenario, SmoothReversals())

@@ -1,8 +1,8 @@
-"""How tuning goes on from what it knows: optimizers of optax and minimisers of optimistix.
+"""Steppers of tuning: optimizers of optax and minimisers of optimistix.
 
-A stepper says where to look next; flying is left to others. Optimistix asks for nothing
-but value and slope at the point where it looks, so it is given a linear function that has
-them there, and steps once.
+A stepper chooses the next point to evaluate; it does not fly. Optimistix needs only value
+and gradient at the point that it evaluates. It therefore gets a linear function that has
+this value and gradient, and takes one step.
 """
 
 from abc import abstractmethod
@@ -21,16 +21,16 @@ from .gradients import Evaluation
 
 
 _FIRST = 1.0
-"""Length of the first step of a solver, in free numbers, about. It knows no curvature
-yet, and farther out all flights may have gone astray"""
+"""Approximate length of the first step of a solver, in free numbers. The solver knows no
+curvature yet, and all flights may fail at a point that is farther away"""
 
 
 class AbstractStepper(eqx.Module):
-    """Goes from an evaluated point to the next one to evaluate."""
+    """Chooses the next point to evaluate from an evaluated point."""
 
     @abstractmethod
     def init(self, free: Free, evaluation: Evaluation) -> PyTree:
-        """State before the first step; of the evaluation only the shapes may matter."""
+        """State before the first step. It may depend on the evaluation by shapes only."""
 
     @abstractmethod
     def step(
@@ -43,12 +43,15 @@ class AbstractStepper(eqx.Module):
 
 
 class Descent(AbstractStepper):
-    """An optax optimizer. From where no gradient is to be had it goes back halfway to the
-    best point, and begins anew."""
+    """An optax optimizer.
+
+    At a point without a gradient it goes halfway back to the best point, and starts again
+    with a new state.
+    """
 
     optimizer: optax.GradientTransformation = eqx.field(static=True)
     fresh_draws: bool = eqx.field(static=True)
-    """So that a gradient of zero tells nothing of the point"""
+    """Whether each step has new draws. A gradient of zero may then be due to the draws"""
 
     def init(self, free: Free, evaluation: Evaluation) -> PyTree:
         return self.optimizer.init(free)
@@ -72,19 +75,19 @@ class Descent(AbstractStepper):
             if "value_fn" not in str(error):
                 raise
             raise ValueError(
-                "this optimizer wants to evaluate the loss itself, as line searches of "
-                "optax do: take optimistix.LBFGS in its place"
+                "this optimizer must evaluate the loss itself, like the line searches of "
+                "optax: use optimistix.LBFGS instead"
             ) from error
         return optax.apply_updates(free, updates), state, False
 
 
 class SolverState(eqx.Module):
-    """Of a minimiser of optimistix."""
+    """State of a minimiser of optimistix."""
 
     size: Array
-    """By which all that it is shown is divided: it does not know the unit of a loss"""
+    """Divisor of loss and gradient: the minimiser does not know the unit of the loss"""
     failed: Array
-    """Flights that were at the start: a point with more is taken for a bad one"""
+    """Number of failed flights at the start. A point with more of them is rejected"""
     accepted: Free
     inner: Any
 
@@ -103,8 +106,8 @@ class Solver(AbstractStepper):
         )
         if not hasattr(inner, "y_eval"):
             raise ValueError(
-                f"{type(self.solver).__name__} does not look at one point at a time: "
-                "take another solver, such as optimistix.LBFGS"
+                f"{type(self.solver).__name__} does not evaluate one point at a time: "
+                "use another solver, such as optimistix.LBFGS"
             )
         # The first step is the gradient.
         size = float(optax.tree.norm(slope)) / _FIRST
@@ -116,7 +119,7 @@ class Solver(AbstractStepper):
     def step(self, free, state, evaluation, best):
         value, slope = jnp.asarray(evaluation.followed), evaluation.gradient
         if evaluation.failed > int(state.failed) or not jnp.isfinite(value):
-            # To be rejected; an infinite loss would make differences that are none.
+            # Large, so that the point is rejected; with infinity differences become NaN.
             value = jnp.asarray(1e100)
             slope = jax.tree.map(jnp.zeros_like, slope)
         value, slope = jax.tree.map(lambda x: x / state.size, (value, slope))
@@ -125,7 +128,7 @@ class Solver(AbstractStepper):
 
 
 _OPTIONS = {"jac": "bwd"}
-"""Keeps the Jacobian as arrays, which can be stored, and not as a program"""
+"""Represents the Jacobian as arrays, which can be stored, and not as a program"""
 
 
 def _linear(free: Free, known) -> tuple[Array, None]:

@@ -1,4 +1,4 @@
-"""Tune any numbers of a scenario by gradient through its Monte Carlo."""
+"""Tunes numbers of a scenario with the gradient of a loss of its Monte Carlo flights."""
 
 import dataclasses
 import warnings
@@ -38,37 +38,40 @@ Optimizer = optax.GradientTransformation | optimistix.AbstractMinimiser
 
 @dataclasses.dataclass(frozen=True)
 class Tuned:
-    """What tuning has found, and how it does on draws that it has not seen."""
+    """The tuned scenario, the course of the tuning, and an evaluation on held-out draws."""
 
     scenario: Scenario
-    """Of the best point of the course, with the exact law"""
+    """Scenario of the best point of the course, with the exact law"""
     parameters: Any
-    """What was given to be tuned, with the best values: the scenario itself, or what it
-    is built from"""
+    """The `start` of `tune` with the best values: the scenario itself, or the pytree from
+    which it is built"""
     values: dict[str, np.ndarray]
-    """Of the tuned leaves, by address"""
+    """Values of the tuned leaves, by address"""
     moved: tuple[str, ...]
-    """Addresses of the leaves of the scenario that they move: their own, or those that
-    are built from them"""
+    """Addresses of the leaves of the scenario that depend on the tuned leaves: these leaves
+    themselves, or those that are built from them"""
     course: list[Entry]
-    """Every point that was tried"""
+    """All points that were evaluated"""
     best: int
-    """The place of the best one in the course"""
+    """Place of the best point in the course"""
     stopped: str
-    """Why"""
+    """Reason for which tuning stopped"""
     judgement: Judgement
-    """Against the scenario as it was given, on held-out draws; of the flights alone"""
+    """Comparison with the scenario at the start, on held-out draws, without the penalty"""
     penalties: tuple[float, float] | None = None
-    """At the start and at the best point; None without a penalty"""
+    """Penalties at the start and at the best point; None without a penalty"""
     remarks: tuple[str, ...] = ()
-    """What was warned of"""
+    """Texts of the warnings"""
 
     @property
     def gradient_shares(self) -> dict[str, float]:
-        """Share of the flights in which the gradient feels each parameter, at the best
-        point, by the law that was followed. Near zero it was tuned by few flights, and at
-        zero not at all: it acts through a discrete choice, or behind a limit; for those
-        of drag tracking see `smooth_switching`."""
+        """Share of the flights in which each parameter has an effect on the gradient.
+
+        It is computed at the best point, with the surrogate law if there is one. A
+        parameter with a share near zero was tuned on few flights. A parameter with a share
+        of zero was not tuned: it acts through a discrete choice, or beyond a limit. For
+        such parameters of drag tracking see `smooth_switching`.
+        """
         return self.course[self.best].gradient_shares
 
     def save(
@@ -84,16 +87,16 @@ class Tuned:
     ) -> None:
         """Write a configuration file that `jentry COMMAND MISSION --config FILE` reads.
 
-        It sets every leaf of the scenario that was tuned or built, by its address and with
-        its unit, to the last digit. The table `[tuned]`, which commands pass over, has
-        what was tuned, from where, and the judgement.
+        The file sets every leaf of the scenario that was tuned or built, by address, with
+        its unit and all digits. The table `[tuned]`, which commands ignore, contains the
+        tuned parameters, their values at the start, and the judgement.
 
         **Arguments:**
 
-        - `law`, `case`, `world`: of the mission, as `Mission.scenario` takes them.
-        - `dispersions`: a reading of the mission, or the `[dispersions]` table of another
-          configuration file.
-        - `values`: further numbers to set, by address, in SI.
+        - `law`, `case`, `world`: names of the mission, as for `Mission.scenario`.
+        - `dispersions`: name of a set of dispersions of the mission, or the
+          `[dispersions]` table of another configuration file.
+        - `values`: further numbers to set, by address, in SI units.
         - `comment`: lines at the top of the file.
 
             tuned.save("tuned.toml")
@@ -120,57 +123,58 @@ def tune(
     budget: Budget = Budget(),
     record: Record = Record(),
 ) -> Tuned:
-    """Make a loss of many dispersed flights small, by its gradient.
+    """Minimise a loss of many dispersed flights with its gradient.
 
-    The loss sees the outputs of all runs at once; flights that are not finite are left
-    out of it and of its gradient, and a point with more of them is never the best. What
-    is found is flown again by the exact law on other draws, `Tuned.judgement`.
+    The loss is a function of the outputs of all runs. Flights that are not finite are left
+    out of the loss and of its gradient, and a point with more of them is never the best. At
+    the end the exact law flies the best point with held-out draws, see `Tuned.judgement`.
 
-    The gradient is the mean of the exact derivatives of the flights. A flight may also
-    jump: a law that decides in cycles reverses its bank one cycle later, or takes one
-    cycle more to the end. The derivative of a flight is that between its jumps, so that
-    with jumps the mean of the derivatives is not the derivative of the mean. Before the
-    first step the gradient is compared with a central difference of the loss along it, of
-    2 % of the numbers; where they contradict each other, `tune` warns. Then follow a
-    surrogate without the jumps, such as `smooth_reversals` of the bank, or take
-    `CentralDifferences`, which see whatever happens within their step.
+    The gradient is the mean of the exact derivatives of the flights. The outputs of a
+    flight may also jump: a law with a guidance cycle reverses the bank one cycle later, or
+    needs one more cycle to the end. The derivative of a flight does not contain its jumps,
+    so that with jumps the mean of the derivatives is not the derivative of the mean. Before
+    the first step the gradient is compared with a central difference of the loss along it,
+    with a step of 2 % of the numbers. If they contradict each other, `tune` warns. Then use
+    a surrogate without the jumps, such as `smooth_reversals` for the bank, or
+    `CentralDifferences`, which include all jumps within their step.
 
     **Arguments:**
 
-    - `start`: the scenario where tuning starts; or, with `build`, any pytree of numbers.
-    - `where`: lens to the leaves of it to tune, of any shape:
-      `lambda s: s.guidance.gains`. None for all.
-    - `loss`: a number of the outputs of the runs, each of shape (runs, ...); see
-      `tuning.losses`.
-    - `optimizer`: a minimiser of optimistix, such as `LBFGS(rtol=1e-6, atol=1e-6)`, the
-      best choice for few parameters; or an optimizer of optax, for many parameters or
-      fresh draws. A learning rate of 0.1 moves a positive number by about a tenth.
-    - `draws`: what is dispersed, the key, and how many draws are tuned on and judged by.
-    - `build`: takes the start, with the values of a point, to the scenario that is flown:
-      a planner, of which the reference that is planned has the parameters' derivative.
-      It is computed by JAX, once for each point. Define it once: another one is compiled
-      anew. The addresses of `ranges` and of the results are those in the start.
-    - `ranges`: by address `Bounds(lower, upper)`, or the `Scale(size)` of a number that
-      may be any, of which otherwise its own size is taken. Numbers that must be positive
-      stay so. Next to a bound a number hardly moves: a start within 0.1 % of one is
-      warned of.
-    - `outputs`: what is looked at of a flight, a function of scenario and flight, for
-      example `lambda s, f: (misses(s, f), f.peaks)`. Define it once, too.
+    - `start`: the scenario at which tuning starts; or, with `build`, any pytree of numbers.
+    - `where`: lens to the leaves of `start` to tune, of any shape:
+      `lambda s: s.guidance.gains`. None for all leaves.
+    - `loss`: function of the outputs of the runs, each of shape (runs, ...), that returns
+      one number; see `tuning.losses`.
+    - `optimizer`: a minimiser of optimistix, such as `LBFGS(rtol=1e-6, atol=1e-6)`, which
+      is the best choice for few parameters; or an optimizer of optax, for many parameters
+      or fresh draws. A learning rate of 0.1 changes a positive number by about a tenth.
+    - `draws`: dispersions, random key, and the numbers of tuning draws and held-out draws.
+    - `build`: function from `start`, with the values of a point, to the scenario. It may
+      plan a reference, and the gradient includes the dependence of the reference on the
+      parameters. JAX evaluates it once for each point. Define it once: another function is
+      compiled again. The addresses of `ranges` and of the results are those in `start`.
+    - `ranges`: by address `Bounds(lower, upper)`, or `Scale(size)` for an unbounded number.
+      The default scale is the size of the number itself. Numbers that must be positive stay
+      positive. Close to a bound a number hardly changes: `tune` warns of a start within
+      0.1 % of a bound.
+    - `outputs`: function of scenario and flight that returns the numbers for the loss, such
+      as `lambda s, f: (misses(s, f), f.peaks)`. Define it once, too.
     - `solver`, `history`: as for `fly`.
     - `gradient`: `AutomaticDifferentiation(forward, surrogate)`, or
       `CentralDifferences(step, surrogate)`. With a surrogate the gradient is that of a
       smoother scenario; the loss and the best point are those of the exact law.
     - `penalty`: a number of the nominal scenario that is added to the loss, such as
         `DampingBelow(Damping.of(scenario))`. Its derivative is taken in forward mode.
-    - `budget`: of steps and time.
-    - `record`: the file from which the same call resumes, and who is told of each step.
+    - `budget`: limits of steps and time.
+    - `record`: the file from which the same call resumes, and a function that reports each
+      step.
 
-    It stops where the gradient is below the rounding of the loss: every further step
-    would be taken by chance.
+    Tuning stops where the gradient is below the rounding of the loss, since the result of
+    every further step would be random.
 
-    **Raises:** `ValueError` for leaves that cannot be tuned, a leaf that is dispersed as
-    well, a loss that is no number, and if no flight is finite at the start. **Warns**
-    of a gradient that a difference contradicts, and of a start next to a bound.
+    **Raises:** `ValueError` for leaves that cannot be tuned, a tuned leaf that is also
+    dispersed, a loss that is not one number, and if no flight is finite at the start.
+    **Warns** of a gradient that a difference contradicts, and of a start close to a bound.
 
         tuned = tune(
             scenario,
@@ -245,9 +249,9 @@ def _contradiction(entry: Entry) -> str:
     return (
         f"the gradient of the loss at the start is {entry.gradient_norm:.3g}, and a "
         f"difference of the loss along it, of {100.0 * COARSE_STEP:g} % to both sides, "
-        f"says {entry.difference:.3g} +- {entry.difference_error:.2g}: flights jump there "
+        f"is {entry.difference:.3g} +- {entry.difference_error:.2g}: flights jump there "
         "(a bank reversal or an end one guidance cycle later), which their derivatives do "
-        "not know; take gradient=CentralDifferences(), or "
+        "not contain; use gradient=CentralDifferences(), or "
         "gradient=AutomaticDifferentiation(surrogate=...) of a smoother law, such as "
         "smooth_reversals"
     )
@@ -256,7 +260,10 @@ def _contradiction(entry: Entry) -> str:
 def _require_disjoint(
     scenario: Scenario, parameters: Parameters, dispersions: Mapping[str, Dispersion]
 ) -> None:
-    """What a run draws is drawn about the start: it would undo what is tuned."""
+    """Refuse tuned leaves that are dispersed.
+
+    A run draws such a leaf about its value at the start, which would undo the tuning.
+    """
     for name, dispersion in dispersions.items():
         for address in addresses_of(scenario, dispersion.where):
             if address in parameters.moved:
@@ -288,9 +295,9 @@ def _description(
     draws: Draws,
     asked: tuple[Loss, Penalty | None, Optimizer, GradientMethod, Mapping[str, Any]],
 ) -> dict[str, Any]:
-    """What a tuning run is: two that are equal take the same steps.
+    """Description of a tuning run. Runs with equal descriptions take the same steps.
 
-    Of functions the names can be told, and of optimizers of optax nothing.
+    It contains only the names of functions, and nothing about optimizers of optax.
     """
     loss, penalty, optimizer, gradient, labels = asked
     simulation, parameters = exact.simulation, exact.parameters

@@ -25,11 +25,11 @@ class AbstractAerodynamics(eqx.Module):
         self, angle_of_attack: Scalar, mach: Scalar, airspeed: Scalar
     ) -> tuple[Scalar, Scalar]:
         """Lift and drag coefficient at an angle of attack (rad), a Mach number and an
-        airspeed (m/s): published fits are over the one or the other."""
+        airspeed (m/s). Published fits use either the Mach number or the airspeed."""
 
 
 class AbstractInvertibleAerodynamics(AbstractAerodynamics):
-    """Aerodynamics in which the lift tells the angle of attack."""
+    """Aerodynamics whose angle of attack follows from the lift coefficient."""
 
     @abstractmethod
     def angle_of_attack(self, lift: Scalar, mach: Scalar, airspeed: Scalar) -> Scalar:
@@ -37,7 +37,7 @@ class AbstractInvertibleAerodynamics(AbstractAerodynamics):
 
 
 class ConstantAerodynamics(AbstractAerodynamics):
-    """The same coefficients in every attitude and at every speed."""
+    """Coefficients that do not depend on attitude or speed."""
 
     lift_coefficient: Scalar = scalar()
     drag_coefficient: Scalar = scalar(positive=True)
@@ -49,18 +49,18 @@ class ConstantAerodynamics(AbstractAerodynamics):
 
 
 class PolynomialAerodynamics(AbstractAerodynamics):
-    """Polynomials in the angle of attack (rad), the same at every Mach number.
+    """Coefficients that are polynomials in the angle of attack (rad) at any Mach number.
+
+    This example has a lift coefficient of -0.04 + 0.8 a and a drag coefficient of
+    0.05 - 0.1 a + 0.9 a^2:
 
         PolynomialAerodynamics([-0.04, 0.8], [0.05, -0.1, 0.9])
-
-    is a lift coefficient of -0.04 + 0.8 a and a drag coefficient of
-    0.05 - 0.1 a + 0.9 a^2.
     """
 
     lift_polynomial: Float[Array, "..."] = table()
-    """(n,), the constant term first, in 1/rad^k"""
+    """Coefficients of the lift, shape (n,), the constant term first, in 1/rad^k"""
     drag_polynomial: Float[Array, "..."] = table()
-    """(m,), the constant term first, in 1/rad^k"""
+    """Coefficients of the drag, shape (m,), the constant term first, in 1/rad^k"""
 
     def __check_init__(self):
         for name in ("lift_polynomial", "drag_polynomial"):
@@ -81,13 +81,13 @@ class PolynomialAerodynamics(AbstractAerodynamics):
 
 
 class ExponentialAerodynamics(AbstractInvertibleAerodynamics):
-    """Lift linear and drag quadratic in the angle of attack, with tails over airspeed.
+    """Lift linear and drag quadratic in the angle of attack, with exponentials in airspeed.
 
     C_L = lift_slope a + lift_tail exp(-lift_decay v) + lift_constant and
     C_D = drag_curvature max(a, least)^2 + drag_tail exp(-drag_decay v) + drag_constant,
     with the angle of attack a in rad and the airspeed v in m/s. The fit to the tables of
-    the Common Aero Vehicle has this form; they begin at the `least` angle of attack,
-    below which the drag keeps its value.
+    the Common Aero Vehicle has this form. These tables begin at the `least` angle of
+    attack; below it the drag is constant.
     """
 
     lift_slope: Scalar = scalar(unit="1/rad", positive=True)
@@ -123,21 +123,21 @@ class ExponentialAerodynamics(AbstractInvertibleAerodynamics):
 
 
 class TabulatedAerodynamics(AbstractAerodynamics, AbstractTabulated):
-    """Tables over angle of attack and Mach number, joined by a bicubic surface.
+    """Tables over angle of attack and Mach number, interpolated by a bicubic surface.
 
-    The surface is once differentiable and monotone along the lines of the table, so
+    The surface is once differentiable. It is monotone along the lines of the table, so
     that it does not overshoot where drag rises at the speed of sound. Beyond the edges
-    the coefficients keep their value at the edge: see `AbstractTabulated`.
+    the coefficients hold their value at the edge: see `AbstractTabulated`.
     """
 
     angles_of_attack: Float[Array, "..."] = table(unit="rad", increasing=True)
-    """(n,), increasing"""
+    """Angles of attack, rad, shape (n,), increasing"""
     mach_numbers: Float[Array, "..."] = table(increasing=True)
-    """(m,), increasing"""
+    """Mach numbers, shape (m,), increasing"""
     lift_coefficients: Float[Array, "..."] = table()
-    """(n, m)"""
+    """Lift coefficients, shape (n, m)"""
     drag_coefficients: Float[Array, "..."] = table()
-    """(n, m)"""
+    """Drag coefficients, shape (n, m)"""
 
     def __check_init__(self):
         check_grid("angles_of_attack", self.angles_of_attack)
@@ -165,8 +165,8 @@ class TabulatedAerodynamics(AbstractAerodynamics, AbstractTabulated):
     ) -> "TabulatedAerodynamics":
         """Read a table with one row for each pair of angle of attack and Mach number.
 
-        Its columns are `angle_of_attack_deg,mach,lift_coefficient,drag_coefficient`;
-        the rows may come in any order, and every pair must be there once.
+        Its columns are `angle_of_attack_deg,mach,lift_coefficient,drag_coefficient`.
+        The rows may be in any order, and every pair must occur once.
 
         Raises `ValueError` that names the file, the line and what was expected there.
         """
@@ -213,12 +213,12 @@ class TabulatedAerodynamics(AbstractAerodynamics, AbstractTabulated):
 
 
 class RandomAerodynamics(AbstractAerodynamics):
-    """Other aerodynamics, lift and drag each times a random factor over the Mach number.
+    """Aerodynamics whose lift and drag are multiplied by random factors over Mach number.
 
-    The factors are exponentials of random profiles, so that no drag becomes negative: at
-    every Mach number lognormal with a median of 1. Disperse `lift.seed` and `drag.seed`,
-    below `vehicle.aerodynamics`, each by `Uniform(0, 1)`, or both by one draw where lift
-    over drag is to be left as it is.
+    The factors are exponentials of random profiles. At every Mach number they are lognormal
+    with a median of 1, so the drag is never negative. Disperse
+    `vehicle.aerodynamics.lift.seed` and `vehicle.aerodynamics.drag.seed`, each by
+    `Uniform(0, 1)`. Disperse both by one draw to leave lift over drag unchanged.
     """
 
     undisturbed: AbstractAerodynamics
@@ -227,7 +227,7 @@ class RandomAerodynamics(AbstractAerodynamics):
     lift_deviation: Scalar = scalar(range=NOT_NEGATIVE)
     """Standard deviation of the natural logarithm of the factor on the lift"""
     drag_deviation: Scalar = scalar(range=NOT_NEGATIVE)
-    """Likewise, on the drag"""
+    """Standard deviation of the natural logarithm of the factor on the drag"""
 
     def coefficients(
         self, angle_of_attack: Scalar, mach: Scalar, airspeed: Scalar

@@ -11,36 +11,36 @@ from ..fields import Scalar, scalar
 class AbstractAtmosphere(eqx.Module):
     """Air at rest with respect to the planet, a function of geometric altitude (m).
 
-    An atmosphere that differs from place to place overrides `column`; what it says by
-    itself is then that of its origin. Every method is differentiable in altitude and in
-    the model's own numbers.
+    An atmosphere that varies with the place overrides `column`; its other methods then
+    hold at its origin. Every method is differentiable in altitude and in the numbers of
+    the model.
     """
 
     def column(self, longitude: Scalar, latitude: Scalar) -> "AbstractAtmosphere":
-        """The air above a place (rad); itself, where it is the same everywhere."""
+        """The atmosphere above a place (rad); itself if it does not vary with the place."""
         return self
 
     @abstractmethod
     def density(self, altitude: Scalar) -> Scalar:
-        """kg/m3"""
+        """Density, kg/m3."""
 
     @abstractmethod
     def temperature(self, altitude: Scalar) -> Scalar:
-        """K"""
+        """Temperature, K."""
 
     @abstractmethod
     def pressure(self, altitude: Scalar) -> Scalar:
-        """Pa"""
+        """Pressure, Pa."""
 
     @abstractmethod
     def speed_of_sound(self, altitude: Scalar) -> Scalar:
-        """m/s"""
+        """Speed of sound, m/s."""
 
 
 class ExponentialAtmosphere(AbstractAtmosphere):
     """Isothermal atmosphere, density = surface_density * exp(-altitude / scale_height).
 
-    Temperature and gas serve pressure and speed of sound only; the defaults are those of
+    Temperature and gas affect only pressure and speed of sound. The defaults are those of
     air at 246 K.
     """
 

@@ -1,4 +1,4 @@
-"""Air of an ensemble of profiles over the altitude, one of which a flight meets."""
+"""Atmosphere and wind from an ensemble of profiles; a flight uses one profile."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ from .wind import AbstractWind
 
 
 _WINDOW = 4
-"""Points that a monotone cubic in the middle of them depends on"""
+"""Number of points on which a monotone cubic between the middle two depends"""
 
 
 def _optional_table(unit: str, positive: bool) -> Any:
@@ -30,25 +30,26 @@ def _optional_table(unit: str, positive: bool) -> Any:
 
 
 class EnsembleAtmosphere(AbstractAtmosphere, AbstractTabulated):
-    """Many profiles of density over the same altitudes, of which `profile` chooses one.
+    """Profiles of density over common altitudes; `profile` selects one of them.
 
-    Each is joined as `TabulatedAtmosphere` joins its table. Disperse
-    `planet.atmosphere.profile` by `Discrete(range(count))`. A number that is no profile
-    gives air that is not finite, and a flight that says so. Made by `read_ensemble`.
+    Each profile is interpolated like `TabulatedAtmosphere`. Disperse
+    `planet.atmosphere.profile` by `Discrete(range(count))`. A number that is not that of a
+    profile gives NaN, which stops the flight with `Outcome.NOT_FINITE`. `read_ensemble`
+    reads an ensemble from files.
     """
 
     altitudes: Float[Array, "..."] = table(unit="m", increasing=True)
-    """(n,), increasing"""
+    """Altitudes, m, shape (n,), increasing"""
     densities: Float[Array, "..."] = table(unit="kg/m3", positive=True)
-    """(profiles, n), positive"""
+    """Densities, kg/m3, shape (profiles, n), positive"""
     temperatures: Float[Array, "..."] | None = _optional_table("K", True)
-    """(profiles, n); None for the isothermal one"""
+    """Temperatures, K, shape (profiles, n); None for `isothermal_temperature`"""
     pressures: Float[Array, "..."] | None = _optional_table("Pa", True)
-    """(profiles, n); None for those of the equation of state"""
+    """Pressures, Pa, shape (profiles, n); None for those of the equation of state"""
     profile: Scalar = scalar(0.0, choice=True)
-    """Number of the profile that is met, from 0"""
+    """Number of the selected profile, counted from 0"""
     isothermal_temperature: Scalar = scalar(246.0, unit="K", positive=True)
-    """Stands for the temperature where there is none."""
+    """Temperature at every altitude if `temperatures` is None"""
     gas_constant: Scalar = scalar(287.05287, unit="J/(kg K)", positive=True)
     heat_capacity_ratio: Scalar = scalar(1.4, positive=True)
 
@@ -89,21 +90,21 @@ class EnsembleAtmosphere(AbstractAtmosphere, AbstractTabulated):
 
 
 class EnsembleWind(AbstractWind, AbstractTabulated):
-    """Many profiles of the horizontal wind over the same altitudes, of which one blows.
+    """Profiles of the horizontal wind over common altitudes; `profile` selects one of them.
 
-    Each is joined as `TabulatedWind` joins its table. Where the air is of an ensemble too,
-    one dispersion moves both: `lambda s: (s.planet.atmosphere.profile,
-    s.planet.wind.profile)`. Made by `read_ensemble`.
+    Each profile is interpolated like `TabulatedWind`. If the atmosphere is that of an
+    ensemble too, one dispersion moves both: `lambda s: (s.planet.atmosphere.profile,
+    s.planet.wind.profile)`. `read_ensemble` reads an ensemble from files.
     """
 
     altitudes: Float[Array, "..."] = table(unit="m", increasing=True)
-    """(n,), increasing"""
+    """Altitudes, m, shape (n,), increasing"""
     east: Float[Array, "..."] = table(unit="m/s")
-    """(profiles, n), positive where the air moves to the east"""
+    """Wind towards east, m/s, shape (profiles, n)"""
     north: Float[Array, "..."] = table(unit="m/s")
-    """(profiles, n), positive where the air moves to the north"""
+    """Wind towards north, m/s, shape (profiles, n)"""
     profile: Scalar = scalar(0.0, choice=True)
-    """Number of the profile that blows, from 0"""
+    """Number of the selected profile, counted from 0"""
 
     def __check_init__(self):
         for name in ("east", "north"):
@@ -144,11 +145,11 @@ def _check_profiles(air: _Ensemble, name: str, values: Array) -> None:
 
 
 def _of_profile(air: _Ensemble, values: Array, x: Scalar, of=lambda x: x) -> Scalar:
-    """The monotone cubic through a function of the values of the chosen profile."""
+    """Monotone cubic through a function `of` the values of the selected profile."""
     count, points = values.shape
     size = min(_WINDOW, points)
-    # The cubic between two points depends on those and their neighbours alone, and at an
-    # end of the table on the three points there, which are at that end of the window too.
+    # The cubic between two points depends only on those and their neighbours. At an end of
+    # the table it depends on the three points there, which the window contains as well.
     begin = jnp.clip(interval(air.altitudes, x) - 1, 0, points - size)
     row = jnp.clip(jnp.round(air.profile), 0, count - 1).astype(begin.dtype)
     grid = jax.lax.dynamic_slice(air.altitudes, (begin,), (size,))

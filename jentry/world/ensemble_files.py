@@ -1,4 +1,4 @@
-"""Reading an ensemble of profiles of the air: a folder of csv files, or one netCDF file."""
+"""Ensembles of profiles of the air from files: a folder of csv files or a netCDF file."""
 
 import dataclasses
 import math
@@ -23,37 +23,37 @@ QUANTITIES = {
     "east": "m/s",
     "north": "m/s",
 }
-"""What of the columns of a file is read, with its unit; the altitude may be in km"""
+"""Quantities that are read from a file, with their units; the altitude may be in km"""
 
 _POSITIVE = "density", "temperature", "pressure"
 
 _UNITS = {"m": 1.0, "km": km}
 
 _LOW, _HIGH = 1e3, 1e7
-"""m; a highest altitude below or above these is one in another unit"""
+"""Bounds of the highest altitude, m; beyond them the altitudes are in another unit"""
 
 _PROFILES = "profile", "run"
-"""Names of the dimension along which a netCDF file has its profiles"""
+"""Names of the dimension of the profiles in a netCDF file"""
 
 
 @dataclasses.dataclass(frozen=True)
 class Ensemble:
-    """Profiles of the air over the same altitudes, SI, each of shape (profiles, n)."""
+    """Profiles of the air over common altitudes, in SI units, of shape (profiles, n)."""
 
     names: tuple[str, ...]
-    """Of the files, or of the profiles in one"""
+    """Names of the files, or of the profiles in one file"""
     altitudes: np.ndarray
     profiles: Mapping[str, np.ndarray]
 
     @property
     def count(self) -> int:
-        """How many profiles there are."""
+        """Number of profiles."""
         return len(self.names)
 
     def atmosphere(self, **numbers: Any) -> EnsembleAtmosphere:
-        """The air; other fields, such as `gas_constant`, are given by name.
+        """The atmosphere; other fields, such as `gas_constant`, are given by name.
 
-        Raises `ValueError` where the profiles have no density.
+        Raises `ValueError` if the profiles have no density.
         """
         density = self._of("density")
         others = {
@@ -65,7 +65,7 @@ class Ensemble:
         return EnsembleAtmosphere(altitudes, density, **others, **numbers)
 
     def wind(self, profile: float = 0.0) -> EnsembleWind:
-        """The wind. Raises `ValueError` where the profiles have none."""
+        """The wind. Raises `ValueError` if the profiles have none."""
         east, north = self._of("east"), self._of("north")
         return EnsembleWind(jnp.asarray(self.altitudes), east, north, profile)
 
@@ -81,7 +81,7 @@ class Ensemble:
 def read_ensemble(
     path: str | os.PathLike, columns: Mapping[str, str], *, altitude_unit: str
 ) -> Ensemble:
-    """Read profiles over the altitude: a csv file for each in a folder, or one netCDF file.
+    """Read profiles over the altitude from a folder of csv files or from a netCDF file.
 
         ensemble = read_ensemble(
             "gram",
@@ -97,19 +97,20 @@ def read_ensemble(
 
     **Arguments:**
 
-    - `path`: a folder, of which the files `*.csv` are read in the order of their names; or
-        a netCDF file with a dimension `profile` or `run` and one over the altitudes.
-    - `columns`: what the columns or variables are called, by what they are: `altitude`
-        and some of `density` (kg/m3), `temperature` (K), `pressure` (Pa), `east` and
-        `north` (m/s, where the wind blows to). Others in the file are left out; those of
-        csv files must be of numbers as well.
+    - `path`: a folder with one file `*.csv` for each profile, which are read in the order
+        of their names; or a netCDF file with a dimension `profile` or `run` and one of
+        altitudes.
+    - `columns`: names of the columns or variables in the file, by quantity: `altitude` and
+        some of `density` (kg/m3), `temperature` (K), `pressure` (Pa), `east` and `north`
+        (m/s, towards which the wind blows). Other columns of the file are not used, but
+        those of csv files must contain numbers too.
     - `altitude_unit`: "m" or "km".
 
-    **Raises:** `ValueError` that names the file for a column that is not there, a variable
-    that says of itself to be in another unit, a number
-    that is not finite, altitudes that do not increase or are not those of the other files,
-    a density, temperature or pressure that is not positive, and altitudes that can only
-    be in another unit.
+    **Raises:** `ValueError` that names the file. The reasons are a missing column, a
+    variable with an attribute that states another unit, a number that is not finite,
+    altitudes that do not increase or are not those of the other files, a density,
+    temperature or pressure that is not positive, and altitudes that can only be in another
+    unit.
     """
     path = Path(path)
     for name in columns:
@@ -136,7 +137,7 @@ def read_ensemble(
 
 
 Found = tuple[tuple[str, ...], dict[str, np.ndarray]]
-"""Names of the profiles, and the quantities: the altitudes of shape (n,)"""
+"""Names of the profiles, and the quantities by name; the altitudes have shape (n,)"""
 
 
 def _read_folder(folder: Path, columns: Mapping[str, str]) -> Found:
@@ -210,7 +211,7 @@ def _read_netcdf(
 
 
 def _refuse_stated_unit(path: Path, variable: Any, unit: str) -> None:
-    """Refuse a variable whose attribute `units` is known, and another unit."""
+    """Refuse a variable whose attribute `units` is a known unit other than `unit`."""
     stated = str(variable.attrs.get("units", "")).strip()
     if not stated:
         return
@@ -221,9 +222,7 @@ def _refuse_stated_unit(path: Path, variable: Any, unit: str) -> None:
     except ValueError:
         same = False
     if not same:
-        raise ValueError(
-            f"{path}: {variable.name} says of itself to be in {stated}; expected {unit}"
-        )
+        raise ValueError(f"{path}: {variable.name} is in {stated}; expected {unit}")
 
 
 def _variable(path: Path, variable, dims: tuple[Any, ...], name: str) -> np.ndarray:

@@ -12,11 +12,11 @@ class AbstractGravity(eqx.Module):
 
     @abstractmethod
     def acceleration(self, radius: Scalar) -> Scalar:
-        """Towards the centre, m/s2."""
+        """Acceleration towards the centre, m/s2."""
 
     @abstractmethod
     def potential(self, radius: Scalar) -> Scalar:
-        """Potential energy per unit mass, J/kg, of which the acceleration is the slope."""
+        """Potential energy per unit mass, J/kg; its slope is the acceleration."""
 
 
 class InverseSquareGravity(AbstractGravity):
@@ -33,7 +33,7 @@ class InverseSquareGravity(AbstractGravity):
 
 
 class ConstantGravity(AbstractGravity):
-    """The same acceleration at every radius, as many published studies take it.
+    """Acceleration that is equal at every radius, as in many published studies.
 
     The potential is counted from the planet's centre.
     """

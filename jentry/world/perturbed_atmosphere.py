@@ -1,4 +1,4 @@
-"""An atmosphere whose density departs from its model: a trend, waves up and along."""
+"""An atmosphere with density perturbations: a trend, and waves over altitude and ground."""
 
 import dataclasses
 from collections.abc import Iterable
@@ -21,7 +21,7 @@ Tree = TypeVar("Tree")
 
 
 class DensityWave(eqx.Module):
-    """A sinusoidal departure, in shares of the density."""
+    """A sinusoidal perturbation over the altitude, as a share of the density."""
 
     amplitude: Scalar = scalar()
     wavelength: Scalar = scalar(unit="m", positive=True)
@@ -29,28 +29,28 @@ class DensityWave(eqx.Module):
     """Phase at altitude zero"""
 
     def departure(self, altitude: Scalar) -> Scalar:
-        """Share of the density."""
+        """Perturbation at an altitude (m), as a share of the density."""
         angle = 2.0 * jnp.pi * altitude * (1.0 / self.wavelength) + self.phase
         return self.amplitude * sincos(angle)[0]
 
 
 class GroundWave(eqx.Module):
-    """A sinusoidal departure over the distance from a place, in shares of the density."""
+    """A sinusoidal perturbation over the distance from an origin, as a share of density."""
 
     amplitude: Scalar = scalar()
     wavelength: Scalar = scalar(unit="m", positive=True)
-    """Over the ground"""
+    """Wavelength over the ground"""
     radius: Scalar = scalar(unit="m", positive=True)
-    """Of the planet"""
+    """Radius of the planet"""
     phase: Scalar = scalar(0.0, unit="rad")
     """Phase at the origin"""
     longitude: Scalar = scalar(0.0, unit="rad")
-    """Of the origin, such as the entry point"""
+    """Longitude of the origin, such as the entry point"""
     latitude: Scalar = scalar(0.0, unit="rad")
 
     def departure(self, longitude: Scalar, latitude: Scalar) -> Scalar:
-        """Share of the density above a place (rad)."""
-        # By half angles: a small distance from its own cosine would be lost in rounding.
+        """Perturbation above a place (rad), as a share of the density."""
+        # Half angles are used: rounding would spoil the cosine of a small distance.
         across = sincos(0.5 * (latitude - self.latitude))[0]
         along = sincos(0.5 * (longitude - self.longitude))[0]
         _, here = sincos(latitude)
@@ -62,16 +62,15 @@ class GroundWave(eqx.Module):
 
 
 class PerturbedAtmosphere(AbstractAtmosphere):
-    """Another atmosphere, its density and pressure times 1 + trend + waves.
+    """An atmosphere whose density and pressure are multiplied by 1 + trend + waves.
 
-    Waves go up with the altitude, and ground waves with the distance from a place.
-
-    The temperature is its own.
+    Waves vary with the altitude, and ground waves with the distance from an origin. The
+    temperature is that of the undisturbed atmosphere.
 
     The trend is `trend` times a share of the density that grows linearly between two
-    altitudes, and keeps its value beyond them: the usual form of a dispersed density,
-    with the share one standard deviation and a `trend` that is drawn from a normal
-    distribution of variance 1.
+    altitudes and is constant beyond them. This is the usual form of a dispersed density:
+    the share is one standard deviation, and `trend` is drawn from a normal distribution of
+    variance 1.
     """
 
     undisturbed: AbstractAtmosphere
@@ -83,8 +82,8 @@ class PerturbedAtmosphere(AbstractAtmosphere):
     share_high: Scalar = scalar(0.0)
     ground_waves: tuple[GroundWave, ...] = ()
     above: tuple[Scalar, Scalar] | None = None
-    """Longitude and latitude (rad) of the place that this is the air of; None for the
-    origins of the ground waves. Given by `column`"""
+    """Longitude and latitude (rad) of the place at which the ground waves are evaluated;
+    None for their origins. `column` sets it"""
 
     def column(self, longitude: Scalar, latitude: Scalar) -> "PerturbedAtmosphere":
         undisturbed = self.undisturbed.column(longitude, latitude)
@@ -94,8 +93,8 @@ class PerturbedAtmosphere(AbstractAtmosphere):
         return dataclasses.replace(self, undisturbed=undisturbed, above=above)
 
     def factor(self, altitude: Scalar) -> Scalar:
-        """Density in units of the undisturbed one, at the place; NaN where departures take
-        all of it away, so that no flight goes through air of negative density."""
+        """Density over the undisturbed density at the place. It is NaN where it would be
+        zero or negative, so that no flight continues in air of negative density."""
         way = jnp.clip((altitude - self.low) / (self.high - self.low), 0.0, 1.0)
         share = self.share_low + way * (self.share_high - self.share_low)
         factor = 1.0 + self.trend * share
@@ -120,24 +119,24 @@ class PerturbedAtmosphere(AbstractAtmosphere):
 
 
 def without_zero_departures(tree: Tree, varied: Iterable[str] = ()) -> Tree:
-    """The tree without the departures of its air that are zero.
+    """The tree without the density perturbations that are zero.
 
-    It flies the same, and what does not depart is not computed: in an atmosphere with
-    three waves of amplitude zero a nominal flight takes half as long again. `fly` and
-    `monte_carlo` do this by themselves with numbers that they know. What you compile
-    yourself takes its numbers later, and is spared nothing unless you do it before:
+    Its flights are equal, and zero perturbations are not computed: with three waves of
+    amplitude zero a nominal flight takes one and a half times as long. `fly` and
+    `monte_carlo` do this for numbers that are known when they are called. A program that
+    you compile does not know its numbers, so call this function before:
 
         eqx.filter_jit(fly)(without_zero_departures(scenario))
 
     **Arguments:**
 
-    - `tree`: such as a scenario.
-    - `varied`: addresses of leaves that will be replaced. Air with one of them stays as it
-      is, so that the address holds.
+    - `tree`: a pytree such as a scenario.
+    - `varied`: addresses of leaves that will be replaced. An atmosphere with one of them
+      is left unchanged, so that the address remains valid.
     """
     varied = tuple(varied)
 
-    # What is derived from these may depart otherwise.
+    # Classes derived from these may have other perturbations.
     def is_perturbed(node: Any) -> bool:
         return type(node) is PerturbedAtmosphere
 
@@ -151,7 +150,8 @@ def without_zero_departures(tree: Tree, varied: Iterable[str] = ()) -> Tree:
 
 
 def _spared(air: PerturbedAtmosphere) -> AbstractAtmosphere:
-    """Without its departures that are known to be zero, and undisturbed without any."""
+    """The atmosphere without perturbations that are known to be zero; the undisturbed
+    atmosphere if none is left."""
     moving, along = [
         () if all(_is_at_rest(wave) for wave in waves) else waves
         for waves in (air.waves, air.ground_waves)
@@ -170,5 +170,5 @@ def _is_at_rest(wave: DensityWave | GroundWave) -> bool:
 
 
 def _is_zero(number: Any) -> bool:
-    """Whether it is known, and zero."""
+    """Whether a number is known to be zero."""
     return not isinstance(number, Tracer) and bool(np.all(np.asarray(number) == 0.0))

@@ -24,17 +24,18 @@ class Planet(eqx.Module):
     heating_coefficient: Scalar = scalar(1.7415e-4, unit="kg^0.5/m", positive=True)
     """Coefficient of the heat rate at the stagnation point: Sutton and Graves' for air"""
     heating_exponent: int | float = eqx.field(default=3, static=True, kw_only=True)
-    """Power of the velocity in the heat rate; of the unit of the coefficient if not 3"""
+    """Power of the velocity in the heat rate. If it is not 3, the unit of the coefficient
+    changes accordingly"""
 
     __str__ = as_text
 
     def above(self, longitude: Scalar, latitude: Scalar) -> "Planet":
-        """The planet as if all of its air were that above a place (rad)."""
+        """The planet with the atmosphere above a place (rad) everywhere."""
         air = self.atmosphere.column(longitude, latitude)
         if air is self.atmosphere:
             return self
         return dataclasses.replace(self, atmosphere=air)
 
     def density(self, altitude: Scalar) -> Scalar:
-        """Density of the air that the vehicle meets, kg/m3: at the origin, or `above`."""
+        """Density of the air at an altitude, kg/m3: at the origin, or see `above`."""
         return self.density_scale * self.atmosphere.density(altitude)

@@ -1,4 +1,4 @@
-"""Air whose density and wind depart from a model at random, over the altitude."""
+"""Atmosphere and wind with random perturbations over the altitude."""
 
 import dataclasses
 
@@ -11,15 +11,16 @@ from .wind import AbstractWind
 
 
 class RandomAtmosphere(AbstractAtmosphere):
-    """Another atmosphere, its density and pressure times a random factor.
+    """An atmosphere whose density and pressure are multiplied by a random factor.
 
-    The factor is the exponential of a random profile, so that it is never negative: at
-    every altitude lognormal with a median of 1. The temperature is that of the other.
+    The factor is the exponential of a random profile. At every altitude it is lognormal
+    with a median of 1, so it is never negative. The temperature is that of the undisturbed
+    atmosphere. A factor with a standard deviation of about 10 % and a correlation length
+    of 10 km is
 
         RandomAtmosphere(atmosphere, RandomAltitudeProfile(10e3), 0.1)
 
-    is of 10 % or so, over 10 km; disperse `planet.atmosphere.profile.seed` by
-    `Uniform(0, 1)`.
+    Disperse `planet.atmosphere.profile.seed` by `Uniform(0, 1)`.
     """
 
     undisturbed: AbstractAtmosphere
@@ -34,7 +35,7 @@ class RandomAtmosphere(AbstractAtmosphere):
         return dataclasses.replace(self, undisturbed=above)
 
     def factor(self, altitude: Scalar) -> Scalar:
-        """Density in units of the undisturbed one."""
+        """Density over the undisturbed density."""
         return jnp.exp(self.deviation_of_logarithm * self.profile(altitude))
 
     def density(self, altitude: Scalar) -> Scalar:
@@ -51,17 +52,17 @@ class RandomAtmosphere(AbstractAtmosphere):
 
 
 class RandomWind(AbstractWind):
-    """Another wind, and random gusts towards east and north that go with the altitude.
+    """A wind plus random gusts towards east and north over the altitude.
 
-    Disperse the two seeds, `planet.wind.east.seed` and `planet.wind.north.seed`, each by a
-    `Uniform(0, 1)` of its own: two profiles of the same seed and nodes are equal.
+    Disperse the two seeds, `planet.wind.east.seed` and `planet.wind.north.seed`, by two
+    separate `Uniform(0, 1)`: two profiles with equal seeds and nodes are equal.
     """
 
     mean: AbstractWind
     east: RandomAltitudeProfile
     north: RandomAltitudeProfile
     standard_deviation: Scalar = scalar(unit="m/s", range=NOT_NEGATIVE)
-    """Of the gusts, towards east and towards north"""
+    """Standard deviation of the gusts, towards east and towards north"""
 
     def velocity(self, altitude: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         east, north, up = self.mean.velocity(altitude)

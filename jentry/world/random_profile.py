@@ -18,15 +18,15 @@ Tree = TypeVar("Tree")
 
 
 class RandomAltitudeProfile(eqx.Module):
-    """A random function of the altitude of mean 0 and variance 1 everywhere.
+    """A random function of the altitude with mean 0 and variance 1 everywhere.
 
-    Its values at even nodes are a stationary Gauss-Markov sequence: two of them are
-    normal with the correlation exp(-distance / correlation_length). Between the nodes it
-    is smooth, with the same variance, and beyond the ends it keeps its value. One number,
-    `seed`, chooses the function: disperse it by `Uniform(0, 1)`.
+    Its values at equally spaced nodes are a stationary Gauss-Markov sequence: two of them
+    are normal with the correlation exp(-distance / correlation_length). Between the nodes
+    the function is smooth and has variance 1 too. Beyond the ends it is constant. One
+    number, `seed`, selects the function: disperse it by `Uniform(0, 1)`.
 
-    Choose nodes that are a good deal closer than the correlation length; what varies over
-    less than their distance is not there.
+    Choose a spacing of the nodes well below the correlation length. The function has no
+    variation over less than that spacing.
     """
 
     correlation_length: Scalar = scalar(unit="m", positive=True)
@@ -48,10 +48,10 @@ class RandomAltitudeProfile(eqx.Module):
 
 
 class RandomMachProfile(eqx.Module):
-    """A random function of the Mach number, as `RandomAltitudeProfile` of the altitude."""
+    """A random function of the Mach number, analogous to `RandomAltitudeProfile`."""
 
     correlation_length: Scalar = scalar(positive=True)
-    """In Mach numbers"""
+    """Correlation length, in Mach numbers"""
     low: Scalar = scalar(0.0)
     """Mach number of the first node"""
     high: Scalar = scalar(30.0)
@@ -84,10 +84,10 @@ def _check(profile: _Profile) -> None:
 
 
 def settled(tree: Tree) -> Tree:
-    """The tree with the nodes of all random profiles drawn, once for a whole flight.
+    """The tree with the nodes of all random profiles drawn once for a whole flight.
 
-    What the profiles say does not change; each time that they are asked they draw all of
-    their nodes else.
+    The values of the profiles do not change. Without this, each evaluation of a profile
+    draws all of its nodes.
     """
 
     def is_profile(node: Any) -> bool:
@@ -106,7 +106,7 @@ def _spacing(profile: _Profile) -> Scalar:
 
 
 def _likeness(profile: _Profile) -> Scalar:
-    """Correlation of two nodes beside each other."""
+    """Correlation of two adjacent nodes."""
     return jnp.exp(-_spacing(profile) / profile.correlation_length)
 
 
@@ -115,7 +115,7 @@ def _drawn(profile: _Profile) -> tuple[Scalar, ...]:
     seed = jnp.asarray(profile.seed * (2.0**31 - 1.0)).astype(jnp.uint32)
     key = jax.random.fold_in(jax.random.key(0), seed)
     likeness = _likeness(profile)
-    # 1 - likeness^2, with its digits where two nodes are much alike.
+    # sqrt(1 - likeness^2), without loss of digits if adjacent nodes are highly correlated.
     fresh = jnp.sqrt(-jnp.expm1(-2.0 * _spacing(profile) / profile.correlation_length))
 
     def advance(before: Array, node: Array) -> tuple[Array, Array]:
@@ -125,13 +125,13 @@ def _drawn(profile: _Profile) -> tuple[Scalar, ...]:
 
     nodes = jnp.arange(profile.nodes, dtype=jnp.uint32)
     _, values = jax.lax.scan(advance, jnp.zeros_like(likeness), nodes)
-    # One by one: where a flight reads numbers out of an array of its own, the compiler
-    # may treat the last flights of a block in another way than the rest.
+    # Separate scalars: if each flight indexes its own array, the compiler may treat the
+    # last flights of a block differently from the others.
     return tuple(values[i] for i in range(profile.nodes))
 
 
 def _gauss_markov(profile: _Profile, place: Scalar) -> Scalar:
-    """The value at a place, of unit variance."""
+    """Value at an altitude or Mach number, of unit variance."""
     values = _drawn(profile) if profile.values is None else profile.values
     position = (place - profile.low) / _spacing(profile)
     position = clamp(position, 0.0, profile.nodes - 1.0)
@@ -142,9 +142,9 @@ def _gauss_markov(profile: _Profile, place: Scalar) -> Scalar:
         here = before == node
         left = jnp.where(here, value, left)
         right = jnp.where(here, following, right)
-    # Without curvature at the nodes, so that the slope of what is joined has no kink.
+    # The blend has no curvature at the nodes, so the slope of the profile has no kink.
     share = along * along * along * (10.0 + along * (6.0 * along - 15.0))
     rest = 1.0 - share
-    # A mean of two numbers varies less than each: brought back to a variance of 1.
+    # A mean of two numbers varies less than each of them: scale the variance back to 1.
     variance = rest * rest + share * share + 2.0 * rest * share * _likeness(profile)
     return (rest * left + share * right) / jnp.sqrt(variance)

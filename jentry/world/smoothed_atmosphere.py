@@ -1,4 +1,4 @@
-"""An atmosphere without the corners of its layers."""
+"""A smoothed atmosphere, without corners between its layers."""
 
 import jax
 import jax.numpy as jnp
@@ -13,26 +13,26 @@ from .tabulated import AbstractTabulated, Edges
 
 
 _REACH = 5.0
-"""Widths to either side over which the mean is taken"""
+"""Half-width of the interval of the mean, in standard deviations"""
 _POINTS = 401
-"""Of the mean"""
+"""Number of points of the mean"""
 _SAME_GAS = 1e-3
-"""Share by which the numbers of a gas may differ that is the same"""
+"""Relative difference of the numbers of two gases up to which they are one gas"""
 
 
 class SmoothedAtmosphere(AbstractAtmosphere, AbstractTabulated):
     """Means over altitude of another atmosphere; twice continuously differentiable.
 
-    Models by layers have corners where the lapse rate jumps. A plan that differentiates
-    the density twice, such as one that inverts the dynamics for the bank, has jumps there.
-    Made by `smoothed`. Beyond the table the density goes on as an exponential, and the
-    temperature keeps its value: see `AbstractTabulated`.
+    Layered models have corners where the lapse rate jumps. A plan that differentiates the
+    density twice, such as one that inverts the dynamics for the bank, has jumps there.
+    `smoothed` makes this atmosphere. Beyond the table the density continues as an
+    exponential, and the temperature is constant: see `AbstractTabulated`.
     """
 
     log_density: Vector = table()
-    """Of kg/m3, coefficients of the cubic B-spline on an even grid"""
+    """Logarithm of the density in kg/m3: cubic B-spline coefficients on an even grid"""
     temperatures: Vector = table(unit="K", positive=True)
-    """Likewise"""
+    """Temperature, K: cubic B-spline coefficients on that grid"""
     lowest: Scalar = scalar(unit="m")
     """Altitude of the first coefficient"""
     spacing: Scalar = scalar(unit="m", positive=True)
@@ -89,22 +89,23 @@ def smoothed(
     gas_constant: float = 287.05287,
     heat_capacity_ratio: float = 1.4,
 ) -> SmoothedAtmosphere:
-    """Means of an atmosphere by a normal distribution of altitudes.
+    """Means of an atmosphere, weighted by a normal distribution of altitudes.
 
-    Of the logarithm of the density, so that an exponential stays as it is, and of the
-    temperature that has the speed of sound: pressure and temperature are those of the
-    atmosphere if it is of this gas.
+    One mean is that of the logarithm of the density, which leaves an exponential
+    atmosphere unchanged. The other is that of the temperature that gives the speed of
+    sound. Pressure and temperature are correct if the atmosphere consists of this gas.
 
     **Arguments:**
 
     - `width`: standard deviation of the distribution, m.
     - `lowest`, `highest`: altitudes between which the means are tabulated, m.
-    - `spacing`: of the table, m.
-    - `gas_constant`: of the gas, J/(kg K); of air if not given.
-    - `heat_capacity_ratio`: of the gas; of air if not given.
+    - `spacing`: spacing of the table, m.
+    - `gas_constant`: gas constant, J/(kg K); the default is that of air.
+    - `heat_capacity_ratio`: heat capacity ratio of the gas; the default is that of air.
 
     **Raises:** `ValueError` for a width or a spacing that is not positive, and for an
-    atmosphere of another gas, unless that is compiled, where its numbers are not known.
+    atmosphere of another gas. The gas is not checked under `jit`, where its numbers are not
+    known.
     """
     if not (width > 0.0 and spacing > 0.0 and highest - lowest >= 4.0 * spacing):
         raise ValueError(
@@ -130,7 +131,7 @@ def smoothed(
         return jax.vmap(jax.vmap(of))(where) @ jnp.asarray(weights)
 
     def coefficients(values):
-        # To fourth order in the spacing the spline of these goes through the values.
+        # The spline of these passes through the values to fourth order in the spacing.
         bend = values[2:] - 2.0 * values[1:-1] + values[:-2]
         return values[1:-1] - bend / 6.0
 
@@ -147,7 +148,7 @@ def smoothed(
 def _refuse_another_gas(
     atmosphere: AbstractAtmosphere, altitude: float, constant: float, ratio: float
 ) -> None:
-    """Refuse an atmosphere that at an altitude is not of a gas with these numbers."""
+    """Refuse an atmosphere that does not consist of a gas with these numbers."""
     at = jnp.asarray(altitude)
     pressure, density = atmosphere.pressure(at), atmosphere.density(at)
     sound, temperature = atmosphere.speed_of_sound(at), atmosphere.temperature(at)

@@ -1,4 +1,4 @@
-"""Tables: where each one ends, and how far beyond it a flight goes."""
+"""Tables: their edges, and excursions of a flight beyond them."""
 
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -13,38 +13,38 @@ from ..fields import Flag, Scalar
 
 
 UNITS = {"altitudes": "m", "mach_numbers": "1", "angles_of_attack": "rad"}
-"""SI units of the quantities over which there are tables"""
+"""SI units of the independent variables of tables"""
 
 _ROUNDING = 1e-9
-"""Share of a table by which a value may be beyond its edge that is meant to be at it"""
+"""Share of the range of a table by which rounding may place a value beyond its edge"""
 
 Edges = Mapping[str, tuple[Scalar, Scalar]]
-"""First and last value in a table, by the quantity"""
+"""First and last value of each independent variable of a table, by name"""
 
 
 class AbstractTabulated(eqx.Module):
-    """A model of air or aerodynamics that is known between the edges of a table alone.
+    """A model of air or aerodynamics with data only between the edges of a table.
 
-    Beyond an edge it goes on by a rule of its own, which is no measurement: each flight
-    counts the share of its time there as a caveat, and how far it went
-    (`Flight.beyond_tables`). With `refuse_beyond` it ends there instead:
-    `Outcome.BEYOND_TABLE`. A model of one's own inherits this class beside its own one and
-    states both.
+    Beyond an edge the model extrapolates by some rule, without data. Each flight reports
+    the share of its time there as a caveat, and the largest distance from the edge
+    (`Flight.beyond_tables`). With `refuse_beyond` the flight ends at the edge instead, with
+    `Outcome.BEYOND_TABLE`. Your own model inherits from this class in addition to the class
+    of the model, and defines `edges`.
     """
 
     refuse_beyond: bool = eqx.field(default=False, static=True, kw_only=True)
-    """End a flight at an edge, in place of going on beyond it"""
+    """Whether a flight ends at an edge instead of continuing beyond it"""
 
     @abstractmethod
     def edges(self) -> Edges:
-        """First and last value of each quantity of the table.
+        """First and last value of each independent variable of the table, by name.
 
-        The quantities are `altitudes` (m), `mach_numbers` and `angles_of_attack` (rad).
+        The names are `altitudes` (m), `mach_numbers` and `angles_of_attack` (rad).
         """
 
 
 def tables_in(**models: Any) -> dict[str, AbstractTabulated]:
-    """The tables within models, such as a planet, by address."""
+    """The tables of models, such as those of a planet, by address."""
 
     def is_table(node: Any) -> bool:
         return isinstance(node, AbstractTabulated)
@@ -54,20 +54,20 @@ def tables_in(**models: Any) -> dict[str, AbstractTabulated]:
 
 
 class Excursion(eqx.Module):
-    """How long and how far a flight was beyond an edge of a table."""
+    """Time of a flight beyond an edge of a table, and its largest distance from it."""
 
     time: Scalar
-    """s"""
+    """Time beyond the edge, s"""
     distance: Scalar
-    """Largest distance from the edge, in the unit of the quantity"""
+    """Largest distance from the edge, in the unit of the independent variable"""
 
 
 def beyond_edges(
     tables: Mapping[str, AbstractTabulated], **values: Scalar
 ) -> tuple[dict[str, Scalar], Flag]:
-    """How far values of the quantities are beyond the edges of tables, zero within.
+    """Distances of values beyond the edges of tables, and whether a table refuses them.
 
-    By the name of the caveat that says so. Second, whether a table refuses the values.
+    The distances are by the name of their caveat, and zero within a table.
     """
     found: dict[str, Scalar] = {}
     refused: Flag = jnp.asarray(False)
@@ -83,22 +83,22 @@ def beyond_edges(
 
 
 def caveat_of(address: str, quantity: str) -> str:
-    """Name of the share of time that a flight is beyond a table.
+    """Name of the caveat that is the share of time of a flight beyond a table.
 
-    It is the same whether the table stands in other air, `undisturbed`, or by itself, as
-    where that air has no departures (`without_zero_departures`).
+    The name does not depend on whether the table is the `undisturbed` part of another
+    atmosphere or stands alone, as it does after `without_zero_departures`.
     """
     steps = [step for step in address.split(".") if step != "undisturbed"]
     return f"time_beyond_{quantity}_of_{'_'.join(steps)}"
 
 
 def distance_of(caveat: str) -> str:
-    """Name of the largest distance that belongs to a share of time beyond a table."""
+    """Name of the largest distance beyond a table, from the name of its caveat."""
     return f"distance_{caveat.removeprefix('time_')}"
 
 
 def unit_of_caveat(name: str) -> str:
-    """Unit of the distance that belongs to a share of time beyond a table."""
+    """Unit of the largest distance beyond a table, from the name of its caveat."""
     for quantity, unit in UNITS.items():
         if name.startswith(f"time_beyond_{quantity}_of_"):
             return unit

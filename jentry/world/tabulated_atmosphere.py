@@ -21,32 +21,29 @@ def _as_float_array_or_none(value: Any) -> Array | None:
 
 
 class TabulatedAtmosphere(AbstractAtmosphere, AbstractTabulated):
-    """Density, and where it is known temperature, at increasing altitudes.
+    """An atmosphere from a table of density, and temperature if known, over altitude.
 
-    Between the altitudes the logarithm of density is a monotone cubic; beyond both ends
-    it goes on as a straight line, an exponential with the scale height of the end.
-    Temperature is a monotone cubic too, and keeps the value of the end beyond it: see
-    `AbstractTabulated`.
-    Density is once differentiable in altitude everywhere, and all of it is in the
-    numbers of the table.
-
-    Pressure follows from the equation of state.
+    Between the altitudes the logarithm of density is a monotone cubic. Beyond both ends
+    the density is an exponential with the scale height at that end. Temperature is a
+    monotone cubic too, and constant beyond the ends: see `AbstractTabulated`. Density is
+    once differentiable in altitude everywhere, and all quantities are differentiable in
+    the numbers of the table. Pressure follows from the equation of state.
 
         atmosphere = TabulatedAtmosphere.from_csv("mars.csv")
     """
 
     altitudes: Float[Array, "..."] = table(unit="m", increasing=True)
-    """(n,), increasing"""
+    """Altitudes, m, shape (n,), increasing"""
     densities: Float[Array, "..."] = table(unit="kg/m3", positive=True)
-    """(n,), positive"""
+    """Densities, kg/m3, shape (n,), positive"""
     temperatures: Float[Array, "..."] | None = eqx.field(
         default=None,
         converter=_as_float_array_or_none,
         metadata={"unit": "K", "positive": True},
     )
-    """(n,); None where the source gives density alone"""
+    """Temperatures, K, shape (n,); None if the source gives only the density"""
     isothermal_temperature: Scalar = scalar(246.0, unit="K", positive=True)
-    """Stands for the temperature at every altitude where the table has none."""
+    """Temperature at every altitude if `temperatures` is None"""
     gas_constant: Scalar = scalar(287.05287, unit="J/(kg K)", positive=True)
     heat_capacity_ratio: Scalar = scalar(1.4, positive=True)
 

@@ -1,8 +1,8 @@
 """The US Standard Atmosphere 1976, from below sea level to 1000 km and beyond.
 
-Every number of this file is a fact of the standard: US Standard Atmosphere, 1976,
-NOAA-S/T 76-1562 (NASA-TM-X-74335), October 1976. Numbers of tables and
-equations are its own.
+Every number of this file is from the standard: US Standard Atmosphere, 1976,
+NOAA-S/T 76-1562 (NASA-TM-X-74335), October 1976. Tables and equations have the numbers of
+the standard.
 """
 
 import math
@@ -18,26 +18,26 @@ from .atmosphere import AbstractAtmosphere
 
 
 _GAS_CONSTANT = 8314.32
-"""J/(kmol K), Table 2; not the present value of the universal gas constant"""
+"""Gas constant of the standard, J/(kmol K), Table 2; today's value differs"""
 _MOLECULAR_WEIGHT = 28.9644
-"""kg/kmol, up to 80 km"""
+"""Molecular weight of air up to 80 km, kg/kmol"""
 _GRAVITY = 9.80665
-"""m/s2 at sea level"""
+"""Acceleration of gravity at sea level, m/s2"""
 _EARTH_RADIUS = 6356766.0
-"""m, the radius at which geopotential altitude follows from geometric altitude"""
+"""Radius with which geopotential altitude follows from geometric altitude, m"""
 _HEAT_CAPACITY_RATIO = 1.4
 _SEA_LEVEL_PRESSURE = 101325.0
 _SEA_LEVEL_TEMPERATURE = 288.15
 
 _AIR = _GAS_CONSTANT / _MOLECULAR_WEIGHT
-"""J/(kg K)"""
+"""Specific gas constant of air, J/(kg K)"""
 
 _LOWEST = -100_000.0
-"""m; the troposphere goes on to here, far below anything that flies, and then stays"""
+"""Altitude down to which the troposphere continues, m; below it the air is constant"""
 _JOIN = 86_000.0
-"""m; hydrostatic layers below, number densities of the species above"""
+"""Altitude between the hydrostatic layers and the number densities of the species, m"""
 _HIGHEST = 1_000_000.0
-"""m; the standard ends, density goes on with its last scale height"""
+"""Upper end of the standard, m; the density continues with its last scale height"""
 
 # Base of each layer (geopotential m) and gradient of the molecular temperature (K/m):
 # Table 4.
@@ -63,7 +63,7 @@ _WEIGHT_RATIOS = np.array(
 # Temperature above 86 km: 186.8673 K to 91 km, an ellipse to 110 km, 12 K/km to 120 km
 # and an exponential approach to 1000 K (equations 25, 27, 29 and 31). Centre and axes
 # of the ellipse follow from the temperatures at its ends and the gradient at the upper
-# one; the standard prints them rounded, which would leave a step of 3e-4 K.
+# end. The standard prints them rounded, which would leave a step of 3e-4 K.
 _ISOTHERMAL = 186.8673
 _ELLIPSE_START, _ELLIPSE_END, _LINEAR_END = 91.0, 110.0, 120.0
 _ELLIPSE_END_TEMPERATURE, _GRADIENT = 240.0, 12.0
@@ -76,8 +76,8 @@ _HALF_WIDTH = _SPAN / math.sqrt(1.0 - _COSINE**2)
 
 # Altitude (km), density (kg/m3), density scale height (km), molecular weight (kg/kmol):
 # the standard's equations for the number densities of six gases, integrated in steps of
-# 5 m (`tests/test_atmosphere.py` does it again). They are within
-# one unit of the four digits of density that the standard prints in Table I.
+# 5 m (`tests/test_atmosphere.py` repeats this). The densities agree with the four digits
+# that the standard prints in Table I to one unit of the last digit.
 _UPPER = (
     (86, 6.957880e-06, 5.6196, 28.9522),
     (87, 5.823915e-06, 5.6223, 28.9471),
@@ -166,11 +166,12 @@ _UPPER = (
 
 
 def _layer_table() -> np.ndarray:
-    """Base, temperature and log density there, gradient, power and rate of each layer.
+    """Base, temperature and log density at it, gradient, power and rate of each layer.
 
     With the temperature T and the geopotential altitude h above the base,
-    log density = log density there - power * log(T / T there) - rate * h: the power
-    serves layers with a gradient, the rate those without (equations 33a and 33b).
+    log density = log density at the base - power * log(T / T at the base) - rate * h.
+    The power is that of layers with a gradient, the rate that of layers without one
+    (equations 33a and 33b).
     """
     tops = [base for base, _ in _LAYERS[1:]] + [math.inf]
     temperature = _SEA_LEVEL_TEMPERATURE
@@ -194,7 +195,8 @@ _LAYER_TABLE = _layer_table()
 
 
 def _cubics(x, values, slopes) -> np.ndarray:
-    """Coefficients on each interval, highest power first, of a variable from 0 to 1."""
+    """Coefficients of the cubic on each interval in a variable from 0 to 1, highest power
+    first."""
     width = np.diff(x)
     rise = np.diff(values)
     start, end = width * slopes[:-1], width * slopes[1:]
@@ -207,8 +209,8 @@ def _cubics(x, values, slopes) -> np.ndarray:
 def _upper_tables() -> tuple[np.ndarray, np.ndarray]:
     """Cubics for log density and for molecular weight on the intervals of `_UPPER`.
 
-    The first node takes the values that the layers reach at 86 km, which differ by
-    8e-6 from those that the standard prints there, so that density and pressure join.
+    The first node has the values of the layers at 86 km, so that density and pressure are
+    continuous. They differ by 8e-6 from those that the standard prints.
     """
     x, density, scale_height, weight = np.array(_UPPER).T
     base, base_temperature, log_density, gradient, power, _ = _LAYER_TABLE[-1]
@@ -230,17 +232,18 @@ _LAST_SCALE_HEIGHT = 1000.0 * _UPPER[-1][2]
 class USStandardAtmosphere1976(AbstractAtmosphere):
     """The US Standard Atmosphere 1976 over geometric altitude.
 
-    To 86 km the exact formulas of its seven layers. Above, its closed form of the
-    temperature, and tables of density and mean molecular weight from its equations for
-    the number densities of the species, joined by cubics: within 1e-4 of an integration
-    of these equations, 6e-4 near 100 km, where the standard's scale height has a step.
+    Up to 86 km it has the exact formulas of the seven layers of the standard. Above, it has
+    the standard's closed form of the temperature, and cubics through tables of density and
+    mean molecular weight. The tables come from the standard's equations for the number
+    densities of the species. The cubics are within 1e-4 of an integration of these
+    equations, and within 6e-4 near 100 km, where the standard's scale height has a step.
 
-    Outside of the standard's range it goes on: with the troposphere's gradient below
-    -5 km, and with the last scale height and molecular weight above 1000 km. The
-    standard defines no speed of sound above 86 km; here it is sqrt(1.4 R T / M) with
-    the molecular weight of the altitude, so that a Mach number exists everywhere.
+    It extends beyond the range of the standard: with the gradient of the troposphere below
+    -5 km, and with the last scale height and molecular weight above 1000 km. The standard
+    defines no speed of sound above 86 km. Here it is sqrt(1.4 R T / M) with the molecular
+    weight at that altitude, so that a Mach number exists everywhere.
 
-    It has no numbers to disperse: `Planet.density_scale` does that.
+    It has no numbers to disperse: disperse `Planet.density_scale` instead.
 
     Reference: US Standard Atmosphere, 1976, NOAA-S/T 76-1562, Washington, 1976.
     """
@@ -270,7 +273,7 @@ class USStandardAtmosphere1976(AbstractAtmosphere):
 
 
 def _molecular_temperature(altitude: Scalar) -> Scalar:
-    """Temperature at which gas of the weight at sea level has the same p / rho, K."""
+    """Molecular-scale temperature, K: that of sea-level air with an equal p / rho."""
     weight = horner(*_upper_cubic(_WEIGHT, altitude))
     upper = _upper_temperature(altitude) * _MOLECULAR_WEIGHT / weight
     lower = _lower_molecular_temperature(altitude)
@@ -300,7 +303,7 @@ def _lower_log_density(altitude: Scalar) -> Scalar:
 def _upper_cubic(
     cubics: np.ndarray, altitude: Scalar
 ) -> tuple[Float[Array, "4"], Scalar]:
-    """The cubic that holds at an altitude, and its variable there."""
+    """The cubic of the interval of an altitude, and its variable there."""
     km = 1e-3 * clamp(altitude, _JOIN, _HIGHEST)
     position = jnp.where(
         km < 120.0,

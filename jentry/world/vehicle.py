@@ -18,16 +18,16 @@ class Vehicle(eqx.Module):
     drag_scale: Scalar = scalar(1.0, positive=True)
     """Factor on the drag coefficient: the usual dispersion."""
     trim_angle_of_attack: Scalar = scalar(0.0, unit="rad")
-    """The angle of attack before guidance begins. Every law commands one of its own, which
-    the vehicle then flies."""
+    """Angle of attack before guidance begins. After that every law commands an angle of
+    attack."""
     nose_radius: Scalar = scalar(1.0, unit="m", positive=True)
-    """For the heat rate at the stagnation point."""
+    """Nose radius for the heat rate at the stagnation point."""
 
     __str__ = as_text
 
     def coefficients(
         self, angle_of_attack: Scalar, mach: Scalar, airspeed: Scalar
     ) -> tuple[Scalar, Scalar]:
-        """Lift and drag coefficient as flown, the factors included."""
+        """Lift and drag coefficient, including the factors."""
         lift, drag = self.aerodynamics.coefficients(angle_of_attack, mach, airspeed)
         return self.lift_scale * lift, self.drag_scale * drag

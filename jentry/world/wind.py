@@ -18,11 +18,11 @@ class AbstractWind(eqx.Module):
 
     @abstractmethod
     def velocity(self, altitude: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        """Towards east, north and up, m/s."""
+        """Velocity of the air towards east, north and up, m/s."""
 
 
 class StillAir(AbstractWind):
-    """Air that turns with the planet."""
+    """Air that rotates with the planet: no wind."""
 
     def velocity(self, altitude: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         calm = jnp.zeros_like(altitude)
@@ -30,7 +30,7 @@ class StillAir(AbstractWind):
 
 
 class ConstantWind(AbstractWind):
-    """The same wind at every altitude; named by where it blows to."""
+    """A wind that is equal at every altitude; components are towards east, north and up."""
 
     east: Scalar = scalar(0.0, unit="m/s")
     north: Scalar = scalar(0.0, unit="m/s")
@@ -41,18 +41,18 @@ class ConstantWind(AbstractWind):
 
 
 class TabulatedWind(AbstractWind, AbstractTabulated):
-    """Horizontal wind at increasing altitudes, joined by monotone cubics.
+    """Horizontal wind from a table over altitude, interpolated by monotone cubics.
 
-    Below the first and above the last altitude the wind keeps its value there: see
+    Below the first and above the last altitude the wind is constant: see
     `AbstractTabulated`.
     """
 
     altitudes: Float[Array, "..."] = table(unit="m", increasing=True)
-    """(n,), increasing"""
+    """Altitudes, m, shape (n,), increasing"""
     east: Float[Array, "..."] = table(unit="m/s")
-    """(n,), positive where the air moves to the east"""
+    """Wind towards east, m/s, shape (n,)"""
     north: Float[Array, "..."] = table(unit="m/s")
-    """(n,), positive where the air moves to the north"""
+    """Wind towards north, m/s, shape (n,)"""
 
     def __check_init__(self):
         check_grid("altitudes", self.altitudes)
@@ -93,9 +93,9 @@ class TabulatedWind(AbstractWind, AbstractTabulated):
 
 
 class ScaledWind(AbstractWind):
-    """Another wind times a number: the usual dispersion, at `planet.wind.scale`.
+    """A wind multiplied by a factor: the usual dispersion, at `planet.wind.scale`.
 
-    With a scale of 1 it is the other wind, bit by bit; a negative one turns it round.
+    A factor of 1 leaves the wind unchanged, bit by bit; a negative one reverses it.
     """
 
     wind: AbstractWind

@@ -1,4 +1,4 @@
-"""Guidance along a Bézier curve by inverse dynamics: the law, and what it is made of."""
+"""Guidance along a Bézier curve by inverse dynamics: the law and its components."""
 
 from .allocation import FlightLimits as FlightLimits
 from .anchoring import (

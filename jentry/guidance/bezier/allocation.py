@@ -1,4 +1,4 @@
-"""From the acceleration that a path asks for to angle of attack and bank, within limits."""
+"""Angle of attack and bank, within limits, for the acceleration that a path requires."""
 
 import functools
 import math
@@ -25,9 +25,9 @@ from .inverse_dynamics import Acceleration
 
 
 class FlightLimits(eqx.Module):
-    """What the law may command: equation (13).
+    """Limits of the command: equation (13).
 
-    What the vehicle may be exposed to, equation (11), are the path constraints of the
+    The limits of the loads on the vehicle, equation (11), are the path constraints of the
     scenario.
     """
 
@@ -57,20 +57,24 @@ def attitude(
 ) -> Controls:
     """Angle of attack and bank: equations (33) to (36), corrected.
 
-    The lower limits on the angle of attack are those of equilibrium glide: with more
-    lift the vehicle glides where the air is thinner. Its upper limits come last, that of
-    the load factor (33) among them: near the largest bank the lower ones ask for more
-    lift than the vehicle bears. Where the path asks for a bank beyond the largest one, as
-    when it bends down more than gravity does, the lift is what fits the largest best;
-    printed, it would be as large as that to the other side. The vehicle does not glide in
-    equilibrium there, and the lower limits are those of a level glide: with the bank in
-    them they ask for a lift that is eleven times as large and almost all to the side.
+    The lower limits on the angle of attack are those of equilibrium glide: with more lift
+    the vehicle glides where the air is thinner. The upper limits, with that of the load
+    factor (33) among them, are applied last: near the largest bank the lower limits
+    require more lift than the load factor allows.
+
+    The path may require a bank beyond the largest one, for example where it bends down
+    more than gravity bends it. The lift is then the component of the required acceleration
+    in the direction of the lift at the largest bank. As printed, it would have the full
+    size of the required lift, which points to the other side. There the vehicle does not
+    glide in equilibrium, and the lower limits are those of a glide with level wings. With
+    the bank included they would require a lift that is eleven times as large and almost
+    all to the side.
 
     **Arguments:**
 
-    - `constraints`: the limits of load factor, dynamic pressure and heat rate among them
-        are kept; the load factor (33) counts the lift alone.
-    - `lift_factor`: actual lift in units of the model's.
+    - `constraints`: path constraints; the command respects the limits of load factor,
+        dynamic pressure and heat rate. The load factor (33) counts the lift alone.
+    - `lift_factor`: ratio of the actual lift to that of the model.
     """
     aerodynamics = vehicle.aerodynamics
     assert isinstance(aerodynamics, AbstractInvertibleAerodynamics)
@@ -85,7 +89,7 @@ def attitude(
     cos_bank = jnp.where(beyond, cos_most, cos_bank)
     sin_bank = jnp.where(beyond, jnp.where(sin_bank < 0, -sin_most, sin_most), sin_bank)
 
-    # What the wanted acceleration has in the direction that is flown: all of it, unless
+    # Component of the required acceleration in the direction of the lift: all of it, unless
     # the bank is at its limit.
     lift = wanted.vertical * cos_bank + wanted.lateral * sin_bank
 

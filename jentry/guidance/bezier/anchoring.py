@@ -1,4 +1,4 @@
-"""How a Bézier curve is anchored anew at the vehicle as it moves along."""
+"""How a Bézier curve is anchored again at the vehicle as it moves along."""
 
 from abc import abstractmethod
 from collections.abc import Callable
@@ -19,18 +19,21 @@ from .curve import (
 
 VelocityRate = Callable[[PathPoint, tuple[Scalar, Scalar], Scalar], Scalar]
 """Slope of the velocity over the angle along the track (m/s/rad), as a function of a point
-of a path, the second slopes there and the velocity"""
+of a path, the second slopes at the point and the velocity"""
 
 
 class Shape(eqx.Module):
-    """The two numbers by which a rule knows the curve: the second is adjusted in flight."""
+    """Two numbers that define the curve for an anchoring rule.
+
+    Velocity control adjusts the second one in flight.
+    """
 
     first: Scalar
     second: Scalar
 
 
 class AbstractAnchoring(eqx.Module):
-    """What stays of a curve from one guidance cycle to the next."""
+    """Rule for what is held of a curve from one guidance cycle to the next."""
 
     @abstractmethod
     def shape(
@@ -40,13 +43,13 @@ class AbstractAnchoring(eqx.Module):
 
     @abstractmethod
     def inner(self, shape: Shape, start: PathPoint, target: PathPoint) -> InnerPoints:
-        """Inner points of the curve from the vehicle on."""
+        """Inner points of the curve from the vehicle to the target."""
 
     @abstractmethod
     def carried(
         self, shape: Shape, before: Scalar, start: PathPoint, target: PathPoint
     ) -> Shape:
-        """Shape at a new start; `before` is the along-track angle of the last one, rad."""
+        """Shape at a new start; `before` is the previous along-track angle, rad."""
 
     @abstractmethod
     def integrated(
@@ -58,25 +61,25 @@ class AbstractAnchoring(eqx.Module):
         target: PathPoint,
         steps: int,
     ) -> Scalar:
-        """Velocity at the target, if the curve is anchored anew at every instant, m/s."""
+        """Velocity at the target if the curve is anchored again at every instant, m/s."""
 
     @abstractmethod
     def features(
         self, shape: Shape, start: PathPoint, target: PathPoint
     ) -> tuple[Scalar, ...]:
-        """The numbers of order 1 that tell the curve, for a network."""
+        """Numbers of order 1 that describe the curve, as inputs of a network."""
 
     @abstractmethod
     def bounds(self, start: PathPoint, target: PathPoint) -> tuple[Scalar, Scalar]:
-        """Two numbers between which the adjusted one makes sense."""
+        """Bounds of the adjusted number."""
 
 
 class StoredParameters(AbstractAnchoring):
-    """The paper's rule: k1 and k2 stay, and the curve changes.
+    """The paper's rule: k1 and k2 are constant, and the curve changes.
 
     The vertical command depends on K = k2 / k1^2 only. Near the target the altitude error
-    goes as X^(1.5/K) with the distance to go X, and the command as X^(1.5/K - 2): K < 1.5
-    and k2 < 1 are needed, and above K = 0.75 the command is singular, but integrable.
+    goes as X^(1.5/K) with the distance to go X, and the command as X^(1.5/K - 2). Hence
+    K < 1.5 and k2 < 1 are required. Above K = 0.75 the command is singular, but integrable.
     """
 
     def shape(
@@ -104,7 +107,7 @@ class StoredParameters(AbstractAnchoring):
         length = target.along - start.along
 
         def slopes(left, y):
-            """Over the cube root of the share of the way that is left."""
+            """Slopes over the cube root of the share of the way that is left."""
             altitude, altitude_slope, cross, cross_slope, velocity = y
             along = target.along - length * left**3
             point = PathPoint(along, altitude, cross, altitude_slope, cross_slope)
@@ -122,8 +125,8 @@ class StoredParameters(AbstractAnchoring):
             start.cross_slope,
             velocity,
         )
-        # The command may be singular at the target. What is left in the end is a share of
-        # 8e-6 of the way, along which the drag is that at its beginning.
+        # The command may be singular at the target. The integration stops where a share of
+        # 8e-6 of the way is left. The drag over this share is that at its beginning.
         left = 0.02
         y = runge_kutta(slopes, 1.0, left, y, steps)
         return y[-1] - slopes(left, y)[-1] * left / 3.0
@@ -139,12 +142,13 @@ class StoredParameters(AbstractAnchoring):
 
 
 class Subdivision(AbstractAnchoring):
-    """Beyond the paper: the curve stays, and its parameters change.
+    """Beyond the paper: the curve is constant, and its parameters change.
 
-    What is left of a Bézier curve from a point on is one itself, with inner points by
-    de Casteljau's construction. The shape is the distances of the inner points from the
-    ends (rad), which stay regular where the tangents become parallel and k1 and k2 do
-    not. Moving the third control point re-plans the rest of the flight.
+    The part of a Bézier curve beyond a point is a Bézier curve itself, whose inner points
+    follow from de Casteljau's construction. The two numbers of the shape are the distances
+    of the inner points from the ends (rad). They stay regular where the tangents become
+    parallel; k1 and k2 do not. Moving the third control point re-plans the rest of the
+    flight.
     """
 
     def shape(
@@ -202,5 +206,5 @@ class Subdivision(AbstractAnchoring):
 def parameters_of(
     anchoring: AbstractAnchoring, shape: Shape, start: PathPoint, target: PathPoint
 ) -> BezierParameters:
-    """k1 and k2 of the curve from the vehicle on."""
+    """k1 and k2 of the curve from the vehicle to the target."""
     return bezier_parameters(anchoring.inner(shape, start, target), start, target)

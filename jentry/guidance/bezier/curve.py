@@ -1,10 +1,10 @@
 """The path to the target as a cubic Bézier curve in curvilinear coordinates.
 
 Source: H. Zhou, T. Rahman, W. Chen, "Neural Network Assisted Inverse Dynamic Guidance for
-Terminally Constrained Entry Flight", 2014, section 3.2. Its coordinates are those of a
-local Cartesian frame (25) in which the tangent at the target keeps the direction of the
-start: over 56 degrees of arc such a curve leaves the atmosphere, and with the tangent
-turned as it should be it dips to 2 km. Here they are the angles along and across the
+Terminally Constrained Entry Flight", 2014, section 3.2. The coordinates of the paper are
+those of a local Cartesian frame (25), in which the tangent at the target has the directions
+of the start. Over 56 degrees of arc such a curve leaves the atmosphere; with the tangent
+turned correctly it dips to 2 km. Here the coordinates are the angles along and across the
 track and the altitude (`Track`), in which a glide is nearly straight.
 """
 
@@ -29,12 +29,12 @@ class PathPoint(eqx.Module):
 
 
 class BezierParameters(eqx.Module):
-    """Where the inner control points lie on the tangents at the ends: equation (29).
+    """Places of the inner control points on the tangents at the ends: equation (29).
 
-    The tangents meet, in the vertical plane, between start and target. k1 is the place
-    of the second control point on the way from the start to there, k2 that of the third
-    on the way from there to the target. Both are negative or more than 1 where the
-    tangents meet elsewhere.
+    The tangents meet, in the vertical plane, between start and target. k1 is the place of
+    the second control point between the start and that point. k2 is the place of the third
+    control point between that point and the target. Both are negative or more than 1 where
+    the tangents meet elsewhere.
     """
 
     k1: Scalar = scalar()
@@ -81,7 +81,7 @@ def bezier_parameters(
 
 
 class BezierPath(eqx.Module):
-    """A cubic Bézier curve by its four control points; tau runs from 0 to 1."""
+    """A cubic Bézier curve with four control points; the parameter tau goes from 0 to 1."""
 
     along: tuple[Scalar, Scalar, Scalar, Scalar]
     altitude: tuple[Scalar, Scalar, Scalar, Scalar]
@@ -108,7 +108,7 @@ class BezierPath(eqx.Module):
         )
 
     def point(self, tau: Scalar) -> PathPoint:
-        """Place and tangent: equations (26), (31)."""
+        """Point and tangent at tau: equations (26), (31)."""
         run, rise, drift = self._rates(tau)
         return PathPoint(
             along=_value(self.along, tau),
@@ -134,8 +134,8 @@ class BezierPath(eqx.Module):
     def parameter_at(self, along: Scalar) -> Scalar:
         """tau at an angle along the track, by Newton's method from the start.
 
-        For points ahead, the nearer the sooner: four steps reach rounding for all that a
-        vehicle passes in a guidance cycle.
+        The point must be ahead of the start. The nearer it is, the faster the method
+        converges: four steps reach rounding for all points of a guidance cycle.
         """
         tau = jnp.zeros_like(along)
         for _ in range(4):
@@ -143,14 +143,14 @@ class BezierPath(eqx.Module):
         return tau
 
     def after(self, tau: Scalar) -> "BezierPath":
-        """The rest of the curve from tau on, as a curve of its own (de Casteljau)."""
+        """The rest of the curve from tau on, as a Bézier curve (de Casteljau)."""
         return BezierPath(
             *(_after(p, tau) for p in (self.along, self.altitude, self.cross))
         )
 
     @property
     def inner(self) -> InnerPoints:
-        """Its inner points."""
+        """Inner points of the curve."""
         return InnerPoints(
             first=self.along[1] - self.along[0], last=self.along[3] - self.along[2]
         )
@@ -164,7 +164,7 @@ class BezierPath(eqx.Module):
 
 
 def _value(points, tau):
-    # From the start, where the numbers are small against those of the control points.
+    # Differences from the start, which are small beside the control points.
     p0, p1, p2, p3 = points
     rest = 1.0 - tau
     return p0 + tau * (

@@ -1,7 +1,7 @@
-"""Accelerations that a path asks for: the equations of motion solved for the forces.
+"""Accelerations that a path requires: the equations of motion solved for the forces.
 
-Source: Zhou, Rahman and Chen 2014, equations (14) to (22), corrected; latitude and
-longitude there are the coordinates of a track here.
+Source: Zhou, Rahman and Chen 2014, equations (14) to (22), corrected. The latitude and
+longitude of the paper are the coordinates of a track here.
 """
 
 import equinox as eqx
@@ -27,7 +27,7 @@ class Directions(eqx.Module):
 
 
 class Acceleration(eqx.Module):
-    """Specific force across the velocity, m/s2."""
+    """Specific force normal to the velocity, m/s2."""
 
     vertical: Scalar
     """Upwards, in the vertical plane of the velocity"""
@@ -36,7 +36,7 @@ class Acceleration(eqx.Module):
 
 
 def path_point(planet: Planet, place: TrackPosition, state: EntryState) -> PathPoint:
-    """Point of the path that a vehicle in this state flies, equations (14) and (15)."""
+    """Point and tangent of the path of a vehicle in this state, equations (14), (15)."""
     sin_path, cos_path = sincos(state.flight_path_angle)
     _, cos_along = sincos(place.along)
     per_cos_heading = 1.0 / place.cos_heading
@@ -66,7 +66,7 @@ def directions(planet: Planet, point: PathPoint) -> Directions:
 
 
 def seconds_per_radian(radius: Scalar, velocity: Scalar, towards: Directions) -> Scalar:
-    """Time over the angle along the track, s/rad."""
+    """Derivative of the time with respect to the angle along the track, s/rad."""
     return radius / (velocity * towards.cos_path * towards.cos_heading)
 
 
@@ -76,19 +76,19 @@ def required_acceleration(
     second_slopes: tuple[Scalar, Scalar],
     velocity: Scalar,
 ) -> Acceleration:
-    """To fly a curve at a velocity (m/s): equations (19) to (22), corrected.
+    """Acceleration to fly a curve at a velocity (m/s): equations (19) to (22), corrected.
 
     **Arguments:**
 
-    - `second_slopes`: of altitude (m/rad2) and cross-track angle (1/rad) over the angle
-      along the track.
+    - `second_slopes`: second derivatives of altitude (m/rad2) and cross-track angle (1/rad)
+      over the angle along the track.
     """
     rise, drift = point.altitude_slope, point.cross_slope
     bend, aside = second_slopes
     at = directions(planet, point)
     sin_along, cos_along = sincos(point.along)
     radius = planet.radius + point.altitude
-    # (22) and (21): how fast heading and flight-path angle turn along the track.
+    # (22) and (21): rates of heading and flight-path angle along the track.
     turn = at.cos_heading**2 * (aside * cos_along - drift * sin_along)
     pitch = (
         at.cos_path**2

@@ -2,7 +2,7 @@
 
 Source: H. Zhou, T. Rahman, W. Chen, "Neural Network Assisted Inverse Dynamic Guidance for
 Terminally Constrained Entry Flight", Mathematical Problems in Engineering, 2014; its
-equations as corrected in `onboard.bezier`, `inverse_dynamics` and `attitude`.
+equations as corrected in `curve`, `inverse_dynamics` and `allocation`.
 """
 
 import equinox as eqx
@@ -33,7 +33,7 @@ from .velocity_control import AbstractVelocityControl, NoVelocityControl, Predic
 
 
 class Arrival(eqx.Module):
-    """How the target is to be reached."""
+    """Required altitude, flight-path angle and heading at the target."""
 
     altitude: Scalar = scalar(unit="m")
     flight_path_angle: Scalar = scalar(unit="rad", range=QUARTER)
@@ -41,39 +41,39 @@ class Arrival(eqx.Module):
 
 
 class HeldCurve(AbstractTimedDecision):
-    """What the law holds through a guidance cycle."""
+    """Decision of the law that is held through a guidance cycle."""
 
     controls: Controls
     shape: Shape
     along: Scalar
-    """Where the curve is anchored, rad along the track"""
+    """Angle along the track at which the curve is anchored, rad"""
     estimate: AbstractFactorEstimate
     duration: Scalar
     """Length of this cycle, s"""
     count: Scalar
     """Number of cycles decided so far"""
     predictions: Predictions
-    """Predictions of the velocity at the target so far"""
+    """Number of predictions of the velocity at the target so far"""
 
 
 class BezierGuidance(AbstractSampledLaw[tuple[()], HeldCurve]):
-    """Flies a cubic Bézier curve to a target, anchored anew at every guidance cycle.
+    """Flies a cubic Bézier curve to a target, anchored again at every guidance cycle.
 
-    Position, flight-path angle and heading at the target are met by the curve; the
-    velocity there by what `velocity_control` does to it.
+    The curve meets position, flight-path angle and heading at the target.
+    `velocity_control` adjusts the curve to meet the velocity there.
 
     **Arguments:**
 
     - `parameters`: k1 and k2 of the curve at the start.
-    - `track`, `arrival`: where to, and how.
-    - `limits`: of what it commands. The limits of load factor, dynamic pressure and heat
-      rate that it keeps are those of `Scenario.constraints`; without any of them it is
-      flown with a warning.
+    - `track`, `arrival`: the target, and the conditions on arrival.
+    - `limits`: limits of the command. The limits of load factor, dynamic pressure and heat
+      rate that the law respects are those of `Scenario.constraints`; without any of them
+      a warning is issued.
     - `cycle`: the guidance cycles.
     - `anchoring`: `StoredParameters` (the paper's) or `Subdivision`.
-    - `acceleration_loop`: the commanded specific force is achieved, by the estimated
-      lift factor. Without it the model is inverted as printed, equation (34): with an
-      unknown factor of 10 % on the lift that loses a third of the flights.
+    - `acceleration_loop`: whether the estimated lift factor is used to achieve the
+      commanded specific force. Without it the model is inverted as printed, equation (34):
+      with an unknown factor of 10 % on the lift a third of the flights are then lost.
     """
 
     keeps = (LoadFactor, DynamicPressure, HeatRate)
@@ -99,7 +99,7 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], HeldCurve]):
         self.velocity_control.check(self.glide({}))
 
     def glide(self, constraints: Constraints) -> Glide:
-        """What flies the curve, below the limits of the path constraints."""
+        """The model with its limits and anchoring, under the path constraints."""
         return Glide(self.model, self.limits, constraints, self.anchoring)
 
     def target(self) -> PathPoint:
@@ -193,14 +193,14 @@ class BezierGuidance(AbstractSampledLaw[tuple[()], HeldCurve]):
     def caveats(self, held: HeldCurve) -> dict[str, Scalar]:
         """Share of the predictions of the velocity at the target without an answer.
 
-        And those of the estimate.
+        The caveats of the estimate are included.
         """
         made = held.predictions
         share = made.unanswered / jnp.maximum(made.asked, 1.0)
         return {"unanswered_predictions": share} | held.estimate.caveats()
 
     def situation(self, state: EntryState, decision: HeldCurve) -> Situation:
-        """What a prediction of the velocity at the target starts from."""
+        """Start of a prediction of the velocity at the target."""
         return Situation(
             point=self._point(state),
             velocity=state.velocity,

@@ -1,4 +1,4 @@
-"""The velocity at the target, predicted on board by flying the model along the curve."""
+"""Onboard prediction of the velocity at the target, by flying the model along the curve."""
 
 import enum
 import warnings
@@ -21,7 +21,7 @@ from .inverse_dynamics import directions, required_acceleration, seconds_per_rad
 
 
 class Situation(eqx.Module):
-    """What a prediction starts from: the vehicle on its curve, as it knows itself."""
+    """Start of a prediction: the vehicle on its curve, as the law estimates it."""
 
     point: PathPoint
     velocity: Scalar
@@ -32,12 +32,12 @@ class Situation(eqx.Module):
 
 
 class Glide(eqx.Module):
-    """What flies the curve: the model on board, the limits and the rule of anchoring."""
+    """What a prediction flies: the onboard model, its limits and the anchoring rule."""
 
     model: OnboardModel
     limits: FlightLimits
     constraints: Constraints
-    """What may not be exceeded"""
+    """Path constraints, whose limits the command respects"""
     anchoring: AbstractAnchoring
 
 
@@ -46,20 +46,22 @@ class AbstractVelocityPredictor(eqx.Module):
 
     @abstractmethod
     def predict(self, glide: Glide, situation: Situation) -> Scalar:
-        """m/s; differentiable in the shape. NaN where there is no answer."""
+        """Velocity at the target, m/s; differentiable in the shape. NaN if unknown."""
 
 
 class FlownModel(AbstractVelocityPredictor):
     """Integrates the motion of the model from the vehicle to the target.
 
-    Over the curve, anchored anew at every instant, with the commanded specific force
-    achieved: without the hold of a guidance cycle. The path is the curve also where the
-    angle of attack is at a limit, which then counts for the drag alone.
+    The motion follows the curve, anchored again at every instant, and the commanded
+    specific force is achieved: the hold of a guidance cycle is not modelled. The path is
+    the curve also where the angle of attack is at a limit; the limit then only affects
+    the drag.
     """
 
     steps: int = eqx.field(default=32, static=True)
-    """Number of Runge-Kutta steps. 16 are enough for a subdivided curve. Stored
-    parameters with k2 / k1^2 below 0.5 converge to the path so fast that 32 are too few"""
+    """Number of Runge-Kutta steps. 16 are enough for a subdivided curve. For stored
+    parameters with k2 / k1^2 below 0.5, which converge very fast to the path, 32 are too
+    few"""
 
     def predict(self, glide: Glide, situation: Situation) -> Scalar:
         planet, vehicle = glide.model.planet, glide.model.vehicle
@@ -116,7 +118,7 @@ FACTOR_FEATURES = "lift factor", "drag factor"
 
 
 class Inputs(enum.Enum):
-    """What a network is told."""
+    """Set of inputs of a network."""
 
     STATE = "the state, on one curve"
     ALL = "the state, the curve and the estimated factors"
@@ -130,7 +132,7 @@ class Inputs(enum.Enum):
 
 
 def features(glide: Glide, situation: Situation, inputs: Inputs) -> Float[Array, " n"]:
-    """What a network reads of a situation."""
+    """Inputs of a network in a situation."""
     point, target = situation.point, situation.target
     numbers = [
         target.along - point.along,
@@ -148,24 +150,24 @@ def features(glide: Glide, situation: Situation, inputs: Inputs) -> Float[Array,
 
 
 VELOCITIES = "velocity at the target, m/s"
-"""Of a network's model card: smallest and largest in training"""
+"""Entry of a network's model card: smallest and largest velocity in training"""
 
 
 class NetworkPredictor(AbstractVelocityPredictor):
-    """A network that has learnt from flights.
+    """Prediction by a network that was trained on flights.
 
-    It gives ln(v / v_f) / X for the velocity v and the angle to go X, so that
-    its error vanishes as the target comes near.
+    The output of the network is ln(v / v_f) / X for the velocity v and the angle to go X,
+    so that the error vanishes as the target comes near.
 
-    It answers within the ranges of its training only. Where an input is outside of its
-    range, or the velocity at the target would be, the prediction is NaN: the laws then
-    leave the curve as it is. A warning says so where the numbers are known when it is
-    called, which they are not under `jit`: see `Flight.caveats`.
+    The network answers only within the ranges of its training. If an input or the velocity
+    at the target is outside of its range, the prediction is NaN, and the laws leave the
+    curve unchanged. A warning is issued if the numbers are known at the call. Under `jit`
+    they are not: see `Flight.caveats`.
     """
 
     network: Network
     velocities: Float[Array, "..."] = table(unit="m/s")
-    """(2,) smallest and largest velocity at the target in training"""
+    """Smallest and largest velocity at the target in training, shape (2,)"""
     inputs: Inputs = eqx.field(default=Inputs.ALL, static=True)
 
     def __check_init__(self):
@@ -183,7 +185,7 @@ class NetworkPredictor(AbstractVelocityPredictor):
     def predict(self, glide: Glide, situation: Situation) -> Scalar:
         read = features(glide, situation, self.inputs)
         known = self.network.knows(read)
-        # On both sides of the `where`, so that no derivative comes from out there.
+        # On both sides of the `where`, so that the unused branch has no derivative.
         inside = jnp.where(known, read, self.network.input_mean)
         to_go = situation.target.along - situation.point.along
         velocity = situation.velocity * jnp.exp(-to_go * self.network(inside))
@@ -194,7 +196,7 @@ class NetworkPredictor(AbstractVelocityPredictor):
         return jnp.where(answers, velocity, jnp.nan)
 
     def _refusal(self, read: Array, velocity: Scalar) -> str:
-        """Why there is no answer."""
+        """Message that explains why there is no answer."""
         beyond = [
             f"{name} is {float(value):.6g}, trained from {low:.6g} to {high:.6g}"
             for name, value, (low, high), outside in zip(

@@ -1,4 +1,4 @@
-"""How the curve is adjusted in flight, to reach the target at a wanted velocity."""
+"""Adjustment of the curve in flight, to reach the target at a required velocity."""
 
 from abc import abstractmethod
 
@@ -14,40 +14,40 @@ from .prediction import AbstractVelocityPredictor, FlownModel, Glide, Situation
 
 
 class Predictions(eqx.Module):
-    """How many predictions a control has asked for, and how many had no answer."""
+    """Number of predictions of a velocity control, and how many had no answer."""
 
     asked: Scalar
     unanswered: Scalar
-    """Not finite: a network was asked outside of its ranges, or a flown model ended in
-    nothing. The curve was then left as it was"""
+    """Predictions that were not finite, since an input of a network was outside of its
+    range or the model did not reach the target. The curve was then left unchanged"""
 
     @classmethod
     def none(cls, like: Scalar) -> "Predictions":
-        """The counts of a control that has not asked yet."""
+        """Counts before the first prediction."""
         nothing = 0.0 * jnp.asarray(like)
         return cls(nothing, nothing)
 
 
 class AbstractVelocityControl(eqx.Module):
-    """Moves the third control point of the curve, or leaves it."""
+    """Adjusts the third control point of the curve, or leaves it."""
 
     @abstractmethod
     def check(self, glide: Glide) -> None:
-        """Refuse a rule of anchoring that this control cannot work with."""
+        """Refuse an anchoring rule that this control cannot work with."""
 
     @abstractmethod
     def adjusted(
         self, glide: Glide, situation: Situation, cycle: Scalar, seconds_to_go: Scalar
     ) -> tuple[Shape, Predictions]:
-        """The shape after the decision of a guidance cycle, counted from 0.
+        """Shape after the decision of a guidance cycle (counted from 0), and the counts.
 
-        And the predictions of this cycle. Without an answer the shape is left as it is:
-        a command is not made of what nobody knows.
+        The counts are those of the predictions in this cycle. If a prediction has no
+        answer, the shape is left unchanged.
         """
 
 
 class NoVelocityControl(AbstractVelocityControl):
-    """The velocity at the target is what it happens to be."""
+    """No adjustment: the velocity at the target is not controlled."""
 
     def check(self, glide: Glide) -> None:
         return
@@ -59,24 +59,24 @@ class NoVelocityControl(AbstractVelocityControl):
 
 
 class Epochs(eqx.Module):
-    """When the velocity is predicted: at every so many guidance cycles from the first.
+    """Epochs at which the velocity is predicted: every n guidance cycles from the first.
 
     Where the cycles become shorter, so does the time between the epochs. All flights of
-    a batch have them together, which is what makes them cheap.
+    a batch have their epochs at the same cycles, which makes them cheap.
     """
 
     every: int | None = eqx.field(default=25, static=True)
-    """Guidance cycles; none for the first cycle alone"""
+    """Number n of guidance cycles; None for an epoch at the first cycle alone"""
     last: float = eqx.field(default=60.0, static=True)
-    """No epoch in the last seconds before the target: there the third control point moves
-    far for little, at the cost of the flight-path angle"""
+    """Time before the target inside which there is no epoch, s. There the third control
+    point moves far for a small effect, at the cost of the flight-path angle"""
 
     def __check_init__(self):
         if self.every is not None and self.every < 1:
             raise ValueError(f"every is {self.every} cycles: it must be 1 or more")
 
     def due(self, cycle: Scalar, seconds_to_go: Scalar) -> Flag:
-        """Whether one falls on this cycle."""
+        """Whether an epoch falls on this cycle."""
         now = cycle == 0.0
         if self.every is not None:
             now = jnp.mod(cycle, float(self.every)) == 0.0
@@ -86,23 +86,26 @@ class Epochs(eqx.Module):
 class PolynomialAdjustment(AbstractVelocityControl):
     """k2 by the polynomial k2(v) of the nominal flight: equations (37) and (38).
 
-    The velocity is predicted as with the nominal k2. What a disturbance changes in it is
-    taken to be the same for all k2, so that the k2 is taken with which the nominal flight
-    would end as much above its velocity as this one is predicted to end below it.
+    The velocity at the target is predicted with the nominal k2. The effect of a disturbance
+    on it is assumed to be equal for all k2. The law therefore takes the k2 with which the
+    nominal flight would end as much above its nominal velocity as the present flight is
+    predicted to end below it.
 
-    One polynomial belongs to one place on the nominal flight: there is a table of them,
-    interpolated (`planning.k2_polynomials`). With the first one at every epoch, as printed,
-    it gets worse. Where the prediction is not finite k2 is left as it is; the derivative
-    of such a flight in reverse mode is not finite, and `tune` leaves it out.
+    A polynomial is valid at one place on the nominal flight. The law interpolates in a
+    table of polynomials (`planning.k2_polynomials`). If the first polynomial is used at
+    every epoch, as printed, the result is worse. Where the prediction is not finite, k2 is
+    left unchanged. The derivative of such a flight in reverse mode is not finite, and
+    `tune` leaves it out.
     """
 
     to_go: Float[Array, "..."] = table(unit="rad", increasing=True)
-    """(n,) angle to go at the places of the polynomials, increasing"""
+    """Angle to go at the places of the polynomials, shape (n,), increasing"""
     nominal_k2: Scalar = scalar()
     nominal_velocity: Float[Array, "..."] = table(unit="m/s")
-    """(n,) predicted there for the nominal flight"""
+    """Velocity at the target that is predicted there for the nominal flight, shape (n,)"""
     polynomials: Float[Array, "..."] = table()
-    """(n, 3), k2 = p0 + p1 x + p2 x^2 with x = (v - nominal) / 100 m/s"""
+    """Coefficients of k2 = p0 + p1 x + p2 x^2 with x = (v - nominal) / 100 m/s, shape
+    (n, 3)"""
     predictor: AbstractVelocityPredictor = FlownModel()
     epochs: Epochs = Epochs(every=None)
 
@@ -153,15 +156,16 @@ class PolynomialAdjustment(AbstractVelocityControl):
 class NewtonAdjustment(AbstractVelocityControl):
     """Beyond the paper: Newton's method on the predicted velocity at the target.
 
-    With any predictor, since all are differentiable: the flown model, or the network.
-    Where a prediction is not finite the curve is left as it is until the next epoch; the
+    Any predictor can be used, since all are differentiable: the flown model or the network.
+    Where a prediction is not finite, the curve is left unchanged until the next epoch. The
     derivative of such a flight in reverse mode is not finite, and `tune` leaves it out.
 
-    What it can do has an end. With little drag the third control point moves towards the
-    target, where its lower bound is 1 % of the way to go: then the vehicle is too fast
-    at the target, and the path bends in its last second more than gravity bends it. Of
-    the CAV-H mission's `normal-sensed` runs such a one (seed 4, run 265: drag at 80 %)
-    ends 5.7 m/s too fast, 0.15 m and 0.1 deg of flight-path angle off.
+    The authority of this control is limited. With little drag the third control point moves
+    towards the target, and its lower bound is 1 % of the way to go. At the bound the
+    vehicle is too fast at the target, and in its last second the path bends more than
+    gravity bends it. An example among the `normal-sensed` runs of the CAV-H mission (seed
+    4, run 265: drag at 80 %) ends 5.7 m/s too fast, 0.15 m and 0.1 deg of flight-path
+    angle off.
     """
 
     wanted_velocity: Scalar = scalar(unit="m/s", positive=True)
@@ -169,7 +173,7 @@ class NewtonAdjustment(AbstractVelocityControl):
     epochs: Epochs = Epochs()
     iterations: int = eqx.field(default=1, static=True)
     largest_step: float = eqx.field(default=0.3, static=True)
-    """Share of the room between the bounds that one iteration may move"""
+    """Largest step of one iteration, as a share of the interval between the bounds"""
 
     def check(self, glide: Glide) -> None:
         return
@@ -203,6 +207,6 @@ class NewtonAdjustment(AbstractVelocityControl):
 
 
 def _one(answered: Flag) -> Predictions:
-    """One prediction."""
+    """Counts of one prediction."""
     asked = jnp.ones_like(answered, dtype=float)
     return Predictions(asked, jnp.where(answered, 0.0, asked))

@@ -1,3 +1,3 @@
-"""Apollo 10: a capsule of little lift that returns from the Moon."""
+"""Apollo 10: a capsule with little lift that returns from the Moon."""
 
 from .mission import MISSION as MISSION

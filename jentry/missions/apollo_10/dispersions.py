@@ -1,4 +1,4 @@
-"""What is uncertain in the Apollo 10 mission: what the toolbox's missions share."""
+"""Dispersions of the Apollo 10 mission: those common to the missions of the toolbox."""
 
 from ..._computed_once import computed_once
 from ...campaign.dispersions import Dispersion

@@ -1,10 +1,10 @@
-"""Apollo 10: the capsule, its return from the Moon, and the law that flies it.
+"""Apollo 10: the capsule, its return from the Moon, and its guidance law.
 
 Numbers are those of the example `Earth_Apollo10` of the NPCG Toolbox of Iowa State
-University (Y. Lee, D. Y. Lee, B. Wie, 2024). It names as its sources the analysis of the
-flown entry (Szelc 1969, Apollo 10 Mission Report, Supplement 10, NASA TM-X-69555) and, for
-the limits, Pavlosky and St. Leger (1974); the air is "Hicks 2009" there. These have not
-been read here. What is not of the toolbox says so.
+University (Y. Lee, D. Y. Lee, B. Wie, 2024). It cites the analysis of the actual entry
+(Szelc 1969, Apollo 10 Mission Report, Supplement 10, NASA TM-X-69555) and, for the limits,
+Pavlosky and St. Leger (1974). It calls the air "Hicks 2009". We have not checked these
+sources. Numbers that are not from the toolbox are marked.
 """
 
 import dataclasses
@@ -35,30 +35,31 @@ from .. import npcg_toolbox as toolbox
 
 
 RADIUS_AT_ENTRY = 6498.270 * km
-"""From the centre of the Earth"""
+"""Distance from the centre of the Earth at the entry"""
 INERTIAL_VELOCITY = 11_067.15
-"""m/s"""
+"""Inertial velocity at the entry, m/s"""
 INERTIAL_PATH_ANGLE, INERTIAL_HEADING = -6.6198381 * degree, 71.9317 * degree
 LONGITUDE, LATITUDE = 174.24384 * degree, -23.51457 * degree
-"""At the entry, the latitude geocentric"""
+"""Longitude and geocentric latitude at the entry"""
 TARGET_LONGITUDE, TARGET_LATITUDE = 194.8501 * degree, -15.4121 * degree
 END_ALTITUDE, END_VELOCITY = 5683.0, 119.67
-"""m, m/s"""
+"""Altitude, m, and velocity, m/s, at the end"""
 SKIP_RANGE = 5000.0 * km
 FIRST_BANK, FINAL_BANK = 70.0 * degree, 30.0 * degree
-"""Of the linear bank: where it begins, before the first correction, and at its end"""
+"""Present bank before the first correction, and bank at the end, of the linear bank"""
 LARGEST_BANK = 85.0 * degree
-"""Our own; 180 degrees in the toolbox. With more than this a capsule that is as slow as at
-its end falls vertically, where the state has no heading"""
+"""Largest bank, our own; it is 180 degrees in the toolbox. With a larger bank a capsule at
+the low velocity of its end falls vertically, where the state has no heading"""
 LEAST_EFFECT = 1500.0
-"""m, our own: where the bank has no more of the range left than that, it stays"""
+"""Effect of the bank on the range, m, below which the bank is held; our own"""
 
 _HEATING = 20e-9 * 11_356.539
-"""Of a formula of Young and Smith's (1967) as the toolbox has it: 20 sqrt(density) times
-the cube of the velocity, in Btu/(ft2 s), the toolbox's digits of which are these, with the
-density in kg/m3 and the velocity in km/s. The number looks like one for slug/ft3 and
-thousands of ft/s, in which Detra, Kemp and Riddell have 20.5 for a nose of one foot; heat
-rates would be 1.56 times as large then"""
+"""Coefficient of the heat rate, from a formula of Young and Smith (1967) in the toolbox:
+20 sqrt(density) times the cube of the velocity, in Btu/(ft2 s), with the density in kg/m3
+and the velocity in km/s. The second factor is that Btu/(ft2 s) with the digits of the
+toolbox. The number 20 looks like one for slug/ft3 and thousands of ft/s, for which Detra,
+Kemp and Riddell have 20.5 at a nose radius of one foot; heat rates would then be 1.56 times
+as large"""
 
 
 def earth() -> Planet:
@@ -67,9 +68,10 @@ def earth() -> Planet:
 
 
 def capsule() -> Vehicle:
-    """5498.22 kg and 12.017 m2, with a lift-to-drag ratio of 0.325 at every speed.
+    """The capsule: 5498.22 kg and 12.017 m2, lift-to-drag ratio of 0.325 at every speed.
 
-    The formula of the heat rate has no nose radius: where jentry divides by one it is 1 m.
+    The formula of the heat rate has no nose radius. It is set to 1 m, by which jentry
+    divides.
     """
     return Vehicle(
         mass=5498.22,
@@ -79,7 +81,7 @@ def capsule() -> Vehicle:
 
 
 def entry_state(planet: Planet) -> EntryState:
-    """At the entry interface, relative to the rotating planet."""
+    """State at the entry interface, relative to the rotating planet."""
     sin_path, cos_path = sincos(jnp.asarray(INERTIAL_PATH_ANGLE))
     sin_heading, cos_heading = sincos(jnp.asarray(INERTIAL_HEADING))
     carried = planet.rotation_rate * RADIUS_AT_ENTRY * jnp.cos(LATITUDE)
@@ -98,22 +100,22 @@ def entry_state(planet: Planet) -> EntryState:
 
 
 def lateral() -> PredictedCrossrange:
-    """Our own: up to ten reversals.
+    """Our own lateral logic: up to ten bank reversals.
 
-    With six at most, and a factor of 2, they are used up before the end, and the crossrange
-    is missed by more than the range is now: the reversals that come last leave an error
-    along the track, since the bank can do no more about it.
+    With at most six, and a factor of 2, all reversals happen before the end, and the
+    crossrange error is larger than the range error is now. The last of ten reversals leave
+    a range error, since the bank can no longer correct it.
     """
     return PredictedCrossrange(factor=2.0, most=10.0)
 
 
 def guided() -> Scenario:
-    """A bank that is linear over the energy, within the limits, down to the altitude.
+    """A bank that is linear over the energy, within the limits, down to the end altitude.
 
-    The toolbox ends at an energy, that of this altitude and velocity, or within 100 m of
-    the target; a capsule falls at its terminal velocity by then, so that it is the altitude
-    which ends it. There the lift is held upwards for 90 s, which keeps the load; here the
-    limits do so (`PathLimits`).
+    The toolbox ends at the energy of this altitude and velocity, or within 100 m of the
+    target. By then the capsule falls at its terminal velocity, so that the altitude
+    determines the end. The toolbox holds the lift upwards for 90 s, which limits the load
+    factor. Here `PathLimits` does so.
     """
     planet = earth()
     start = entry_state(planet)
@@ -159,9 +161,9 @@ def guided() -> Scenario:
 
 
 def skip(scenario: Scenario) -> Scenario:
-    """Out of the air and in again, to a point 5000 km straight ahead, a choice of our own.
+    """A skip out of the air to a target 5000 km straight ahead, which is our own choice.
 
-    Far beyond it the ceiling would have to be higher.
+    A much farther target would need a higher ceiling.
     """
     return eqx.tree_at(
         lambda s: (s.target.downrange, s.target.crossrange),
@@ -171,7 +173,7 @@ def skip(scenario: Scenario) -> Scenario:
 
 
 def unlimited() -> Scenario:
-    """A linear bank with no regard to the limits: it exceeds those of load and pressure."""
+    """A linear bank without limits: it exceeds those of load and dynamic pressure."""
     scenario = guided()
     law = dataclasses.replace(scenario.guidance, limits=None)
     return dataclasses.replace(scenario, guidance=law)

@@ -1,3 +1,3 @@
-"""The CAV-H glider: scenario, dispersions, networks and how they are trained."""
+"""The CAV-H glider: scenario, dispersions, networks and their training."""
 
 from .mission import MISSION as MISSION

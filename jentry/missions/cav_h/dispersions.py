@@ -1,4 +1,4 @@
-"""What is uncertain in the CAV-H mission: Table 2, sensors, air, and data for training."""
+"""Dispersions of the CAV-H mission: Table 2, sensors, air, and those for training."""
 
 import math
 from collections.abc import Callable
@@ -15,18 +15,18 @@ RADIUS = 6371.0 * km
 
 WAVELENGTHS = 25.0 * km, 8.0 * km
 AMPLITUDES = 0.05, 0.02
-"""Of the waves of the density, in shares"""
+"""Amplitudes of the waves of the density, as shares of it"""
 TREND_ALTITUDES = 30.0 * km, 80.0 * km
 TREND_DEVIATIONS = 0.1 / 3.0, 0.25 / 3.0
-"""Standard deviations of the trend of the density at these altitudes, in shares"""
+"""Standard deviations of the trend of the density at these altitudes, as shares of it"""
 FACTOR_DEVIATION = 0.1 / 3.0
-"""Of the other factors"""
+"""Standard deviation of the other factors"""
 
 
 def _initial_state(
     about_zero: Callable[[float], AbstractDistribution],
 ) -> dict[str, Dispersion]:
-    """Table 2, each distribution by what is printed."""
+    """Initial state of Table 2, each distribution from its printed number."""
 
     def moved(where, printed):
         return Dispersion(where, about_zero(printed), apply=add)
@@ -57,20 +57,20 @@ def _factors(distribution) -> dict[str, Dispersion]:
 
 @computed_once
 def normal() -> dict[str, Dispersion]:
-    """Table 2 with the factors normal, 10 % at three sigma."""
+    """Table 2 with normal factors, 10 % at 3 sigma."""
     return _initial_state(_three_sigma) | _factors(Normal(1.0, FACTOR_DEVIATION))
 
 
 @computed_once
 def uniform() -> dict[str, Dispersion]:
-    """Table 2 with the factors uniform within 10 %."""
+    """Table 2 with uniform factors within 10 %."""
     return _initial_state(_three_sigma) | _factors(Uniform(0.9, 1.1))
 
 
 @computed_once
 def _accelerometers() -> dict[str, Dispersion]:
-    """Bias of 100 micro-g and scale factor of 300 ppm at three sigma, noise of 50
-    micro-g in each sample.
+    """Bias of 100 micro-g and scale factor of 300 ppm at 3 sigma, noise of 50 micro-g in
+    each sample.
     """
     bias = Normal(0.0, 100.0 * micro_g / 3.0)
     scale = Normal(0.0, 300e-6 / 3.0)
@@ -86,19 +86,19 @@ def _accelerometers() -> dict[str, Dispersion]:
 
 
 def normal_sensed() -> dict[str, Dispersion]:
-    """`normal` with errors of the accelerometers."""
+    """Dispersions `normal` with errors of the accelerometers."""
     return normal() | _accelerometers()
 
 
 def uniform_sensed() -> dict[str, Dispersion]:
-    """`uniform` with errors of the accelerometers."""
+    """Dispersions `uniform` with errors of the accelerometers."""
     return uniform() | _accelerometers()
 
 
 @computed_once
 def _waves() -> dict[str, Dispersion]:
-    """As in the dispersed atmosphere of studies of the RLV: a trend of 10 % at 30 km to
-    25 % at 80 km at three sigma, and waves of 5 % (25 km) and 2 % (8 km).
+    """Dispersed atmosphere of studies of the RLV: at 3 sigma a trend of 10 % at 30 km to
+    25 % at 80 km, and waves of 5 % (25 km) and 2 % (8 km).
     """
     low, high = (Constant(share) for share in TREND_DEVIATIONS)
     long, short = (Constant(amplitude) for amplitude in AMPLITUDES)
@@ -116,22 +116,22 @@ def _waves() -> dict[str, Dispersion]:
 
 
 def waves_sensed() -> dict[str, Dispersion]:
-    """`normal-sensed` with a density factor that varies with altitude."""
+    """Dispersions `normal-sensed` with a density factor that varies with altitude."""
     others = {name: d for name, d in normal().items() if name != "density"}
     return others | _waves() | _accelerometers()
 
 
 def _wider(printed: float) -> Uniform:
-    """Half as wide again as three sigma: a normal draw is outside once in 150 000."""
+    """Uniform within 1.5 times 3 sigma: a normal draw is outside once in 150 000."""
     return Uniform(-1.5 * printed, 1.5 * printed)
 
 
 @computed_once
 def training_dispersions() -> dict[str, Dispersion]:
-    """Dispersions of the training flights: uniform, half as wide again as Table 2.
+    """Dispersions of the training flights: uniform, 1.5 times as wide as Table 2.
 
-    Lift and drag are within 20 %, the product of two factors at their limit of 10 %. k2
-    moves with them.
+    Lift and drag vary by 20 %, the product of two factors at their limit of 10 %. k2 is
+    dispersed too.
     """
     factor = Uniform(0.8, 1.22)
     return _initial_state(_wider) | {
@@ -143,9 +143,9 @@ def training_dispersions() -> dict[str, Dispersion]:
 
 @computed_once
 def state_training_dispersions() -> dict[str, Dispersion]:
-    """Dispersions that train a network that reads the state alone, on one curve.
+    """Dispersions of the training flights of a network with only the state as input.
 
-    What the network cannot read it can only expect: the factors are those that it will
-    meet.
+    They are for one curve. The network cannot know the factors, only their distribution:
+    the factors have the distribution of the flights in which it is used.
     """
     return _initial_state(_wider) | _factors(Normal(1.0, FACTOR_DEVIATION))

@@ -44,7 +44,7 @@ def _train(folder: Path, seed: int, **options: Any) -> dict[str, dict[str, Any]]
 
 
 def _errors(name: str, unit: str, variable: str, size: float, values) -> tuple:
-    """Maximum, mean and standard deviation in Table 3, of magnitudes but for the last."""
+    """Maximum and mean of magnitudes, and standard deviation of values, in Table 3."""
 
     def statistic(function):
         return lambda v: float(function(v[variable] / size))

@@ -1,4 +1,4 @@
-"""CAV-H, numerical predictor-corrector: to point and velocity, by the bank alone."""
+"""CAV-H, numerical predictor-corrector to a point and a velocity, with the bank only."""
 
 import dataclasses
 import math
@@ -20,24 +20,24 @@ from .scenario import FINAL_VELOCITY, LARGEST_BANK, earth, glider, stored
 
 
 STEP = 0.5
-"""s; the bank is smooth within a guidance cycle"""
+"""Length of a step, s; the bank is smooth within a guidance cycle"""
 
 ANGLE_OF_ATTACK = 6.0 * degree
-"""With it the nominal flight banks by 36 to 56 degrees, which leaves room to either side,
-and bears 1.63 of the 2 g that are allowed. Chosen: below 10 degrees the drag is the same
-at any"""
+"""Chosen angle of attack. The bank of the nominal flight is then 36 to 56 degrees, which
+leaves a margin to either side, and its load factor is 1.63 g of the allowed 2 g. Below 10
+degrees the drag does not depend on the angle of attack"""
 
 
 def guided() -> Scenario:
-    """Two numbers of the bank, for range and altitude where the velocity is the final one.
+    """Predictor-corrector: two bank numbers for range and altitude at the final velocity.
 
-    The paper's law flies straight ahead and turns the angle of attack. Here that is
-    constant, and what lift is too much is banked aside, to one side and the other. With
-    the damping the first number is for the range and the second one for the altitude.
-    Path angle and heading at the target are not aimed at.
+    The paper's law flies straight ahead and changes the angle of attack. Here the angle of
+    attack is constant, and excess lift is banked to one side or the other. With the
+    damping the first number determines the range and the second one the altitude. The law
+    does not control flight-path angle and heading at the target.
 
-    Reversals are at once here. A small factor makes more of them, up to a dozen or so,
-    which end nearer the target and nearer the paper's heading.
+    Bank reversals take no time here. A small factor makes more of them, up to about a
+    dozen; the flights then end nearer to the target and to the paper's heading.
     """
     paper = stored()
     law = PredictorCorrector(

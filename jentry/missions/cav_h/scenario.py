@@ -68,18 +68,19 @@ TARGET_LATITUDE = 55.9067 * degree
 velocity there is its 2630 m/s"""
 
 PIVOT = 37.5 * km
-"""Altitude in the middle of the flight"""
+"""Altitude in the middle of the flight, m"""
 
 LARGEST_BANK = 85.0 * degree
-"""Assumed, to either side"""
+"""Largest bank to either side, assumed"""
 
 FINAL_VELOCITY = 2630.0
 """Velocity at the target, m/s: Table 1"""
 
 
 def earth() -> Planet:
-    """The Earth at rest, as in the paper. The heat rate 1.0e-6 sqrt(density)
-    velocity^3.5 W/m2 is what its figure of 1.5 MW/m2 amounts to.
+    """The Earth at rest, as in the paper.
+
+    The heat rate 1.0e-6 sqrt(density) velocity^3.5 W/m2 agrees with its figure, 1.5 MW/m2.
     """
     return Planet(
         radius=RADIUS,
@@ -91,7 +92,7 @@ def earth() -> Planet:
 
 
 def disturbed(air: AbstractAtmosphere) -> PerturbedAtmosphere:
-    """The planet with its actual air, as it is known on board until it is dispersed."""
+    """The actual atmosphere; it equals that of the onboard model until it is dispersed."""
     low, high = TREND_ALTITUDES
     waves = tuple(DensityWave(0.0, wavelength) for wavelength in WAVELENGTHS)
     return PerturbedAtmosphere(air, waves, low=low, high=high)
@@ -100,8 +101,8 @@ def disturbed(air: AbstractAtmosphere) -> PerturbedAtmosphere:
 def glider() -> Vehicle:
     """The glider: 907 kg, 0.4839 m2, a published fit to the Common Aero Vehicle's tables.
 
-    Below 10 degrees, where the tables begin, the drag keeps its value: otherwise the
-    range becomes 15 750 km, and the dispersions of Table 2 cannot be flown.
+    The tables begin at 10 degrees. Below, the drag is constant: otherwise the range becomes
+    15 750 km, and the dispersions of Table 2 cannot be flown.
     """
     aerodynamics = ExponentialAerodynamics(
         lift_slope=2.9451,
@@ -120,7 +121,7 @@ def glider() -> Vehicle:
 
 
 def constraints() -> Constraints:
-    """The path constraints (11) with the limits of Table 1, which the law keeps."""
+    """The path constraints (11) with the limits of Table 1, which the law respects."""
     return usual_constraints() | {
         "heat_rate": HeatRate(2e6),
         "dynamic_pressure": DynamicPressure(200e3),
@@ -135,7 +136,10 @@ def glide(
     cycle: ShorteningCycle = ShorteningCycle(),
     acceleration_loop: bool = True,
 ) -> Scenario:
-    """Table 1. Angle of attack from 0 to 20 degrees and bank to 85 are assumed."""
+    """The scenario of Table 1, with a choice of parts of the law.
+
+    An angle of attack from 0 to 20 degrees and a bank up to 85 degrees are assumed.
+    """
     known, vehicle = earth(), glider()
     planet = eqx.tree_at(lambda p: p.atmosphere, known, disturbed(known.atmosphere))
     start = EntryState(
@@ -189,12 +193,12 @@ def glide(
 
 
 def stored() -> Scenario:
-    """The paper's law with its k1 and k2, and no adjustment."""
+    """The paper's law with its k1 and k2, without adjustment."""
     return glide(BezierParameters(k1=0.848, k2=0.717))
 
 
 def model_inversion() -> Scenario:
-    """The paper's law with the angle of attack from the model alone, as printed."""
+    """The paper's law as printed, with the angle of attack from the onboard model only."""
     return glide(BezierParameters(k1=0.848, k2=0.717), acceleration_loop=False)
 
 
@@ -217,28 +221,28 @@ def adjusted(
 
 @computed_once
 def adjusted_once() -> Scenario:
-    """The law with (38) at the start, and the velocity predicted by the flown model."""
+    """The law with (38) at the start, and a prediction with the onboard model."""
     return adjusted(FlownModel())
 
 
 @computed_once
 def adjusted_at_epochs() -> Scenario:
-    """The law with (38) at every 25th guidance cycle, by the polynomial of the place."""
+    """The law with (38) every 25th guidance cycle, by the polynomial of the range to go."""
     return adjusted(FlownModel(), Epochs(every=25))
 
 
 @computed_once
 def network_once() -> Scenario:
-    """The law with (38) at the start, by the network that reads the estimated factors."""
+    """The law with (38) at the start, and a network with the estimated factors as input."""
     return adjusted(network_predictor("stored"))
 
 
 @computed_once
 def state_network_once() -> Scenario:
-    """The law with (38) at the start, by the paper's network, which reads the state alone.
+    """The law with (38) at the start, and the paper's network with only the state as input.
 
-    Two vehicles with the same state and other factors end at velocities that differ by
-    hundreds of m/s: such a network cannot tell them apart.
+    Two vehicles with equal states and different factors end at velocities that differ by
+    hundreds of m/s: such a network cannot distinguish them.
     """
     return adjusted(network_predictor("state-only"))
 
@@ -246,15 +250,15 @@ def state_network_once() -> Scenario:
 def subdivided(
     velocity_control: AbstractVelocityControl = NoVelocityControl(),
 ) -> Scenario:
-    """Beyond the paper: the curve is kept, and its third control point is moved.
+    """A law beyond the paper: the curve is held, and its third control point is adjusted.
 
-    k1 is that of the notes to the paper. k2 is where the first adjustment begins.
+    k1 is that of the notes to the paper. k2 is the initial value of the first adjustment.
     """
     return glide(BezierParameters(k1=0.6, k2=0.7), Subdivision(), velocity_control)
 
 
 def newton() -> Scenario:
-    """The subdivided curve, by Newton's method on the flown model every 25th cycle."""
+    """The subdivided curve, adjusted every 25th cycle by Newton's method on the model."""
     return subdivided(NewtonAdjustment(FINAL_VELOCITY, FlownModel(16)))
 
 
@@ -264,7 +268,7 @@ def _learning(departure: Departure, caution: float | None = None) -> Scenario:
 
 
 def _constant_and_slope() -> tuple[float, float]:
-    """Standard deviations at `PIVOT`, of the trend and one factor, and of the slope."""
+    """Standard deviations at `PIVOT` of trend and factor together, and of the slope."""
     low, high = TREND_ALTITUDES
     at_low, at_high = TREND_DEVIATIONS
     slope = (at_high - at_low) / (high - low)
@@ -272,9 +276,9 @@ def _constant_and_slope() -> tuple[float, float]:
 
 
 def learning() -> Scenario:
-    """The law `newton`, with factors over the altitude that are learnt on the way.
+    """The law `newton`, with factors over the altitude that are estimated in flight.
 
-    By a prior that knows trend and waves of `waves-sensed`, and not their phases.
+    The prior has the trend and the waves of `waves-sensed`, but not their phases.
     """
     constant, slope = _constant_and_slope()
     amplitudes = jnp.array(AMPLITUDES) / math.sqrt(2.0)
@@ -284,11 +288,11 @@ def learning() -> Scenario:
 
 
 def learning_correlated() -> Scenario:
-    """As `learning`, by a prior that knows of the waves their correlation length alone.
+    """The law `learning` with a prior that has only the correlation length of the waves.
 
-    It is 2.7 km, that of a correlation with the curvature, at zero, of that of the waves.
-    The caution is chosen: a vehicle that is too fast near its target cannot help it any
-    more, and one that is too slow can.
+    The length is 2.7 km: this correlation has the curvature at zero of that of the waves.
+    The caution is chosen: near the target a vehicle can no longer correct a velocity that
+    is too high, but it can correct one that is too low.
     """
     variances = 0.5 * np.array(AMPLITUDES) ** 2
     numbers = 2.0 * math.pi / np.array(WAVELENGTHS)
@@ -314,7 +318,7 @@ def newton_network() -> Scenario:
 
 
 def us_1976(scenario: Scenario) -> Scenario:
-    """Air of the US Standard Atmosphere 1976, which the law knows as well."""
+    """US Standard Atmosphere 1976, also in the onboard model."""
     air = USStandardAtmosphere1976()
     places = lambda s: (
         s.planet.atmosphere.undisturbed,

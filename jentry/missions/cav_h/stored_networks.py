@@ -1,4 +1,4 @@
-"""The networks that come with the CAV-H mission, and what each is for."""
+"""The networks that come with the CAV-H mission, and the purpose of each."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -13,14 +13,14 @@ FOLDER = Path(__file__).parent / "networks"
 
 
 class Purpose(NamedTuple):
-    """What a network is for, and what it reads."""
+    """Purpose and inputs of a network."""
 
     anchoring: str
     inputs: Inputs
 
     @property
     def sentence(self) -> str:
-        """The purpose in words, as in the model card."""
+        """The purpose as a text, as in the model card."""
         return (
             f"CAV-H velocity at the target from {self.inputs.value}, {self.anchoring}"
         )
@@ -36,9 +36,9 @@ PURPOSES = {
 
 @computed_once
 def network_predictor(name: str, folder: Path = FOLDER) -> NetworkPredictor:
-    """A stored network as a predictor.
+    """A stored network as a predictor of the velocity at the target.
 
-    Raises `ValueError` for a file that is damaged or of another network.
+    Raises `ValueError` for a file that is damaged or that contains another network.
     """
     path = folder / f"{name}.npz"
     network, card = load_network(path, PURPOSES[name].sentence)

@@ -1,4 +1,4 @@
-"""How the networks of the CAV-H mission are trained."""
+"""Training of the networks of the CAV-H mission."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,9 +16,10 @@ from .stored_networks import PURPOSES
 
 
 BETWEEN = 1600.0, 3600.0
-"""m/s at the target, with which the flights end that the networks with factors learn from.
-Equation (38) asks before anything is adjusted: 8000 dispersed vehicles then end
-between 1860 and 3364 m/s on the stored curve, and as slow as 1776 on a subdivided one."""
+"""Range of the velocity at the target, m/s, of flights that train the networks with
+factors. Equation (38) needs a prediction before the first adjustment: 8000 dispersed
+vehicles then end between 1860 and 3364 m/s on the stored curve, and down to 1776 m/s on a
+subdivided one."""
 
 
 def train(
@@ -31,17 +32,17 @@ def train(
     iterations: int = 5000,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict[str, dict[str, Any]]:
-    """Fly the data, train all networks and store them; gives the model cards by name.
+    """Fly the data, train all networks and store them; returns the model cards by name.
 
     **Arguments:**
 
-    - `scenarios`: with the law that each is for, by the names of `PURPOSES`.
-    - `flights`, `again`: as of `fly_samples`, for each network that reads the curve. For
-      the others as much is flown, all of it from the entry with the nominal curve, and
-      nothing that reaches the target is left out: what they do not know is meant to be in
-      their error.
-    - `iterations`: of L-BFGS, for each network.
-    - `report`: is told what is done.
+    - `scenarios`: scenarios with the law of each network, by the names of `PURPOSES`.
+    - `flights`, `again`: those of `fly_samples`, for each network with the curve as input.
+      The other networks use as much data, all from the entry with the nominal curve. None
+      of these flights that reaches the target is left out: the error of these networks
+      shall include the effect of what they do not know.
+    - `iterations`: number of iterations of L-BFGS for each network.
+    - `report`: function that receives lines of progress.
     """
     cards = {}
     for number, (name, purpose) in enumerate(PURPOSES.items()):
@@ -58,7 +59,7 @@ def train(
                 between=BETWEEN,
             )
         else:
-            # A flight from a place on the way is half as long.
+            # A flight from a place along the nominal flight is half as long.
             count = flights + again // 2
             report(f"{name}: flying {count} flights")
             samples = fly_samples(

@@ -1,3 +1,3 @@
-"""CAV-H as a glider to a point: the common case of predictor-corrector guidance."""
+"""CAV-H as a glider to a point: the common application of predictor-corrector guidance."""
 
 from .mission import MISSION as MISSION

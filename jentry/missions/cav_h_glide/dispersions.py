@@ -1,4 +1,4 @@
-"""What is uncertain in the mission CAV-H glide. All of it is our own: round numbers."""
+"""Dispersions of the mission CAV-H glide, which are our own round numbers."""
 
 from ..._computed_once import computed_once
 from ...campaign.dispersions import Dispersion, multiply
@@ -8,7 +8,7 @@ from ..npcg_toolbox import air_and_coefficients, entry_errors
 
 @computed_once
 def air_and_vehicle() -> dict[str, Dispersion]:
-    """At 3 sigma 30 % of the density, 10 % of each coefficient and 5 % of the mass."""
+    """Density by 30 %, each coefficient by 10 % and mass by 5 % at 3 sigma."""
     mass = Dispersion(lambda s: s.vehicle.mass, Normal(1.0, 0.05 / 3.0), apply=multiply)
     return air_and_coefficients() | {"mass": mass}
 

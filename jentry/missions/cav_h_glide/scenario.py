@@ -1,10 +1,10 @@
 """A glider like CAV-H over the rotating Earth: vehicle, entry, target and law.
 
 Numbers are those of the example `Earth_CAVH` of the NPCG Toolbox of Iowa State University
-(Y. Lee, D. Y. Lee, B. Wie, 2024). It names as its sources Phillips (2003) for the vehicle
-and P. Lu, S. Forbes, M. Baldwin, "Gliding Guidance of High L/D Hypersonic Vehicles", AIAA
-2013-4648, for the entry and the target; the air is "Hicks 2009" there. These have not been
-read here. What is not of the toolbox says so.
+(Y. Lee, D. Y. Lee, B. Wie, 2024). It cites Phillips (2003) for the vehicle, and P. Lu,
+S. Forbes, M. Baldwin, "Gliding Guidance of High L/D Hypersonic Vehicles", AIAA 2013-4648,
+for the entry and the target. It calls the air "Hicks 2009". We have not checked these
+sources. Numbers that are not from the toolbox are marked.
 """
 
 import dataclasses
@@ -41,14 +41,15 @@ from .. import npcg_toolbox as toolbox
 
 TARGET_LONGITUDE, TARGET_LATITUDE = 64.1166 * degree, 31.4927 * degree
 END_ALTITUDE, END_VELOCITY = 30.0 * km, 2000.0
-"""m, m/s: the flight ends at the energy of the two"""
+"""Altitude, m, and velocity, m/s, at the end: the flight ends at their energy"""
 FIRST_BANK, FINAL_BANK = 70.0 * degree, 60.0 * degree
-"""Of the linear bank: where it begins, before the first correction, and at its end"""
+"""Present bank before the first correction, and bank at the end, of the linear bank"""
 LARGEST_BANK = 90.0 * degree
 
 _HEATING = 9.4369e-5
-"""Times sqrt(density) times velocity^3.15, in SI: to 2e-4 the formula of Detra, Kemp and
-Riddell for a nose with a radius of one foot, which is not named there"""
+"""Coefficient of the heat rate: times sqrt(density) times velocity^3.15, in SI units. It
+agrees to 2e-4 with the formula of Detra, Kemp and Riddell for a nose radius of one foot,
+which the toolbox does not name"""
 
 
 def earth() -> Planet:
@@ -57,7 +58,7 @@ def earth() -> Planet:
 
 
 def glider() -> Vehicle:
-    """907 kg and 0.4839 m2, with a lift-to-drag ratio of 3.28 at every speed."""
+    """The glider: 907 kg and 0.4839 m2, lift-to-drag ratio of 3.28 at every speed."""
     return Vehicle(
         mass=907.0,
         reference_area=0.4839,
@@ -67,7 +68,7 @@ def glider() -> Vehicle:
 
 
 def entry_state() -> EntryState:
-    """At the entry interface, relative to the rotating planet."""
+    """State at the entry interface, relative to the rotating planet."""
     return EntryState(
         altitude=122.0 * km,
         longitude=-72.2744 * degree,
@@ -79,7 +80,7 @@ def entry_state() -> EntryState:
 
 
 def target_state() -> EntryState:
-    """Place, altitude and velocity of the target, of which only these count."""
+    """State of the target; only its place, altitude and velocity are used."""
     return dataclasses.replace(
         entry_state(),
         altitude=END_ALTITUDE,
@@ -90,7 +91,7 @@ def target_state() -> EntryState:
 
 
 def linear_bank(kind: type[LinearBankShape] = LinearBankShape) -> LinearBankShape:
-    """Over the energy, from the bank now to that at the end."""
+    """Bank that is linear over the energy, from the present bank to that at the end."""
     return toolbox.linear_bank(
         earth(),
         target_state(),
@@ -102,24 +103,26 @@ def linear_bank(kind: type[LinearBankShape] = LinearBankShape) -> LinearBankShap
 
 
 def lateral() -> PredictedCrossrange:
-    """Our own: up to ten reversals, a factor of 3.
+    """Our own lateral logic: up to ten bank reversals, with a factor of 3.
 
-    The example of the toolbox reverses at a heading error of 15 degrees, of 5 within
-    300 km, and another version of it as here, with a factor of 5 and any number.
+    The example of the toolbox reverses the bank at a heading error of 15 degrees, or of 5
+    degrees within 300 km of the target. Another version of it reverses as here, with a
+    factor of 5 and any number of reversals.
     """
     return PredictedCrossrange(factor=3.0, most=10.0)
 
 
 def guided() -> Scenario:
-    """A bank that is linear over the energy, to the energy of the target, damped.
+    """A damped bank that is linear over the energy, to the energy of the target.
 
-    The toolbox ends there as well, or within 100 m of the target before. It flies the
-    first 300 s with wings level; here the bank is the first one until there is drag
-    enough to steer by.
+    The toolbox ends at that energy as well, or before it within 100 m of the target. It
+    flies the first 300 s with zero bank. Here the bank is the initial one until there is
+    enough drag to steer.
 
-    The range is predicted in the vertical plane, about an Earth of which the rotation
-    counts as far as it is about the axis of the great circle that is flown. With the bank
-    on its side to the end, as in three dimensions, the vehicle would turn in circles.
+    The range is predicted in the vertical plane. The prediction includes the component of
+    the rotation of the Earth about the axis of the great circle of the flight. A prediction
+    in three dimensions would hold the bank on one side to the end, and the vehicle would
+    turn in circles.
     """
     planet = earth()
     start = entry_state()
@@ -161,27 +164,28 @@ def guided() -> Scenario:
 
 
 def two_ended() -> Scenario:
-    """The bank at the end is free as well, and is corrected for the altitude there.
+    """A linear bank that is also corrected at its end, for the altitude there.
 
-    It comes to wings level and to 0.7 km below the target's: at its velocity the vehicle
-    glides no higher. With less bank at the end it needs more before, for the same range:
-    it flies deeper, and the heat rate is larger by half.
+    The bank at the end becomes zero, and the altitude is 0.7 km below that of the target:
+    the vehicle cannot glide higher at that velocity. With less bank at the end it needs
+    more bank before for an equal range: it flies deeper, and the heat rate is 1.5 times as
+    large.
     """
     return _with(guided(), shape=linear_bank(TwoEndedBankShape))
 
 
 def undamped() -> Scenario:
-    """A linear bank without damping: the glide swings about its equilibrium."""
+    """A linear bank without damping: the glide oscillates about its equilibrium."""
     return _with(guided(), damping=None)
 
 
 def undamped_unlimited() -> Scenario:
-    """Neither damped nor within the limits, some of which it exceeds."""
+    """A linear bank without damping and without limits, some of which it exceeds."""
     return _with(guided(), damping=None, limits=None)
 
 
 def at_rest(scenario: Scenario) -> Scenario:
-    """The law believes in an Earth at rest, as the predictions of the toolbox do."""
+    """The Earth of the onboard model is at rest, as in the predictions of the toolbox."""
     return eqx.tree_at(
         lambda s: s.guidance.model.planet.rotation_rate, scenario, jnp.asarray(0.0)
     )

@@ -1,8 +1,8 @@
-"""Mars lander under the law of another paper: the planned flight, regulated.
+"""Mars lander under the law of another paper: a regulator about the planned flight.
 
-Modulation of the angle of attack and feedback linearization do not fit this vehicle, whose
-coefficients are the same at every angle of attack: the one has nothing to command, and the
-other chooses the size of the lift.
+Modulation of the angle of attack and feedback linearization do not suit this vehicle, whose
+coefficients do not depend on the angle of attack: the first has nothing to command, and the
+second commands the magnitude of the lift.
 """
 
 import dataclasses
@@ -35,7 +35,7 @@ def _flown(scenario: Scenario) -> LongitudinalReference:
 
 @computed_once
 def longitudinal_reference() -> LongitudinalReference:
-    """The flight of the planned bank, over the time."""
+    """The flight under the planned bank, over time."""
     ends = {"velocity": VelocityBelow(velocity=END_VELOCITY)}
     flown = dataclasses.replace(
         entry(),
@@ -48,7 +48,7 @@ def longitudinal_reference() -> LongitudinalReference:
 def _regulated(**weights) -> Scenario:
     level = PolynomialProfile(
         jnp.zeros(1)
-    )  # No coefficient goes with the angle of attack.
+    )  # No coefficient depends on the angle of attack.
     model = LongitudinalModel(OnboardModel(mars(), lander()), level)
     regulator = Regulator(model, longitudinal_reference(), **weights)
     law = StoredGainTracking(regulator, kept(plan_gains)(regulator))

@@ -57,16 +57,16 @@ END_VELOCITY = 503.0
 """Velocity at the end, m/s: Table 1"""
 
 TABULATED_TO = 300.0
-"""Velocity down to which there is a reference, m/s: past the end, so that every dispersed
-flight has one"""
+"""Velocity down to which the reference extends, m/s: beyond the end, so that every
+dispersed flight has a reference"""
 
 
 def mars() -> Planet:
-    """Mars as the paper implies it; gravity and atmosphere are the usual values.
+    """Mars as implied by the paper, with usual values of gravity and atmosphere.
 
-    The radius makes the 12.2 degrees of Table 1 its 723.32 km. Temperature and gas are
-    those of an isothermal carbon dioxide atmosphere with this scale height; they give the
-    Mach number only.
+    The radius makes the 12.2 degrees of Table 1 equal to its 723.32 km. Temperature and gas
+    are those of an isothermal carbon dioxide atmosphere with this scale height; they affect
+    only the Mach number.
     """
     return Planet(
         radius=3397.0 * km,
@@ -83,7 +83,7 @@ def mars() -> Planet:
 
 
 def lander() -> Vehicle:
-    """The lander of section 4: 992 kg, 16 m2, lift-to-drag 0.18 and 115 kg/m2."""
+    """The lander of section 4: 992 kg, 16 m2, lift-to-drag ratio 0.18 and 115 kg/m2."""
     mass, area = 992.0, 16.0
     drag_coefficient = mass / (115.0 * area)
     aerodynamics = ConstantAerodynamics(0.18 * drag_coefficient, drag_coefficient)
@@ -91,7 +91,7 @@ def lander() -> Vehicle:
 
 
 def entry() -> Scenario:
-    """The entry of Table 1, with a level bank in place of the law to be planned."""
+    """The entry of Table 1, with zero bank in place of the law."""
     return Scenario(
         planet=mars(),
         vehicle=lander(),
@@ -118,9 +118,10 @@ def entry() -> Scenario:
 
 
 def to_the_place(scenario: Scenario) -> Scenario:
-    """The target as a place, which does not move with the start: for laws that fly there.
+    """The scenario with a target that is a place, for laws that fly to one.
 
-    The paper's law knows no place. Its downrange is the range from where a flight starts.
+    The place does not move with the start. The paper's law has no place: its downrange is
+    the range from the start of each flight.
     """
     target = dataclasses.replace(scenario.target, origin=scenario.initial_state)
     return dataclasses.replace(scenario, target=target)
@@ -132,7 +133,7 @@ def _plan(
 ) -> DragReference:
     profile = plan_bank_profile(entry, END_VELOCITY, curvature)
     flight = ReferenceFlight.of(open_loop(entry, profile, TABULATED_TO))
-    # The energy hardly falls before there is drag: short intervals at first.
+    # The energy hardly falls before there is drag, so the first intervals are short.
     power = 2 if isinstance(index, EnergyIndex) else 1
     return plan_drag_reference(flight, index, gate, power=power)
 
@@ -143,9 +144,9 @@ def reference(
 ) -> DragReference:
     """The planned reference drag.
 
-    The paper's profile, of its reference [1], is not available. This is the drag of the
-    bank profile cos(bank) = c0 + c1 z + c2 z^2 over the velocity that ends as Table 1
-    has it; `curvature` is c2. `gate` in m/s2.
+    The paper's profile, from its reference [1], is not available. This is the drag under
+    the bank profile cos(bank) = c0 + c1 z + c2 z^2 over the velocity that ends at the
+    values of Table 1; `curvature` is c2. `gate` is in m/s2.
     """
     planned = _plan(entry(), index, gate, curvature)
     require_planned(planned.drag)
@@ -160,7 +161,7 @@ def scenario(
     gate: float = 0.0,
     curvature: float = 0.0,
 ) -> Scenario:
-    """The entry with its law: equations (24) and (25), or (14) without an observer."""
+    """The entry with the law (24) and observer (25), or law (14) without an observer."""
     start = entry()
     drag = reference(index, gate, curvature)
     model = OnboardModel(start.planet, start.vehicle)
@@ -192,12 +193,12 @@ def monte_carlo_observer() -> ObserverGains:
 
 
 GATE = 4.0
-"""Drag from which the law tracks, m/s2. A velocity index needs a gate of 3 to 5, since
+"""Drag above which the law tracks, m/s2. A velocity index needs a gate of 3 to 5, since
 the velocity rises at first."""
 
 
 def table_3() -> Scenario:
-    """The Monte Carlo study. Its printed statistics fit a velocity index."""
+    """The Monte Carlo study over velocity, which fits the printed statistics."""
     return scenario(
         VelocityIndex(), monte_carlo_gains(), monte_carlo_observer(), gate=GATE
     )
@@ -235,7 +236,7 @@ def _mass_and_density() -> dict[str, Dispersion]:
 
 @computed_once
 def lift_to_drag_held() -> dict[str, Dispersion]:
-    """Table 2 with one factor on both coefficients: the reading that Table 3 fits."""
+    """Table 2 with one factor on both coefficients: this interpretation fits Table 3."""
     both = Dispersion(
         lambda s: (s.vehicle.lift_scale, s.vehicle.drag_scale), Uniform(0.7, 1.3)
     )
@@ -244,7 +245,7 @@ def lift_to_drag_held() -> dict[str, Dispersion]:
 
 @computed_once
 def independent() -> dict[str, Dispersion]:
-    """Table 2 to the letter. Some of these cannot reach the range at any bank."""
+    """Table 2 as printed, with which some flights cannot reach the range at any bank."""
     return _mass_and_density() | {
         "lift": Dispersion(lambda s: s.vehicle.lift_scale, Uniform(0.7, 1.3)),
         "drag": Dispersion(lambda s: s.vehicle.drag_scale, Uniform(0.7, 1.3)),

@@ -1,4 +1,4 @@
-"""The mission of the Mars lander in its plane: its laws, and what the paper prints."""
+"""The mission of the Mars lander in a plane: its laws, and the values of the paper."""
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from .drag_tracking import (
 
 
 def _downrange(name: str, value: float, statistic) -> PublishedValue:
-    """The paper counts the downrange error as desired minus actual."""
+    """A published downrange error, which the paper counts as desired minus actual."""
     return PublishedValue(
         f"downrange error, {name}",
         value,
@@ -27,7 +27,7 @@ def _downrange(name: str, value: float, statistic) -> PublishedValue:
 
 
 def _altitude(name: str, value: float, statistic) -> PublishedValue:
-    """And the altitude error, by its sign, as actual minus desired."""
+    """A published altitude error, which by its sign is actual minus desired."""
     return PublishedValue(
         f"altitude error, {name}",
         value,

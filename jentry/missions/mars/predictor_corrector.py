@@ -1,6 +1,6 @@
 """Mars lander, numerical predictor-corrector, in the plane and in three dimensions.
 
-The entry, the target and the dispersions of `drag_tracking`. What is chosen says so.
+Entry, target and dispersions are those of `drag_tracking`. Choices of our own are marked.
 """
 
 import dataclasses
@@ -32,13 +32,13 @@ FOLDER = Path(__file__).parent / "networks"
 """Folder of the weights that come with the package"""
 
 _RANGE, _AHEAD, _ACROSS = "range", "ahead", "across"
-"""Files of the networks: of the vertical plane, and two of three dimensions"""
+"""Names of the files of the networks: one for the plane, and two for three dimensions"""
 
 
 def guided() -> Scenario:
     """A constant bank to the end, corrected every 2 s by predictions of the flight.
 
-    The bank is reversed as is predicted."""
+    The prediction also determines the bank reversals."""
     start = entry()
     target = start.target
     law = PredictorCorrector(
@@ -54,19 +54,19 @@ def guided() -> Scenario:
 
 @computed_once
 def range_network(folder: Path = FOLDER) -> RangeNetwork:
-    """The stored network of flights in the vertical plane.
+    """The stored network for flights in the vertical plane.
 
-    Raises `ValueError` for another one.
+    Raises `ValueError` for a file with another network.
     """
     return RangeNetwork(*_stored(folder, _RANGE, PURPOSE))
 
 
 @computed_once
 def range_network_in_space(folder: Path = FOLDER) -> RangeNetwork:
-    """Those of flights in three dimensions.
+    """The stored networks for flights in three dimensions.
 
-    Raises `ValueError` for others, and for two that have not been trained for the same
-    model and the same end.
+    Raises `ValueError` for files with other networks, and for two networks that have not
+    been trained for one model and one end.
     """
     ahead, of = _stored(folder, _AHEAD, AHEAD)
     across, of_across = _stored(folder, _ACROSS, ACROSS)
@@ -74,7 +74,7 @@ def range_network_in_space(folder: Path = FOLDER) -> RangeNetwork:
     unlike = [f"{name} {a:.9g} and {b:.9g}" for name, a, b in both if a != b]
     if unlike:
         raise ValueError(
-            f"{_AHEAD}.npz and {_ACROSS}.npz of {folder} are not of the same predictions: "
+            f"{_AHEAD}.npz and {_ACROSS}.npz of {folder} are for different predictions: "
             f"{', '.join(unlike)}; train both again with `jentry train "
             "mars-range-tracking`"
         )
@@ -82,22 +82,22 @@ def range_network_in_space(folder: Path = FOLDER) -> RangeNetwork:
 
 
 def _stored(folder: Path, name: str, purpose: str) -> tuple[Network, Vector]:
-    """A network, and what it is of."""
+    """A stored network, and the model and end for which it has been trained."""
     path = folder / f"{name}.npz"
     network, card = load_network(path, purpose)
     told = card.get("of")
     if not isinstance(told, dict) or set(told) != set(BASIS):
         raise ValueError(
-            f"{path} does not say what it is of ({', '.join(BASIS)}): train it "
+            f"{path} does not state what it is for ({', '.join(BASIS)}): train it "
             "again with `jentry train mars-range-tracking`"
         )
     return network, jnp.array([float(told[name]) for name in BASIS])
 
 
 def networked() -> Scenario:
-    """As `predictor-corrector`, with networks in place of the predictions.
+    """The law `predictor-corrector` with networks in place of the predictions.
 
-    Also of that by which the bank is reversed."""
+    They also replace the prediction for the bank reversals."""
     return _asking(guided(), range_network_in_space())
 
 
@@ -116,14 +116,16 @@ def train(
     iterations: int = 5000,
     report: Callable[[str], None] = lambda line: None,
 ) -> dict[str, dict[str, Any]]:
-    """Fly the data, train the networks of flights in the plane and in three dimensions and
-    store them; gives their cards by name.
+    """Fly the data, and train and store the networks; returns their model cards by name.
+
+    The networks are those for flights in the plane and in three dimensions.
 
     **Arguments:**
 
-    - `flights`, `again`: as of `predict_samples`, for each of the two.
-    - `iterations`: of L-BFGS.
-    - `report`: is told what is done.
+    - `flights`, `again`: those of `predict_samples`, for the plane and for three
+      dimensions.
+    - `iterations`: number of iterations of L-BFGS.
+    - `report`: function that receives lines of progress.
     """
     # optax takes a while
     from ...learning.range_network import predict_samples, train_range_network

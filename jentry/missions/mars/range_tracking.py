@@ -1,7 +1,7 @@
-"""Mars lander in three dimensions: the scaled reference, and bank reversals.
+"""Mars lander in three dimensions, with a scaled reference and bank reversals.
 
-The entry, the target, the gains and the dispersions of `mars_drag_tracking`, whose source
-flies in the plane and tracks its reference as it is. What is chosen here says so.
+Entry, target, gains and dispersions are those of the mission `mars-drag-tracking`, whose
+source flies in the plane and does not scale its reference. Choices of our own are marked.
 """
 
 import dataclasses
@@ -37,18 +37,19 @@ from .drag_tracking import (
 
 
 GATE = 1.0
-"""Drag from which the range is tracked, m/s2. Below it the lift can change little, and
-the range that is flown per energy is too steep to scale by."""
+"""Drag above which the range is tracked, m/s2. At lower drag the lift has little effect,
+and the range per energy varies too steeply to scale the reference with it."""
 
 LAST_RANGE = 10.0 * km
-"""The limit that `ScaleLimits` explains is 7 km at the end of the reference."""
+"""Range to go below which the scale is held. The lower bound that `ScaleLimits` explains is
+7 km at the end of the reference."""
 
 
 @kept
 def _plan(
     start: Scenario, cos_bank: PolynomialProfile
 ) -> tuple[DragReference, QuinticProfile]:
-    """The reference drag, and the range that it flies, over the energy from the gate on."""
+    """The reference drag and its range over the energy, from the gate to the end."""
     flight = ReferenceFlight.of(open_loop(start, cos_bank, TABULATED_TO))
     drag = plan_drag_reference(flight, EnergyIndex(), GATE)
 
@@ -70,11 +71,12 @@ def _reference() -> tuple[DragReference, QuinticProfile]:
 
 
 def three_dimensional() -> Scenario:
-    """Drag tracking scaled to the range to go, to the point of Table 1 straight ahead.
+    """Drag tracking scaled to the range to go, to the target of Table 1 straight ahead.
 
     Gains and observer are those of the paper's nominal study: its Monte Carlo gains are
-    less damped, and here the scale answers for the range. The corridor is chosen: six
-    or seven reversals a flight, and no more than half of the floor left at the end.
+    less damped, and here the scale controls the range. The corridor is chosen: it gives six
+    or seven bank reversals in a flight, and at most half of its floor as the error at the
+    end.
     """
     start = entry()
     drag, range_flown = _reference()
@@ -92,7 +94,7 @@ def three_dimensional() -> Scenario:
 
 
 def in_plane(scenario: Scenario) -> Scenario:
-    """Motion in the vertical plane of the equator alone, as in the paper."""
+    """Motion in the vertical plane of the equator, as in the paper."""
     flat = dataclasses.replace(scenario, dynamics=EquatorialDynamics())
     law = flat.guidance
     if not isinstance(law, PredictorCorrector):

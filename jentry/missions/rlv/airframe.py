@@ -12,11 +12,11 @@ from ...world.vehicle import Vehicle
 
 _LIFT = 0.12457, -0.02437, 0.00309, -3.66023e-5
 _DRAG = 0.32083, -0.02850, 0.00155, -9.42499e-7
-"""Equations (43) and (44), over the angle of attack in degrees"""
+"""Coefficients of (43) and (44), polynomials in the angle of attack in degrees"""
 
 
 def vehicle() -> Vehicle:
-    """5 m2 by the paper; 3500 kg, which it does not print: 437 kg/m2 at 40 degrees."""
+    """The RLV: 5 m2 from the paper, and 3500 kg, chosen: 437 kg/m2 at 40 degrees."""
     lift, drag = (
         jnp.array([c / degree**power for power, c in enumerate(fit)])
         for fit in (_LIFT, _DRAG)
@@ -30,16 +30,16 @@ def vehicle() -> Vehicle:
 
 
 class ScheduledAngleOfAttack(AbstractProfile):
-    """Equation (45), over the Mach number: 40 degrees, and less below Mach 12.
+    """Angle of attack (45) over the Mach number: 40 degrees, and less below Mach 12.
 
-    The paper's has a corner at Mach 12, and a step of 0.007 degrees: here the two parts
-    are blended between Mach 11.8 and 12.2, twice continuously differentiable. Below Mach 3,
-    where the paper has none, it keeps its value.
+    The paper's function has a corner and a step of 0.007 degrees at Mach 12. Here its two
+    parts are blended between Mach 11.8 and 12.2, twice continuously differentiable. Below
+    Mach 3, where the paper has no value, it is constant.
     """
 
     high: Scalar = scalar(40.0 * degree, unit="rad")
     blend: Scalar = scalar(0.2, positive=True)
-    """Half of the width of the blend, Mach"""
+    """Half of the width of the blend, in Mach numbers"""
 
     def with_derivatives(self, index: Scalar) -> tuple[Scalar, Scalar, Scalar]:
         return derivatives_along(jnp.ones_like, self._angle, index)

@@ -1,8 +1,9 @@
-"""RLV under the laws of other papers, with the attitude of 5 rad/s.
+"""RLV under the laws of other papers, with an attitude bandwidth of 5 rad/s.
 
-All of them fly at the planned angle of attack, or about it, from where the mission's own
-laws begin, in guidance cycles of the same length and to the same velocity. Bank laws have
-the mission's six reversals. Gains are those of the law's own mission unless it is said.
+All of them fly at or near the planned angle of attack. They begin where the mission's own
+laws begin, have guidance cycles of equal length, and end at the same velocity. Bank laws
+have the mission's six bank reversals. Gains are those of the law's own mission if nothing
+else is stated.
 """
 
 import dataclasses
@@ -83,24 +84,24 @@ from .scenario import (
 
 
 FREQUENCY = 5.0
-"""rad/s: of the attitude, the mission's own"""
+"""Bandwidth of the attitude, rad/s, that of the mission"""
 FIRST_BANK = 30.0 * degree
-"""Before guidance begins, as under the mission's bank law"""
+"""Bank before guidance begins, as under the mission's bank law"""
 
 
 HIGH_ANGLE = 40.0 * degree
-"""Where the plan begins"""
+"""Angle of attack at the beginning of the plan"""
 
 
 def planned(name: str) -> QuinticProfile:
-    """A quantity of the plan, over the velocity."""
+    """A quantity of the plan over the velocity."""
     table = plan().quantities
     assert isinstance(table, QuinticTable)
     return table.profile(name)
 
 
 def reversals() -> VelocityReversals:
-    """Those of the mission."""
+    """The bank reversals of the mission."""
     return VelocityReversals(jnp.array(REVERSALS))
 
 
@@ -110,7 +111,7 @@ def _at_planned_angle(bank: AbstractContinuousLaw) -> Scenario:
 
 
 def bank_alone() -> Scenario:
-    """The mission's bank law without modulation: beside which the others stand."""
+    """The mission's bank law without modulation, with which the other laws are compared."""
     angle = AngleOfAttackProfile(planned("angle_of_attack"))
     return entry(compose(angle, shuttle_bank()), FREQUENCY)
 
@@ -118,32 +119,32 @@ def bank_alone() -> Scenario:
 # Drag tracking.
 
 SLOWER = 4.0
-"""By which the time constants of Yan and He are longer. Their vehicle banks at once; this
-one in 0.6 rad/s, with which their nominal gains leave damping ratios of 0.02, with the
-drag rate, and -0.01, with the observer. This is the least power of two with which both are
-0.3 or more, the bound of the mission's tuning"""
+"""Factor on the time constants of Yan and He. Their vehicle follows a bank command at once;
+the bank of this vehicle has a bandwidth of 0.6 rad/s. With it their nominal gains give a
+damping ratio of 0.02 with the drag rate, and -0.01 with the observer. The factor is the
+least power of two for which both are 0.3 or more, the bound of the mission's tuning"""
 
 
 def drag_gains() -> ErrorGains:
-    """Of figures 1 to 10 of Yan and He, slower."""
+    """Gains of figures 1 to 10 of Yan and He, slower by the factor `SLOWER`."""
     gains = nominal_gains()
     return dataclasses.replace(gains, epsilon0=SLOWER * gains.epsilon0)
 
 
 def drag_observer() -> ObserverGains:
-    """Of figures 6 to 10, slower."""
+    """Observer of figures 6 to 10, slower by the factor `SLOWER`."""
     observer = nominal_observer()
     return dataclasses.replace(observer, epsilon=SLOWER * observer.epsilon)
 
 
 def drag_reference() -> DragReference:
-    """The planned drag, tracked from where the mission's own laws begin."""
+    """The planned drag, which is tracked from where the mission's own laws begin."""
     held = PolynomialProfile(jnp.cos(jnp.array([FIRST_BANK])))
     return DragReference(VelocityIndex(), planned("drag"), held, gate().drag)
 
 
 def scheduled_model() -> OnboardModel:
-    """What the drag trackers know: the coefficients along the planned angle of attack."""
+    """Onboard model of drag tracking, with coefficients at the planned angle of attack."""
     known = vehicle()
     aerodynamics = ScheduledAerodynamics(known.aerodynamics, planned("angle_of_attack"))
     return OnboardModel(earth(), dataclasses.replace(known, aerodynamics=aerodynamics))
@@ -172,11 +173,11 @@ def observer_drag_tracking() -> Scenario:
 # Pseudospectral regulation.
 
 _PARTS, _DEGREE = 25, 10
-"""Of the polynomials of the flight over the time"""
+"""Number and degree of the polynomials of the flight over time"""
 
 
 def in_plane() -> Scenario:
-    """The nominal flight without reversals, flown at once: a reference over the time."""
+    """The nominal flight without reversals and attitude lag: a reference over time."""
     angle = AngleOfAttackProfile(planned("angle_of_attack"))
     law = compose(angle, ShuttleBank(plan(), gate=gate()))
     return dataclasses.replace(
@@ -189,7 +190,7 @@ def in_plane() -> Scenario:
 
 
 def longitudinal_model() -> LongitudinalModel:
-    """What the regulator knows of the motion in the vertical plane."""
+    """The regulator's model of the motion in the vertical plane."""
     return LongitudinalModel(model(), planned("angle_of_attack"))
 
 
@@ -199,7 +200,7 @@ def _flown_in_plane(scenario: Scenario) -> LongitudinalReference:
 
 @computed_once
 def longitudinal_reference() -> LongitudinalReference:
-    """That flight from the start to the last velocity."""
+    """The flight `in_plane` from the start to the last velocity."""
     return kept(_flown_in_plane)(in_plane())
 
 
@@ -232,20 +233,20 @@ def pseudospectral_with_range() -> Scenario:
 # Feedback linearization.
 
 _EARLIER, _BEYOND = 25.0, 1200.0
-"""The reference begins so many s before guidance, and goes on down to so many m/s: for
-flights with more or less energy there"""
+"""Time by which the reference begins before guidance, s, and velocity down to which it
+continues, m/s: for flights with more or less energy there"""
 _EVERY = 2.0
-"""s between the knots of its controls"""
+"""Time between the knots of the reference controls, s"""
 _INTERVALS = 4000
-"""Of the tables"""
+"""Number of intervals of the tables"""
 
 
 class Recorded(eqx.Module):
-    """Where a reference begins, and the attitude that was flown from there on."""
+    """The start of a reference, and its attitude from there on."""
 
     start: EntryState
     controls: QuinticTable
-    """angle_of_attack and bank, rad, over the energy in J/kg"""
+    """Columns angle_of_attack and bank, rad, over the energy in J/kg"""
 
 
 @computed_once
@@ -276,7 +277,7 @@ def recorded() -> Recorded:
 
 
 def track_model() -> GroundTrackModel:
-    """The motion that is differentiated, under the attitude of that flight."""
+    """The motion that the law differentiates, under the attitude of `recorded`."""
     flown, end = recorded(), longitudinal_reference().end
     return GroundTrackModel(
         model(),
@@ -294,7 +295,7 @@ def _planned_track(
 
 @computed_once
 def ground_track() -> GroundTrackPlan:
-    """What that attitude gives over the energy."""
+    """The reference over the energy that follows from the attitude of `recorded`."""
     flown = dataclasses.replace(
         bank_alone(),
         planet=earth(),
@@ -310,9 +311,10 @@ def ground_track() -> GroundTrackPlan:
 def feedback_linearization() -> Scenario:
     """Bharadwaj, Rao and Mease's law, with the eigenvalues and the band of the SX-2.
 
-    It does not fit: its command leaves no time to turn, and behind the lag of this bank the
-    flight leaves its reference by hundreds of km of downrange even nominally, and comes
-    back towards the end. With an attitude that is flown at once it ends within 2 km.
+    The law does not suit this vehicle: its command leaves no time to turn. With the lag of
+    this bank even the nominal flight departs from its reference by hundreds of km of
+    downrange, and returns towards the end. Without a lag of the attitude it ends within
+    2 km.
     """
     law = GroundTrackTracking(
         track_model(),

@@ -1,4 +1,4 @@
-"""What the laws of the RLV mission are judged by: peaks of drag error and deviation."""
+"""Measures of the laws of the RLV mission: peaks of the errors of drag and attitude."""
 
 import jax.numpy as jnp
 
@@ -9,7 +9,7 @@ from ...units import standard_gravity
 
 
 class DragDeviation(AbstractConstraint):
-    """Size of the error of the drag below a velocity, in units of 9.80665 m/s2."""
+    """Magnitude of the drag error below a velocity, in units of 9.80665 m/s2."""
 
     reference: Reference
     below: Scalar = scalar(unit="m/s", positive=True)
@@ -25,7 +25,7 @@ class DragDeviation(AbstractConstraint):
 
 
 class AngleOfAttackDeviation(AbstractConstraint):
-    """How far the angle of attack is off the reference, below a velocity."""
+    """Deviation of the angle of attack from the reference below a velocity."""
 
     reference: Reference
     below: Scalar = scalar(unit="m/s", positive=True)

@@ -1,4 +1,4 @@
-"""What is uncertain in the RLV mission: Table 1, and the atmosphere of its third row."""
+"""Dispersions of the RLV mission: Table 1, and the atmosphere of its third row."""
 
 import numpy as np
 
@@ -18,9 +18,9 @@ def _phase(where) -> Dispersion:
 
 @computed_once
 def atmosphere() -> dict[str, Dispersion]:
-    """A trend, and three waves of random phase; the paper prints none of it."""
+    """A trend and three waves of random phase; the paper prints no numbers of them."""
     air = lambda s: s.planet.atmosphere
-    # The share of the density is one of three standard deviations.
+    # The share of the density is that at 3 sigma.
     return {
         "density trend": Dispersion(lambda s: air(s).trend, Normal(0.0, 1.0 / 3.0)),
         "long wave": _wave(lambda s: air(s).waves[0].amplitude, 0.05),
@@ -48,13 +48,13 @@ def table_1() -> dict[str, Dispersion]:
 
 @computed_once
 def table_1_noise() -> dict[str, Dispersion]:
-    """`table_1` with other noise of the accelerometers in each flight."""
+    """Table 1 without its last row, and different accelerometer noise in each flight."""
     seed = Dispersion(lambda s: s.accelerometers.noise_seed, Uniform(0.0, 1.0))
     return table_1() | {"noise seed": seed}
 
 
 @computed_once
 def table_1_estimated_angle() -> dict[str, Dispersion]:
-    """All of Table 1, for the law that reads the angle of attack: the Shuttle's."""
+    """All of Table 1, for the law that uses the measured angle of attack: the Shuttle's."""
     error = Dispersion(lambda s: s.angle_of_attack_error, Constant(0.1 * degree))
     return table_1() | {"estimated angle of attack": error}

@@ -1,4 +1,4 @@
-"""Figures of the RLV mission: how far it is off its reference, and what it flies."""
+"""Figures of the RLV mission: deviations from the reference, and controls."""
 
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def deviations(data: FigureData) -> "matplotlib.figure.Figure | None":
-    """Every run over the velocity: how far drag and angle of attack are off."""
+    """Every run over the velocity: deviations of drag and angle of attack."""
     return _over_velocity(data, ("drag_deviation", "angle_of_attack_deviation"))
 
 
@@ -24,7 +24,7 @@ def flown(data: FigureData) -> "matplotlib.figure.Figure | None":
 def _over_velocity(
     data: FigureData, names: tuple[str, ...]
 ) -> "matplotlib.figure.Figure | None":
-    """From where the angle of attack is modulated; the nominal flight is black."""
+    """Figure from the start of modulation on; the nominal flight is black."""
     runs, nominal = data.trajectories, data.nominal
     if runs is None:
         return None

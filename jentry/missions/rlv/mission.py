@@ -1,4 +1,4 @@
-"""The mission RLV: both laws, with attitudes of several bandwidths."""
+"""The mission RLV: both laws of the paper, with attitudes of several bandwidths."""
 
 from ...plots.campaign import HISTORIES, overview
 from ..mission import Mission, PublishedValue
@@ -54,7 +54,7 @@ MISSION = Mission(
         "atmosphere": atmosphere,
     },
     gains=(
-        # Not `scheduled_at`, which multiplies two of them.
+        # `scheduled_at` is left out: it multiplies two of these.
         "guidance.angle_of_attack.gains.frequency",
         "guidance.angle_of_attack.gains.damping",
         "guidance.angle_of_attack.gains.observer_pole",

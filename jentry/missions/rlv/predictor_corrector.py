@@ -1,4 +1,4 @@
-"""RLV, numerical predictor-corrector: to a point, through the attitude that lags."""
+"""RLV, numerical predictor-corrector to a point, with the lag of the attitude."""
 
 import dataclasses
 
@@ -23,16 +23,16 @@ from .scenario import (
 
 
 RANGE = 7400.0 * km
-"""To a point straight ahead: the paper's law, which has no such aim, flies about as far"""
+"""Range to a target straight ahead; the paper's law has no target and about this range"""
 
 
 def guided() -> Scenario:
-    """At the angle of attack of the plan over the velocity, with an attitude of 5 rad/s.
+    """Predictor-corrector at the planned angle of attack, with an attitude of 5 rad/s.
 
-    A reversal takes half a minute here, over which the lift goes through upwards: the
-    prediction flies it, and the one that comes next, before it begins. It turns the bank by
-    the limits of the attitude, and takes the angle of attack to be flown at once. The bank
-    at the end is chosen.
+    The angle of attack is that of the plan over the velocity. A bank reversal takes half a
+    minute, during which the lift passes through upwards. The prediction includes this
+    reversal and the next one before they begin. It turns the bank within the limits of the
+    attitude, and neglects the lag of the angle of attack. The bank at the end is chosen.
     """
     table = plan().quantities
     assert isinstance(table, QuinticTable)

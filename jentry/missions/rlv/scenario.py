@@ -1,4 +1,4 @@
-"""RLV: the glide, the attitude that lags, and the laws that modulate the angle of attack.
+"""RLV: the glide, the lag of the attitude, and laws that modulate the angle of attack.
 
 Source: R. Zhang, H. Li, R. Zhang, "Angle-of-Attack Modulation in Trajectory Tracking for a
 Reusable Launch Vehicle". What the paper leaves open is stated where it is chosen.
@@ -51,19 +51,19 @@ from .deviations import AngleOfAttackDeviation, DragDeviation
 
 
 END_VELOCITY = 1600.0
-"""m/s"""
+"""Velocity at the end, m/s"""
 CYCLE = 0.1
-"""s"""
+"""Guidance cycle, s"""
 STEP = 0.05
-"""s"""
+"""Length of a step, s"""
 JUDGED_BELOW = 7000.0
-"""m/s: the error of the drag counts"""
+"""Velocity below which the drag error counts, m/s"""
 REVERSALS = 7000.0, 6000.0, 5000.0, 4000.0, 3000.0, 2000.0
-"""m/s"""
+"""Velocities of the bank reversals, m/s"""
 LARGEST_BANK = 80.0 * degree
 BANK_INCREMENT = 12.0 * degree
 TURN_RATE, TURN_ACCELERATION = 5.0 * degree, 1.7 * degree
-"""Of angle of attack and bank, rad/s and rad/s2: the limits that the paper prints"""
+"""Limits of the paper for angle of attack and bank, rad/s and rad/s2"""
 
 LAG_DAMPING = 0.9
 """Damping ratio of the angle of attack"""
@@ -78,7 +78,7 @@ def air() -> SmoothedAtmosphere:
 
 
 def earth() -> Planet:
-    """The Earth at rest, as it is known on board."""
+    """The Earth at rest, as in the onboard model."""
     return Planet(
         radius=_RADIUS,
         gravity=InverseSquareGravity(standard_gravity * _RADIUS**2),
@@ -87,10 +87,10 @@ def earth() -> Planet:
 
 
 def actual_earth() -> Planet:
-    """The same with air that can depart from it; the nominal departures are zero.
+    """The Earth of the scenario, with density perturbations that are nominally zero.
 
-    Its trend is one of three standard deviations: 10 % at 30 km, 25 % at 80 km and not
-    more than 35 % above. Waves go up with 25 and 8 km, and along the track with 800 km.
+    The trend at 3 sigma is 10 % at 30 km, 25 % at 80 km and at most 35 % above. The waves
+    have lengths of 25 and 8 km over the altitude, and of 800 km along the track.
     """
     known = earth()
     return eqx.tree_at(
@@ -110,14 +110,14 @@ def actual_earth() -> Planet:
 
 @computed_once
 def plan() -> Reference:
-    """Constant heating, then a glide near equilibrium."""
+    """The planned reference: constant heating, then a glide near equilibrium."""
     return kept(plan_glide)(earth(), vehicle(), ScheduledAngleOfAttack())
 
 
 def attitude(frequency: float) -> SecondOrderAttitude:
-    """By (46), with the limits that the paper prints, at rest at 40 and 30 degrees.
+    """Attitude (46) with the limits of the paper, at rest at 40 and 30 degrees.
 
-    The bandwidth of the angle of attack, rad/s, is not printed and decides everything.
+    The bandwidth of the angle of attack, rad/s, is not printed and determines the results.
     """
     rate, acceleration = TURN_RATE, TURN_ACCELERATION
     return SecondOrderAttitude(
@@ -137,23 +137,23 @@ def model() -> OnboardModel:
 
 
 def gate() -> Gate:
-    """The same for the bank, for both angle-of-attack laws, and for what judges them."""
+    """The gate of the bank law, of both angle-of-attack laws and of their measures."""
     return Gate()
 
 
 def shuttle_bank(period: float = CYCLE) -> Sampled:
-    """Both laws bank like this: six reversals."""
+    """The bank law of both angle-of-attack laws, with six bank reversals."""
     lateral = VelocityReversals(jnp.array(REVERSALS))
     return Sampled(ShuttleBank(plan(), gate=gate(), lateral=lateral), period)
 
 
 def limits(increment: float = BANK_INCREMENT) -> BankLimits:
-    """Of what the angle of attack may ask of the bank: so much more or less, rad."""
+    """Limits of the bank increment (rad) that an angle-of-attack law may request."""
     return BankLimits(increment, LARGEST_BANK)
 
 
 def start() -> EntryState:
-    """Where the flight begins."""
+    """The initial state of the flight."""
     return EntryState(
         altitude=120.0 * km,
         longitude=0.0,
@@ -165,10 +165,10 @@ def start() -> EntryState:
 
 
 def entry(law: AbstractLaw, frequency: float) -> Scenario:
-    """From 120 km to 1600 m/s, with an attitude of a bandwidth (rad/s).
+    """The entry from 120 km to 1600 m/s, with an attitude of a bandwidth (rad/s).
 
-    The target has the altitude of the plan there, and no place: the paper has none. So the
-    downrange error is the range from the entry.
+    The target has the altitude of the plan at the end. It has no place, since the paper has
+    none. So the downrange error is the range from the entry.
     """
     reference = plan().over_index(jnp.asarray(END_VELOCITY))
     end = {name: values[0] for name, values in reference.items()}
@@ -219,21 +219,21 @@ def modulated(
 
 
 def modulation() -> Scenario:
-    """The paper's law, with gains for an attitude of 5 rad/s."""
+    """The paper's law, with gains for an attitude bandwidth of 5 rad/s."""
     return modulated(5.0, ModulationGains())
 
 
 def modulation_fast_observer() -> Scenario:
-    """The paper's law with a faster observer, for an attitude of 8 rad/s."""
+    """The paper's law with a faster observer, for an attitude bandwidth of 8 rad/s."""
     return modulated(5.0, ModulationGains(observer_pole=1500.0))
 
 
 def shuttle(divisor: float = 1.0) -> Scenario:
     """The Shuttle's law with f = 1.
 
-    The largest error of its drag is 8.46e-3 g nominally. With explicit steps of 0.05 s for
-    the attitude it would be 7.96: the law's gain is high, and feels a lag of a part of a
-    step (`tests/test_rlv.py`).
+    The largest drag error of the nominal flight is 8.46e-3 g. With explicit steps of 0.05 s
+    for the attitude it would be 7.96e-3 g: the gain of the law is high, so a lag of a part
+    of a step has an effect (`tests/test_rlv.py`).
     """
     law = ShuttleModulation(plan(), model(), divisor, gate=gate())
     return entry(compose(Sampled(law, CYCLE), shuttle_bank(), limits()), 5.0)
@@ -247,9 +247,9 @@ def shuttle_quarter() -> Scenario:
 def shuttle_as_flown() -> Scenario:
     """The Shuttle's law in its own cycle, with its dead band and its limit.
 
-    Within 0.15 ft/s2 the angle of attack stays, and a decision changes it by 2 degrees at
-    the most: as a limit of the deviation from the reference, a bank reversal would lose the
-    drag by a third of the gravity.
+    The angle of attack is held within a drag error of 0.15 ft/s2, and a decision changes it
+    by at most 2 degrees. If 2 degrees limited the deviation from the reference instead, the
+    drag error after a bank reversal would be a third of g.
     """
     period = 1.92
     law = ShuttleModulation(
@@ -261,9 +261,9 @@ def shuttle_as_flown() -> Scenario:
 def lag_inverted() -> Scenario:
     """The paper's law with the lag of the attitude inverted, in cycles of 0.2 s.
 
-    Frequency and pole are scheduled with one over the drag. A start, 0.5 and 1.1 rad/s at
-    all times, for an attitude of 3 rad/s: `benchmarks/tuned-rlv.toml` has what is tuned
-    from here.
+    Frequency and pole are scheduled with one over the drag: they are 0.5 and 1.1 rad/s at
+    all times. These are initial values of tuning for an attitude of 3 rad/s:
+    `benchmarks/tuned-rlv.toml` has the tuned gains.
     """
     gains = ModulationGains(
         frequency=1200.0,
@@ -277,10 +277,10 @@ def lag_inverted() -> Scenario:
 
 
 def lag_inverted_fast() -> Scenario:
-    """The lag inverted in cycles of 0.05 s, with gains for noise of what is sensed.
+    """The law `lag-inverted` in cycles of 0.05 s, with gains for sensor noise.
 
-    Frequency and pole are 1.0 and 4.0 rad/s at all times, chosen in the linear model
-    of `benchmarks/drag_noise.py`; the bank is fed back about as tuned for `lag-inverted`.
+    Frequency and pole are 1.0 and 4.0 rad/s at all times, chosen in the linear model of
+    `benchmarks/drag_noise.py`. The bank feedback is about that tuned for `lag-inverted`.
     """
     gains = ModulationGains(
         frequency=2600.0,
@@ -295,17 +295,17 @@ def lag_inverted_fast() -> Scenario:
 
 
 def attitude_3(scenario: Scenario) -> Scenario:
-    """An attitude of 3 rad/s about the angle of attack: the hard case."""
+    """An attitude bandwidth of 3 rad/s in angle of attack: the hard case."""
     return _with_attitude(scenario, 3.0)
 
 
 def attitude_8(scenario: Scenario) -> Scenario:
-    """An attitude of 8 rad/s about the angle of attack."""
+    """An attitude bandwidth of 8 rad/s in angle of attack."""
     return _with_attitude(scenario, 8.0)
 
 
 def _with_attitude(scenario: Scenario, frequency: float) -> Scenario:
-    """With a bandwidth in rad/s, which a law that inverts the lag knows as well."""
+    """The scenario with a bandwidth (rad/s), also in a law that inverts the lag."""
     slower = dataclasses.replace(scenario, attitude=attitude(frequency))
     law = scenario.guidance
     angle = (
@@ -321,6 +321,6 @@ def _with_attitude(scenario: Scenario, frequency: float) -> Scenario:
 
 
 def noise(scenario: Scenario) -> Scenario:
-    """Noise of the sensed drag and lift, 2e-4 of the gravity in each sample."""
+    """Noise of the sensed drag and lift of 2e-4 g in each sample."""
     sensed = Accelerometers(noise=2e-4 * standard_gravity)
     return dataclasses.replace(scenario, accelerometers=sensed)

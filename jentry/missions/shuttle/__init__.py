@@ -1,3 +1,3 @@
-"""Space Shuttle: the largest cross-range of a re-entry, with and without heating limit."""
+"""Space Shuttle: the largest crossrange of a re-entry, with and without heating limit."""
 
 from .mission import MISSION as MISSION

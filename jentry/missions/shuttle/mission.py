@@ -1,4 +1,4 @@
-"""The mission Space Shuttle: with and without a limit of heating, and what is asked."""
+"""The mission Space Shuttle, with and without a heating limit, and its problems."""
 
 import dataclasses
 
@@ -17,7 +17,7 @@ from .scenario import (
 
 
 def cross_range() -> FlightProblem:
-    """The largest latitude at the end: to the north of a start along the equator."""
+    """The largest latitude at the end, for a start eastwards along the equator."""
     return FlightProblem(
         objective=AtEnd("latitude"),
         bank=FreeControl(START_BANK, -89.0 * degree, 1.0 * degree),
@@ -38,7 +38,7 @@ def cross_range() -> FlightProblem:
 
 
 def to_both_sides() -> FlightProblem:
-    """The same with the bank to either side: what the landing footprint is found with."""
+    """The problem `cross_range` with a bank to either side, for landing footprints."""
     free = FreeControl(START_BANK, -89.0 * degree, 89.0 * degree)
     return dataclasses.replace(cross_range(), bank=free, published={})
 

@@ -28,18 +28,18 @@ from ...world.vehicle import Vehicle
 
 _LIFT = -0.20704, 0.029244
 _DRAG = 0.07854, -0.61592e-2, 0.621408e-3
-"""Over the angle of attack in degrees"""
+"""Polynomial in the angle of attack in degrees"""
 _HEATING = 1.0672181, -0.19213774e-1, 0.21286289e-3, -0.10117249e-5
-"""Over the angle of attack in degrees"""
+"""Polynomial in the angle of attack in degrees"""
 _BTU_PER_FT2_S = 1055.05585262 / foot**2
-"""W/m2, of the international British thermal unit"""
+"""Btu/(ft2 s) in W/m2, with the international British thermal unit"""
 
 END_ALTITUDE, END_VELOCITY, END_PATH_ANGLE = 80e3 * foot, 2500.0 * foot, -5.0 * degree
 HEATING_LIMIT = 70.0 * _BTU_PER_FT2_S
 START_BANK, START_ANGLE_OF_ATTACK = -45.0 * degree, 20.0 * degree
-"""Of a flight with constant controls; the literature does not have it"""
+"""Controls of a flight with constant controls; these are our own"""
 STEP = 2.0
-"""s"""
+"""Length of a step, s"""
 
 
 def _per_radian(polynomial: tuple[float, ...]) -> Vector:
@@ -47,10 +47,10 @@ def _per_radian(polynomial: tuple[float, ...]) -> Vector:
 
 
 class WingHeatRate(AbstractConstraint):
-    """Heat rate at the leading edge of the wing, at an angle of attack.
+    """Heat rate at the leading edge of the wing, which depends on the angle of attack.
 
-    17 700 sqrt(density) (velocity / 10^4)^3.07 in Btu/(ft2 s), with slug/ft3 and ft/s,
-    times a polynomial of the angle of attack.
+    It is 17 700 sqrt(density) (velocity / 10^4)^3.07 in Btu/(ft2 s), with slug/ft3 and
+    ft/s, times a polynomial in the angle of attack.
     """
 
     limit: Scalar | None = optional_scalar(unit="W/m2")
@@ -75,7 +75,7 @@ def earth() -> Planet:
 
 
 def vehicle() -> Vehicle:
-    """A weight of 203 000 lb over 32.174 ft/s2, and 2690 ft2."""
+    """The Shuttle: a weight of 203 000 lb over 32.174 ft/s2, and 2690 ft2."""
     return Vehicle(
         mass=203_000.0 / 32.174 * slug,
         reference_area=2690.0 * foot**2,
@@ -85,9 +85,9 @@ def vehicle() -> Vehicle:
 
 
 def glide() -> Scenario:
-    """The re-entry at a constant bank and angle of attack, down to the energy of its end.
+    """The re-entry at constant bank and angle of attack, down to the energy of its end.
 
-    A flight that comes there at the altitude of the end has its velocity as well.
+    A flight that ends there at the end altitude has the end velocity as well.
     """
     planet = earth()
     start = EntryState(
@@ -126,7 +126,7 @@ def glide() -> Scenario:
 
 
 def limited_heating(scenario: Scenario) -> Scenario:
-    """With a heat rate of the wing of 70 Btu/(ft2 s) at most."""
+    """A heat rate of the wing of at most 70 Btu/(ft2 s)."""
     limited = WingHeatRate(limit=HEATING_LIMIT)
     constraints = {**scenario.constraints, "wing_heat_rate": limited}
     return dataclasses.replace(scenario, constraints=constraints)

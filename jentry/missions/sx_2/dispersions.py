@@ -1,4 +1,4 @@
-"""What is uncertain in the SX-2 mission: the initial state, the air and the vehicle."""
+"""Dispersions of the SX-2 mission: initial state, air and vehicle."""
 
 from ..._computed_once import computed_once
 from ...campaign.dispersions import Dispersion, add
@@ -45,7 +45,7 @@ def initial_errors() -> dict[str, Dispersion]:
 
 @computed_once
 def one_at_a_time() -> dict[str, Dispersion]:
-    """An error of one component of the initial state, uniform, as the paper has them."""
+    """An error of one component of the initial state, uniform, as in the paper."""
     count = len(INITIAL_ERRORS)
     return {
         name.replace("_", " "): _moved(

@@ -20,7 +20,7 @@ from .scenario import full, measured, replanned, scheduled, small_angle
 
 
 def _off(**errors: float) -> Change:
-    """The change of a scenario to an initial state that is off by these: see `off_by`."""
+    """Change of a scenario to an initial state with these errors: see `off_by`."""
 
     def change(scenario: Scenario) -> Scenario:
         start = off_by(scenario.initial_state, **errors)
@@ -30,12 +30,12 @@ def _off(**errors: float) -> Change:
 
 
 def figures(scenario: Scenario) -> Scenario:
-    """Of figures 1 to 6: 1000 ft higher, and 0.1 degrees ahead and to the left."""
+    """Start of figures 1 to 6: 1000 ft higher, and 0.1 degrees ahead and to the left."""
     return _off(altitude=1.0, longitude=1.0, latitude=1.0)(scenario)
 
 
 def cases() -> dict[str, dict[str, float]]:
-    """The twelve largest errors one at a time, by name, in units of the largest ones."""
+    """The twelve initial errors of the paper, one at a time, as shares of the largest."""
     return {
         f"{name.replace('_', '-')}-{side}": {name: sign}
         for name in INITIAL_ERRORS

@@ -1,4 +1,4 @@
-"""SX-2, numerical predictor-corrector: no reference to track, and the bank alone."""
+"""SX-2, numerical predictor-corrector, without a reference and with the bank only."""
 
 import equinox as eqx
 
@@ -13,11 +13,12 @@ from .scenario import energies, full, reference_controls, track_model
 
 
 def guided() -> Scenario:
-    """To the end of the reference, under its angle of attack over the energy.
+    """Predictor-corrector to the end of the reference, under its angle of attack.
 
-    With this bank at the end the nominal flight has the altitude there as well. The
-    largest bank is that of the band of the other laws.
-    Six reversals are enough for a target that lies 145 n mile to one side.
+    The angle of attack is that of the reference over the energy. With this bank at the end
+    the nominal flight has the altitude there as well. The largest bank is that of the band
+    of the other laws. Six bank reversals are enough for a target that lies 145 n mile to
+    one side.
     """
     scenario, (_, last) = full(), energies()
     angle, _ = reference_controls()

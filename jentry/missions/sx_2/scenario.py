@@ -56,21 +56,24 @@ from ...world.vehicle import Vehicle
 
 END_ALTITUDE = 84_000 * foot
 END_VELOCITY = 2647 * foot
-"""m/s. Mach 2.70: where the paper hands over to terminal area energy management"""
+"""Velocity at the end, m/s: Mach 2.70, where the paper begins terminal area energy
+management"""
 
 FIRST_SHARE = 1.02
-"""Of the energy span, from which on the reference is flown: for perturbations that raise
-the energy"""
+"""Energy at which the reference begins, as a share of the energy span: it is above 1 for
+perturbations that raise the energy"""
 
 STEP = 1.0
-"""s. With steps of 0.25 s no flight of 512 ends elsewhere by more than 0.2 m"""
+"""Length of a step, s. With steps of 0.25 s the end of no flight of 512 moves by more than
+0.2 m"""
 
 
 def earth() -> Planet:
     """The Earth at rest, with the atmosphere of the paper.
 
-    Its surface density is printed in lb/ft3 and is in slug/ft3. Radius and gravity are
-    those of WGS-84. The temperature gives the Mach number only: 2.70 at the end.
+    The paper prints lb/ft3 as the unit of the surface density; corrected to slug/ft3.
+    Radius and gravity are those of WGS-84. The temperature affects only the Mach number,
+    which is 2.70 at the end.
     """
     sound = END_VELOCITY / 2.70
     return Planet(
@@ -85,7 +88,7 @@ def earth() -> Planet:
 
 
 def vehicle() -> Vehicle:
-    """SX-2: 82 310 lb, 709.2 ft2; polynomials for angles of attack from 5 to 25 degrees."""
+    """The SX-2: 82 310 lb, 709.2 ft2; polynomials for angles of attack of 5 to 25 deg."""
     return Vehicle(
         mass=2558.277 * slug,
         reference_area=709.2 * foot**2,
@@ -97,7 +100,7 @@ def vehicle() -> Vehicle:
 
 
 def start() -> EntryState:
-    """The initial reference state; the speed is printed in ft/s2."""
+    """The initial reference state; the paper prints ft/s2 as the unit of the speed."""
     return EntryState(
         altitude=200_000 * foot,
         longitude=0.0,
@@ -109,7 +112,7 @@ def start() -> EntryState:
 
 
 def energies() -> tuple[Scalar, Scalar]:
-    """At the start and at the end of the reference, J/kg."""
+    """Energies at the start and at the end of the reference, J/kg."""
     end = eqx.tree_at(
         lambda s: (s.altitude, s.velocity), start(), (END_ALTITUDE, END_VELOCITY)
     )
@@ -117,7 +120,8 @@ def energies() -> tuple[Scalar, Scalar]:
 
 
 class SmoothRise(AbstractProfile):
-    """A rise from one value to another by the quintic smoothstep, which is C2."""
+    """A rise from one value to another by the quintic smoothstep, with two continuous
+    derivatives."""
 
     low: Scalar = scalar(unit="rad")
     high: Scalar = scalar(unit="rad")
@@ -134,7 +138,7 @@ class SmoothRise(AbstractProfile):
 
 
 class ReversedBank(AbstractProfile):
-    """A bank that changes its side once: a spline times a hyperbolic tangent."""
+    """A bank that is reversed once: a spline times a hyperbolic tangent."""
 
     size: CubicSpline
     """Bank (rad) over the energy (J/kg), positive to the right at high energy"""
@@ -151,14 +155,15 @@ class ReversedBank(AbstractProfile):
 
 _BANK_KNOTS = (0.0, 0.06, 0.15, 0.26, 0.38, 0.52, 0.66, 0.8, 0.92, 1.05)
 _BANKS = (21.72, 35.79, 44.74, 44.47, 45.9, 43.82, 44.02, 41.38, 29.36, 24.93)
-"""deg. The paper prints figures of its reference controls and no numbers: these sink
-smoothly where a level start begins a phugoid, and reverse at about 10 130 ft/s"""
+"""Magnitudes of the reference bank, deg. The paper shows its reference controls only in
+figures. With these numbers the flight descends smoothly where a level start begins a
+phugoid, and the bank is reversed at about 10 130 ft/s"""
 
 
 def reference_controls() -> tuple[SmoothRise, ReversedBank]:
-    """Angle of attack and bank over the energy.
+    """Reference angle of attack and bank over the energy.
 
-    The bank of the paper is positive to the left, and here to the right.
+    The bank of the paper is positive to the left; here it is positive to the right.
     """
     first, last = energies()
     span = first - last
@@ -172,16 +177,16 @@ def reference_controls() -> tuple[SmoothRise, ReversedBank]:
 
 DOWNRANGE_EIGENVALUES = 18.0, 8.0, 8.0, 0.1
 CROSSRANGE_EIGENVALUES = 30.0, 1.2, 1.2
-"""Of (50) and (51), over the energy in units of its span"""
+"""Eigenvalues of (50) and (51), in units of one over the energy span"""
 
 
 def gains() -> TrackingGains:
-    """The paper prints none; these were found by search."""
+    """Gains that were found by search; the paper prints none."""
     return TrackingGains.from_eigenvalues(DOWNRANGE_EIGENVALUES, CROSSRANGE_EIGENVALUES)
 
 
 def schedule() -> ScheduledEigenvalues:
-    """The eigenvalues of `gains` at six energies: a start for tuning."""
+    """The eigenvalues of `gains` at six energies, as initial values of tuning."""
     first, last = energies()
     return ScheduledEigenvalues(
         last + (first - last) * jnp.linspace(0.0, 1.0, 6),
@@ -191,12 +196,12 @@ def schedule() -> ScheduledEigenvalues:
 
 
 def band() -> AttitudeBand:
-    """Bounds of (54): 5 degrees about the reference, from 5 to 25 degrees, 80 of bank."""
+    """Bounds of (54): 5 degrees about the reference, 5 to 25 degrees, and 80 of bank."""
     return AttitudeBand(5.0 * degree, 5.0 * degree, 25.0 * degree, 80.0 * degree)
 
 
 def track_model(angles: AbstractTrackAngles = EarthFixedAngles()) -> GroundTrackModel:
-    """The nominal motion that the law differentiates."""
+    """The model of the nominal motion that the law differentiates."""
     first, last = energies()
     return GroundTrackModel(
         OnboardModel(earth(), vehicle()), *reference_controls(), first - last, angles
@@ -206,9 +211,9 @@ def track_model(angles: AbstractTrackAngles = EarthFixedAngles()) -> GroundTrack
 def constraints() -> Constraints:
     """The corridor of figure 6: heating, normal load, dynamic pressure, equilibrium glide.
 
-    The paper prints no limits. These are chosen, such as an airframe of this class may
-    have: 60 W/cm2 at a nose radius of 1 m, 2.5 g, 20 kPa. The flight begins above the
-    equilibrium glide of zero bank, where 0.07 g lack; 0.1 may.
+    The paper prints no limits. These are chosen as for an airframe of this class: 60 W/cm2
+    at a nose radius of 1 m, 2.5 g, 20 kPa. The flight begins above the equilibrium glide of
+    zero bank, where 0.07 g are missing; the limit is 0.1 g.
     """
     return usual_constraints() | {
         "heat_rate": HeatRate(600e3),
@@ -292,12 +297,12 @@ def tracking(
 
 
 def full() -> Scenario:
-    """What the paper flew: no small angles, continuous."""
+    """The law of the paper's flights: without small angles, and continuous."""
     return tracking()
 
 
 def scheduled() -> Scenario:
-    """The full law with eigenvalues that go with the energy: for `jentry tune`."""
+    """The law `full` with eigenvalues that vary with the energy, for `jentry tune`."""
     return eqx.tree_at(lambda s: s.guidance.gains, full(), schedule())
 
 
@@ -307,16 +312,16 @@ def small_angle() -> Scenario:
 
 
 def measured() -> Scenario:
-    """No small angles; lift and drag are measured on board, in guidance cycles of 0.1 s."""
+    """The law `full` with measured lift and drag, in guidance cycles of 0.1 s."""
     return tracking(force_knowledge=MeasuredForces(), period=0.1)
 
 
 def replanned() -> Scenario:
-    """The reference is planned again every 10 s, under the lift and drag measured then.
+    """Reference planned again every 10 s, for the lift and drag measured at that time.
 
-    Source: re-planning, left to others by the paper. Within the limits the changed controls
-    are always allowed: they leave 2 degrees of the angle of attack to the tracking, and
-    the bank is below 80 degrees.
+    The paper mentions re-planning and leaves it open. The limits ensure that the changed
+    controls are always allowed: they leave 2 degrees of the angle of attack to the
+    tracking, and the bank is below 80 degrees.
     """
     scenario = tracking()
     limits = Adjustment(3.0 * degree, 0.4, 15.0 * degree)

@@ -1,4 +1,4 @@
-"""What the gain schedule of SX-2 is tuned for: small misses, away from the zero pair."""
+"""Objective of the gain schedule of SX-2: small misses, and distance from the zero pair."""
 
 from typing import Any
 
@@ -21,17 +21,17 @@ from ...units import nautical_mile
 
 
 class Ends(eqx.Module):
-    """Where a flight ends, and the eigenvalues that it has flown with."""
+    """End errors of a flight, and the eigenvalues of its law."""
 
     downrange: Scalar
-    """Miss, n mile"""
+    """Downrange error, n mile"""
     crossrange: Scalar
     eigenvalues: Float[Array, "n 7"]
-    """Of (50) and (51), at the energies of the schedule"""
+    """Eigenvalues of (50) and (51) at the energies of the schedule"""
 
 
 def ends(scenario: Scenario, flight: Flight) -> Ends:
-    """Of one flight: the `outputs` of `tune`."""
+    """The `Ends` of one flight: the `outputs` of `tune`."""
     law = scenario.guidance
     assert isinstance(law, GroundTrackTracking)
     assert isinstance(law.gains, ScheduledEigenvalues)
@@ -48,24 +48,26 @@ def _lengths(flown: Any) -> tuple[Values, Values]:
 
 
 class MissAndZeros(eqx.Module):
-    """Power mean of the radial miss (n mile), and a penalty on what is near the zero pair.
+    """Power mean of the radial miss (n mile), and a penalty on eigenvalues near the zeros.
 
-    The angle of attack moves the drag, which the law does not count with: a pair of
-    transmission zeros. High gains drive eigenvalues of the loop into them, and one of the
-    pair is in the right half plane where they are real. The penalty is the mean square of
-    the logarithm by which an eigenvalue exceeds a share of the pair's magnitude.
+    The angle of attack changes the drag, which the law neglects: this gives a pair of
+    transmission zeros. High gains drive eigenvalues of the loop towards them. Where the
+    zeros are real, one of them is in the right half plane. The penalty is the mean square
+    of the logarithm of an eigenvalue over a share of the pair's magnitude, where this
+    logarithm is positive.
     """
 
     magnitude: Vector = table(positive=True)
-    """Of the zero pair, at the energies of the schedule, in units of one over the span"""
+    """Magnitude of the zero pair at the energies of the schedule, in units of one over the
+    span"""
     share: float = eqx.field(default=1.0, static=True)
-    """Of the magnitude, from which on an eigenvalue is near"""
+    """Share of the magnitude above which an eigenvalue is penalised"""
     weight: float = eqx.field(default=0.1, static=True)
-    """n mile for eigenvalues that are e times as large, all of them"""
+    """Penalty, n mile, if all eigenvalues exceed this share by a factor of e"""
 
     def __call__(self, flown: Ends) -> Scalar:
         miss = OfDistance(power_mean, _lengths)(flown)
-        # Those of all flights are the same.
+        # The magnitudes are equal for all flights.
         limit = self.share * self.magnitude[None, :, None]
         near = jnp.log(flown.eigenvalues / limit)
         return miss + self.weight * jnp.mean(jax.nn.relu(near) ** 2)
@@ -74,8 +76,8 @@ class MissAndZeros(eqx.Module):
 def zero_pair(scenario: Scenario, points: int = 24) -> Float[np.ndarray, " n"]:
     """Magnitude of the zero pair along the reference, at the energies of the schedule.
 
-    In units of one over the energy span; by `linearize`, whose points are joined by
-    straight lines.
+    It is in units of one over the energy span, and interpolated linearly between the points
+    of `linearize`.
 
     **Raises:** `ValueError` for a law without a schedule, or a flight without zeros.
     """

@@ -1,3 +1,3 @@
-"""X-33: drag planned in a corridor, and tracking by Legendre collocation."""
+"""X-33: drag that is planned in a corridor and tracked by Legendre collocation."""
 
 from .mission import MISSION as MISSION

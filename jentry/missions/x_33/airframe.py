@@ -11,15 +11,15 @@ from ...world.vehicle import Vehicle
 
 
 _LIFT = -0.041065, 0.016292, 0.00026024
-"""Equation (61), over the angle of attack in degrees"""
+"""Coefficients of (61), a polynomial in the angle of attack in degrees"""
 _DRAG = 0.080505, -0.03026, 0.86495
-"""Equation (62), over the lift coefficient"""
+"""Coefficients of (62), a polynomial in the lift coefficient"""
 
 
 def vehicle() -> Vehicle:
-    """104 305 kg and 391.22 m2: 290 kg/m2 over the drag coefficient at 40 degrees."""
+    """The X-33: 104 305 kg and 391.22 m2, which is 290 kg/m2 at 40 degrees."""
     lift = jnp.array([c / degree**power for power, c in enumerate(_LIFT)])
-    # The drag is a polynomial of the lift, so of the angle of attack as well.
+    # The drag is a polynomial in the lift, and so in the angle of attack as well.
     constant, first, second = _DRAG
     drag = second * jnp.convolve(lift, lift)
     drag = drag.at[:3].add(first * lift).at[0].add(constant)
@@ -32,15 +32,15 @@ def vehicle() -> Vehicle:
 
 
 class ScheduledAngleOfAttack(AbstractProfile):
-    """Over the velocity (m/s): 40 degrees, and less below 4570 m/s, 14 degrees at 760.
+    """Angle of attack over the velocity: 40 degrees, falling to 14 from 4570 to 760 m/s.
 
     The paper says that it falls monotonically. Here it is a parabola with its top at
-    4570 m/s, where its second derivative jumps. It goes on below 760 m/s.
+    4570 m/s, where its second derivative jumps. It continues below 760 m/s.
     """
 
     high: Scalar = scalar(40.0 * degree, unit="rad")
     fall: Scalar = scalar(26.0 * degree, unit="rad")
-    """From the top to the last velocity"""
+    """Change from the top to the last velocity"""
     top: Scalar = scalar(4570.0, unit="m/s", positive=True)
     last: Scalar = scalar(760.0, unit="m/s", positive=True)
 

@@ -1,4 +1,4 @@
-"""The four cases of Tables 1 and 2, and what the paper prints of them."""
+"""The four cases of Tables 1 and 2, and the values that the paper prints of them."""
 
 import dataclasses
 from typing import NamedTuple
@@ -9,7 +9,7 @@ from ...units import degree, km
 
 
 class Errors(NamedTuple):
-    """Off the reference, at the start or at the end; SI units."""
+    """Errors with respect to the reference, at the start or at the end, in SI units."""
 
     altitude: float
     velocity: float
@@ -20,7 +20,7 @@ class Errors(NamedTuple):
 def _printed(
     altitude: float, velocity: float, path: float, downrange: float = 0.0
 ) -> Errors:
-    """Of km, m/s, degrees and km."""
+    """Errors from numbers in km, m/s, degrees and km."""
     return Errors(altitude * km, velocity, path * degree, downrange * km)
 
 
@@ -30,7 +30,7 @@ CASES = (
     _printed(1.7, 50.0, 0.3),
     _printed(-1.7, -50.0, -0.3),
 )
-"""The initial errors, the same in both tables"""
+"""The initial errors, which are equal in both tables"""
 
 TABLE_1 = (
     _printed(5.168, 315.18, 2.664, 379.59),
@@ -38,7 +38,7 @@ TABLE_1 = (
     _printed(1.656, 88.346, 1.072, 115.21),
     _printed(-1.614, -76.47, -1.200, -106.2),
 )
-"""Open loop, as printed; with these signs of the initial errors it is not reproduced"""
+"""Open loop, as printed. It is not reproduced with these signs of the initial errors"""
 
 TABLE_2 = (
     _printed(-1.394e-3, 0.468, 0.002, 100.83),
@@ -46,7 +46,7 @@ TABLE_2 = (
     _printed(-0.986e-3, 0.313, 0.001, 59.44),
     _printed(0.994e-3, -0.527, -0.002, -56.74),
 )
-"""Closed loop; the print of the altitudes of cases 3 and 4 has lost "e-3", corrected"""
+"""Closed loop. The printed altitudes of cases 3 and 4 lack "e-3"; corrected"""
 
 
 def off_by(state: EntryState, errors: Errors) -> EntryState:

@@ -1,8 +1,8 @@
-"""X-33 under the laws of other papers: all of them follow the flight of `reference()`.
+"""X-33 under the laws of other papers: all of them track the flight of `reference()`.
 
-What goes with the state and not with the time ends, as the predictor-corrector does, at the
-velocity of the end of the reference. Gains are those of the law's own mission, unchanged:
-those over time stand in seconds, the others are without dimensions.
+Laws that depend on the state and not on time end at the velocity of the end of the
+reference, like the predictor-corrector. Gains are those of the law's own mission,
+unchanged: gains over time are in seconds, the others are dimensionless.
 """
 
 import dataclasses
@@ -48,15 +48,15 @@ from .scenario import STEP, cos_bank, earth, glide, open_loop, reference
 
 
 _BEFORE = 30.0
-"""s by which the reference begins earlier: for initial errors that raise the energy"""
+"""Time by which the reference begins earlier, s: for errors that raise the energy"""
 _BEYOND = 600.0
-"""m/s down to which the reference goes on: for flights that end with less energy"""
+"""Velocity down to which the reference continues, m/s: for ends with less energy"""
 _INTERVALS = 2000
-"""Of the tables"""
+"""Number of intervals of the tables"""
 CYCLE = 0.1
-"""s: of the laws that the RLV flies in cycles of this length"""
+"""Guidance cycle of the laws of the RLV, s, as in that mission"""
 LARGEST_BANK = 80.0 * degree
-"""Of the laws of the RLV and of the SX-2, which have it there"""
+"""Largest bank of the laws of the RLV and of the SX-2, as in those missions"""
 
 
 def _angle(state: EntryState) -> Scalar:
@@ -68,7 +68,7 @@ def _cosine(state: EntryState) -> Scalar:
 
 
 def longer() -> Scenario:
-    """The reference without feedback, begun earlier and going on beyond its end."""
+    """The reference without feedback, with an earlier start and beyond its end."""
     flown = open_loop()
 
     def slope(_: Scalar, state: EntryState) -> EntryState:
@@ -85,7 +85,7 @@ def longer() -> Scenario:
 
 
 def _quantities(time: Scalar, state: EntryState) -> dict[str, Scalar]:
-    """What the laws read of a reference, by name."""
+    """Quantities of a reference that the laws use, by name."""
     angle, cosine = _angle(state), _cosine(state)
     air = air_data(earth(), vehicle(), state, angle)
     return {
@@ -112,24 +112,24 @@ def table(index: AbstractIndex) -> QuinticTable:
 
 
 def _flown_by(law: AbstractLaw) -> Scenario:
-    """A law in place of the mission's own, down to the velocity of the end."""
+    """The glide with another law, down to the velocity of the end."""
     return dataclasses.replace(glide(), guidance=law, step=STEP)
 
 
 def _tracking(bank: AbstractLaw) -> Scenario:
-    """A bank law beside the scheduled angle of attack."""
+    """The glide with a bank law and the scheduled angle of attack."""
     return _flown_by(compose(AngleOfAttackProfile(ScheduledAngleOfAttack()), bank))
 
 
 def _scheduled_model() -> OnboardModel:
-    """What the drag trackers know: the coefficients along the angle of attack flown."""
+    """Onboard model of drag tracking: coefficients at the scheduled angle of attack."""
     known = vehicle()
     aerodynamics = ScheduledAerodynamics(known.aerodynamics, ScheduledAngleOfAttack())
     return OnboardModel(earth(), dataclasses.replace(known, aerodynamics=aerodynamics))
 
 
 def drag_reference() -> DragReference:
-    """The drag of the reference over the energy, as the law's paper tracks it."""
+    """The drag of the reference over the energy, as in the paper of the law."""
     return DragReference(
         EnergyIndex(), table(EnergyIndex()).profile("drag"), cos_bank()
     )
@@ -155,14 +155,14 @@ def observer_drag_tracking() -> Scenario:
 
 
 def glide_reference() -> Reference:
-    """The reference over the velocity, with what the laws of the RLV read of a glide."""
+    """The reference over the velocity, with the columns that the laws of the RLV use."""
     return Reference(VelocityIndex(), table(VelocityIndex()))
 
 
 def modulation() -> Scenario:
-    """Zhang, Li and Zhang's law, with those gains of the RLV, beside the Shuttle's bank.
+    """Zhang, Li and Zhang's law with its gains of the RLV, and the Shuttle's bank law.
 
-    The attitude is flown at once here, and there is nothing to reverse.
+    The attitude has no lag here, and there are no bank reversals.
     """
     onboard = OnboardModel(earth(), vehicle())
     law = DynamicalModulation(
@@ -173,7 +173,7 @@ def modulation() -> Scenario:
 
 
 def shuttle() -> Scenario:
-    """The Shuttle's angle of attack with f = 1, beside its bank: the RLV's baseline."""
+    """The Shuttle's laws for angle of attack, with f = 1, and bank: the RLV's baseline."""
     onboard = OnboardModel(earth(), vehicle())
     return _modulated(Sampled(ShuttleModulation(glide_reference(), onboard), CYCLE))
 
@@ -185,7 +185,7 @@ def _modulated(angle_of_attack: AbstractLaw) -> Scenario:
 
 
 def track_model() -> GroundTrackModel:
-    """The motion that feedback linearization differentiates."""
+    """The model of the motion that feedback linearization differentiates."""
     controls, start = table(EnergyIndex()), reference().at(jnp.zeros(())).state
     first = energy(earth(), start.eastward())
     last = energy(earth(), reference().end.eastward())
@@ -199,7 +199,7 @@ def track_model() -> GroundTrackModel:
 
 @computed_once
 def ground_track() -> GroundTrackPlan:
-    """What the reference gives over the energy, with both of its ends longer."""
+    """The reference over the energy, extended at both ends."""
     energies = table(EnergyIndex())
     last = energies.start + _INTERVALS * energies.spacing
     return kept(plan_ground_track)(longer(), track_model(), last)
@@ -208,8 +208,8 @@ def ground_track() -> GroundTrackPlan:
 def feedback_linearization() -> Scenario:
     """Bharadwaj, Rao and Mease's law, with the eigenvalues and the band of the SX-2.
 
-    In the vertical plane its crossrange has no error: the sideways lift stays that of the
-    reference, which turns nothing here, and the downrange has angle of attack and bank.
+    In the vertical plane the crossrange has no error. The lateral lift remains that of the
+    reference and turns nothing here. Angle of attack and bank control the downrange.
     """
     law = GroundTrackTracking(
         track_model(),

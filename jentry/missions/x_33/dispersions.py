@@ -1,4 +1,4 @@
-"""What is uncertain in the X-33 mission: the initial state, the air and the vehicle."""
+"""Dispersions of the X-33 mission: initial state, air and vehicle."""
 
 from ..._computed_once import computed_once
 from ...campaign.dispersions import Dispersion, add
@@ -14,7 +14,7 @@ def _initial(name: str) -> Dispersion:
 
 @computed_once
 def initial_errors() -> dict[str, Dispersion]:
-    """Errors of the initial state at once, uniform, up to the largest of the tables."""
+    """All errors of the initial state at once, uniform, up to the largest of the tables."""
     return {
         "altitude": _initial("altitude"),
         "velocity": _initial("velocity"),

@@ -26,7 +26,7 @@ from .scenario import (
 
 
 def _range(largest: bool) -> FlightProblem:
-    """The range within the corridor, with the end of the reference."""
+    """Problem of the largest or smallest range within the corridor, with a fixed end."""
     end = reference().end
     return FlightProblem(
         objective=AtEnd("downrange"),
@@ -43,17 +43,17 @@ def _range(largest: bool) -> FlightProblem:
 
 
 def longest() -> FlightProblem:
-    """The largest range within the corridor, to the altitude and path angle of the end."""
+    """The largest range within the corridor, to a fixed altitude and flight-path angle."""
     return _range(largest=True)
 
 
 def shortest() -> FlightProblem:
-    """The smallest range within the corridor, likewise."""
+    """The smallest range within the corridor, to a fixed altitude and flight-path angle."""
     return _range(largest=False)
 
 
 def to_both_sides() -> FlightProblem:
-    """The same with the bank to either side: what the landing footprint is found with."""
+    """The problem `longest` with a bank to either side, for landing footprints."""
     free = FreeControl(GLIDE_BANK, -120.0 * degree, 120.0 * degree)
     return dataclasses.replace(longest(), bank=free, history=5.0)
 
@@ -65,13 +65,14 @@ def _case(number: int) -> Change:
     errors = CASES[number - 1]
     change.__doc__ = (
         f"Starts {errors.altitude:+g} m, {errors.velocity:+g} m/s and "
-        f"{errors.flight_path_angle / degree:+.1f} deg of path angle off the reference."
+        f"{errors.flight_path_angle / degree:+.1f} deg of flight-path angle off the "
+        "reference."
     )
     return change
 
 
 def three_dimensional(scenario: Scenario) -> Scenario:
-    """Motion in three dimensions, in which a bank turns the flight to the side."""
+    """Motion in three dimensions, in which a bank turns the heading."""
     free = dataclasses.replace(scenario, dynamics=EntryDynamics())
     if not isinstance(free.guidance, PredictorCorrector):
         return free

@@ -1,4 +1,4 @@
-"""X-33, numerical predictor-corrector: to the end of the reference, without tracking it."""
+"""X-33, numerical predictor-corrector to the end of the reference, which is not tracked."""
 
 import dataclasses
 
@@ -18,11 +18,11 @@ from .scenario import LAST_VELOCITY, glide, model
 
 
 STEP = 0.5
-"""s; the bank is smooth within a guidance cycle"""
+"""Length of a step, s; the bank is smooth within a guidance cycle"""
 CYCLE = 2.0
-"""s"""
+"""Guidance cycle, s"""
 LONGEST = 2000.0
-"""s, of a prediction"""
+"""Largest duration of a prediction, s"""
 
 
 def _guided(
@@ -54,20 +54,21 @@ def _guided(
 def guided() -> Scenario:
     """Predictor-corrector, down to the velocity at the end of the reference.
 
-    Both ends of the bank are free, so that the altitude there is met as well.
+    Both ends of the bank are free, so that the end altitude is reached as well.
     """
     return _guided(glide())
 
 
 def limited() -> Scenario:
-    """Predictor-corrector within the corridor, for which the bank may be larger.
+    """Predictor-corrector within the corridor, with a larger limit of the bank.
 
-    A steep entry that is kept from heat and load pulls up. The prediction foresees it, in
-    steps of a guidance cycle: the limits bound the bank there as they will in flight.
+    The limits of heat rate and load make a steep entry pull up. The prediction includes
+    this, in steps of a guidance cycle: the limits bound the bank there as in flight.
 
-    Corrections are smaller, since the slopes jump where a limit begins to bind: with steps
-    of 0.3 one flight of 800 in other air ran into the limit of the equilibrium glide, from
-    where no number moved it any more, and fell 1.8 km short.
+    Corrections are smaller, since the slopes jump where a limit becomes active. With
+    largest corrections of 0.3, one flight of 800 in dispersed air reached the limit of the
+    equilibrium glide. There the numbers of the bank had no effect any more, and the flight
+    ended 1.8 km short.
     """
     scenario = _guided(
         glide(),
@@ -79,6 +80,6 @@ def limited() -> Scenario:
 
 
 def in_space(scenario: Scenario) -> Scenario:
-    """With bank reversals as predicted, in place of a bank to one side."""
+    """The scenario with predicted bank reversals in place of a bank to one side."""
     lateral = PredictedCrossrange(factor=5.0)
     return eqx.tree_at(lambda s: s.guidance.lateral, scenario, lateral)

@@ -1,4 +1,4 @@
-"""X-33: the planned drag, the flight that has it, and the laws that track this flight.
+"""X-33: the planned drag, the flight with this drag, and laws that track this flight.
 
 Source: D.-W. Lee, K.-R. Cho, H. Yan, "Re-Entry Trajectory Tracking Via an Inverse Dynamics
 Method". What the paper leaves open is stated where it is chosen.
@@ -62,28 +62,29 @@ from .airframe import ScheduledAngleOfAttack, vehicle
 
 
 FIRST_VELOCITY, LAST_VELOCITY = 7450.0, 760.0
-"""m/s"""
+"""Velocities at the start and at the end, m/s"""
 FIRST_DRAG, LAST_DRAG = 4.0487, 5.4482
-"""m/s2; not printed. With them the flight begins at -0.5 degrees and ends at 22.165 km"""
+"""Drag at the start and at the end, m/s2; not printed. With these numbers the flight begins
+at a flight-path angle of -0.5 degrees and ends at 22.165 km"""
 RANGE = 3000.0 * km
 SURFACE_GRAVITY = 9.81
-"""m/s2; not printed"""
+"""Gravity at the surface, m/s2; not printed"""
 RADIUS = 6378.0 * km
-"""Not printed"""
+"""Radius of the Earth; not printed"""
 STEP = 0.1
-"""s"""
+"""Length of a step, s"""
 GLIDE_BANK = 60.0 * degree
-"""Of the flight with which planning of the longest and of the shortest range begins"""
+"""Bank of the initial flight of planning for the longest and the shortest range"""
 GLIDE_STEP = 1.0
-"""s; no law acts on it"""
+"""Length of a step without a feedback law, s"""
 
 _HEATING = 1.7415e-4
-"""W s3/(kg1/2 m7/2): Sutton and Graves, for a sphere of 1 m, about which the paper says
-nothing"""
+"""Coefficient of the heat rate, W s3/(kg1/2 m7/2): Sutton and Graves, for a nose radius of
+1 m; the paper states none"""
 
 
 def earth() -> Planet:
-    """The Earth at rest with an exponential atmosphere; none of it is printed."""
+    """The Earth at rest with an exponential atmosphere; the paper prints no numbers."""
     return Planet(
         radius=RADIUS,
         gravity=InverseSquareGravity(SURFACE_GRAVITY * RADIUS**2),
@@ -93,10 +94,10 @@ def earth() -> Planet:
 
 
 def corridor() -> Constraints:
-    """The limits (6) to (9); the load factor is one of 9.81 m/s2.
+    """The limits (6) to (9); the load factor is in units of 9.81 m/s2.
 
-    (6) limits the square root of the density times the cube of the velocity: here the heat
-    rate, which is that times a coefficient.
+    Equation (6) limits the square root of the density times the cube of the velocity. Here
+    the heat rate is limited, which is that product times a coefficient.
     """
     return {
         "heat_rate": HeatRate(3.305e9 * _HEATING),
@@ -112,9 +113,9 @@ def corridor() -> Constraints:
 def plan(first_drag: float = FIRST_DRAG) -> DragPlan:
     """The smoothest drag in the corridor, from a drag at the entry (m/s2).
 
-    From 1 m/s2 the load limit binds at some nodes. Up there the profile is at the limit of
-    equilibrium glide too, and between the nodes asks for more lift than there is: it is a
-    plan, and no flight.
+    From 1 m/s2 the load limit is active at some nodes. At high altitude that profile is at
+    the limit of the equilibrium glide too, and needs more lift between the nodes than there
+    is: it is a plan that cannot be flown.
     """
     return plan_drag_profile(
         earth(),
@@ -128,19 +129,22 @@ def plan(first_drag: float = FIRST_DRAG) -> DragPlan:
 
 
 def model() -> LongitudinalModel:
-    """What is known on board."""
+    """The onboard model of the motion in the vertical plane."""
     return LongitudinalModel(OnboardModel(earth(), vehicle()), ScheduledAngleOfAttack())
 
 
 def inverse(exact: bool) -> AbstractInverse:
-    """The flight of the planned drag, by the exact inverse or by the paper's."""
+    """The inverse of the dynamics for the planned drag, exact or that of the paper."""
     kind = ExactInverse if exact else SmallAngleInverse
     return kind(earth(), vehicle(), ScheduledAngleOfAttack(), plan().drag)
 
 
 @computed_once
 def cos_bank(exact: bool = False) -> JoinedProfile:
-    """Over the velocity; it jumps where the angle of attack begins to fall."""
+    """Cosine of the planned bank over the velocity.
+
+    It jumps where the angle of attack begins to fall.
+    """
     jump = float(ScheduledAngleOfAttack().top)
     ends = jnp.array([LAST_VELOCITY, jump, FIRST_VELOCITY])
     return plan_bank_over_velocity(inverse(exact), ends)
@@ -148,17 +152,17 @@ def cos_bank(exact: bool = False) -> JoinedProfile:
 
 @computed_once
 def reference(exact: bool = False) -> LongitudinalReference:
-    """The flight under that bank, from where the drag profile begins."""
+    """The flight under the planned bank, from the start of the drag profile."""
     first = inverse(exact).at(jnp.asarray(FIRST_VELOCITY))
     start = LongitudinalState(first.altitude, FIRST_VELOCITY, first.flight_path_angle)
     return fly_longitudinal(model(), cos_bank(exact), start, LAST_VELOCITY)
 
 
 def regulator(of: LongitudinalReference, with_range: bool = False) -> Regulator:
-    """Q and R of ones and P_f of 300, which the paper does not print.
+    """The regulator, with Q and R of ones and P_f of 300, which the paper does not print.
 
-    With the range as a fourth state P_f is of 30 000: with 300 the range is missed by up to
-    6 km, which is little beside the radius of the planet.
+    With the range as a fourth state P_f is 30 000: with 300 the range error is up to 6 km,
+    which is little relative to the radius of the planet.
     """
     if not with_range:
         return Regulator(model(), of)
@@ -167,14 +171,14 @@ def regulator(of: LongitudinalReference, with_range: bool = False) -> Regulator:
 
 
 def start(of: LongitudinalReference) -> EntryState:
-    """On the equator to the east, at the first point of a reference."""
+    """Initial state at the first point of a reference, on the equator and heading east."""
     return of.at(of.ends[0]).state.eastward()
 
 
 def entry(law: AbstractLaw, of: LongitudinalReference) -> Scenario:
     """The flight of a bank law for the duration of a reference.
 
-    Its target is the end of the reference, at the same time.
+    Its target is the end of the reference, at the time of that end.
     """
     end = of.end
     return Scenario(
@@ -201,13 +205,13 @@ def entry(law: AbstractLaw, of: LongitudinalReference) -> Scenario:
 
 
 def tracked(regulated: Regulator) -> Scenario:
-    """A regulator with stored gains."""
+    """The flight of a regulator with stored gains."""
     law = StoredGainTracking(regulated, kept(plan_gains)(regulated))
     return entry(law, regulated.reference)
 
 
 def tracking() -> Scenario:
-    """The paper's regulator, about the flight of its own inverse, with stored gains."""
+    """The paper's regulator about the flight of the paper's inverse, with stored gains."""
     return tracked(regulator(reference()))
 
 
@@ -217,12 +221,12 @@ def with_range() -> Scenario:
 
 
 def receding() -> Scenario:
-    """The regulator solved again every 10 s, for the horizon that is left."""
+    """The paper's regulator, solved again every 10 s for the remaining horizon."""
     return entry(PseudospectralTracking(regulator=regulator(reference())), reference())
 
 
 def receding_with_range() -> Scenario:
-    """The regulator solved again every 10 s, with the downrange as a fourth state."""
+    """The law `receding` with the downrange as a fourth state."""
     regulated = regulator(reference(), with_range=True)
     return entry(PseudospectralTracking(regulator=regulated), reference())
 
@@ -233,9 +237,9 @@ def open_loop() -> Scenario:
 
 
 def glide() -> Scenario:
-    """A constant bank down to the velocity of the end: where the best range begins.
+    """A constant bank down to the velocity of the end: the initial flight of planning.
 
-    It starts as the reference does, and keeps the angle of attack over the velocity.
+    It starts like the reference, and has its angle of attack over the velocity.
     """
     of = reference()
     bank = ControlProfiles(
@@ -251,5 +255,5 @@ def glide() -> Scenario:
 
 
 def exact_inverse() -> Scenario:
-    """Stored gains about the flight of the exact inverse."""
+    """The paper's regulator about the flight of the exact inverse, with stored gains."""
     return tracked(regulator(reference(exact=True)))

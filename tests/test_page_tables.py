@@ -1,0 +1,147 @@
+"""The tables of the pages: what a specification asks for, out of the saved files."""
+
+import csv
+import re
+import sys
+
+import numpy as np
+import pytest
+from pages import ROOT, benchmark
+
+
+sys.path.insert(0, str(ROOT / "docs"))
+
+import filling  # noqa: E402
+import tables  # noqa: E402
+
+
+def cells(markdown):
+    """Cells of a table in Markdown, heading first."""
+    lines = markdown.partition("\n\n")[0].splitlines()
+    return [[c.strip() for c in line.strip("|").split("|")] for line in lines]
+
+
+def sets_of(*row):
+    """Values of the sets, read from the file by nothing of ours."""
+    with open(ROOT / "benchmarks" / "populations.csv", newline="") as file:
+        (found,) = (line for line in csv.reader(file) if tuple(line[:4]) == row)
+    return np.array(found[6:], float)
+
+
+SPECIFICATION = """
+source = "populations.csv"
+mission = "mars-drag-tracking"
+corner = "law"
+rows = [
+  {title = "ours", choice = "table-3", dispersions = "lift-to-drag-held"},
+]
+columns = [
+  {title = "mean", heading = "NAME", show = "mean ± deviation"},
+  {title = "extremes", cells = [
+    {heading = "NAME", show = "smallest"}, {heading = "NAME", show = "largest"}]},
+  {title = "paper", heading = "NAME", show = "published", published = "NAME"},
+  {title = "off", heading = "NAME", show = "off by", published = "NAME"},
+  {title = "below", heading = "NAME", show = "below", published = "NAME"},
+]
+""".replace("NAME", "downrange error, standard deviation")
+
+
+def test_a_table_of_populations():
+    made = tables.table(SPECIFICATION)
+    heading, rule, row = cells(made)
+    assert heading == ["law", "mean", "extremes", "paper", "off", "below"]
+    assert set(rule) == {"---"}
+    name = "downrange error, standard deviation"
+    sets = sets_of("mars-drag-tracking", "table-3", "lift-to-drag-held", name)
+    mean, deviation = np.mean(sets), np.std(sets, ddof=1)
+    assert len(sets) == 16
+    assert row == [
+        "ours",
+        f"{mean:.2f} ± {deviation:.2f}",
+        f"{min(sets):.2f}, {max(sets):.2f}",
+        "6.7809",  # Table 3 of the paper
+        f"{(6.7809 - mean) / deviation:.1f}",
+        f"{np.sum(sets < 6.7809)} of 16",
+    ]
+    assert "`python benchmarks/populations.py mars-drag-tracking`, 2026-" in made
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("populations.csv", "nothing.csv", "source is 'nothing.csv': choose from"),
+        ("corner =", "korner =", r"unknown keys \['korner'\]"),
+        ('show = "largest"', 'shows = "largest"', "unknown keys|show"),
+        ('choice = "table-3"', 'choice = "table-4"', "table-4"),
+        ('show = "published", published = "NAME"', 'show = "published"', "published"),
+    ],
+)
+def test_a_specification_that_cannot_be_met_is_refused(old, new, said):
+    name = "downrange error, standard deviation"
+    wrong = SPECIFICATION.replace(old.replace("NAME", name), new)
+    assert wrong != SPECIFICATION
+    with pytest.raises((KeyError, ValueError), match=said):
+        tables.table(wrong)
+
+
+@pytest.mark.parametrize(
+    ("value", "digits", "printed"),
+    [
+        (0.0123456, 3, "0.0123"),
+        (99.96, 3, "100"),
+        (9.996, 3, "10.0"),
+        (-1234.5, 3, "-1234"),
+        (3e-16, 3, "0"),
+        (-3e-16, 3, "0"),
+        (0.0, 3, "0"),
+    ],
+)
+def test_numbers_have_their_digits(value, digits, printed):
+    assert tables.decimal(value, digits) == printed
+
+
+def test_a_mean_has_the_digits_of_its_deviation():
+    assert tables.with_deviation(140.8123, 5.123, 3) == "140.8 ± 5.1"
+    assert tables.with_deviation(0.0025, 0.0036, 3) == "0.0025 ± 0.0036"
+    assert tables.with_deviation(2.0, 0.0, 3) == "2.00 ± 0"
+
+
+def test_a_saved_table_comes_back(tmp_path):
+    records = benchmark("records")
+    file = tmp_path / "some.csv"
+    first = [
+        records.Cell("a, b", "x", 1.23456789, 2, 1.5),
+        records.Cell("c", "x", 2.0, -1),
+    ]
+    records.save(file, "one", first)
+    records.save(file, "two", first[:1])
+    records.save(file, "one", first)
+    saved = records.load(file)
+    assert set(saved) == {"one", "two"}
+    assert saved["one"].cells == first and saved["two"].cells == first[:1]
+
+
+def test_every_page_can_be_filled():
+    """Every table has its numbers, and every command and mission exists."""
+    for path in sorted(ROOT.joinpath("docs").rglob("*.md")):
+        made = filling.filled(path.read_text())
+        assert "```table" not in made, path
+        assert not re.search(r"^\{\{", made, re.M), path
+
+
+def test_every_command_has_a_page():
+    import typer
+
+    from jentry.cli.entry import app
+
+    commands = set(typer.main.get_group(app).commands)
+    pages = {path.stem for path in ROOT.joinpath("docs", "commands").glob("*.md")}
+    assert pages == commands | {"index", "configuration"}
+
+
+def test_every_mission_has_a_page():
+    from jentry.missions import every_mission
+
+    names = {mission.name for mission in every_mission()}
+    pages = {path.stem for path in ROOT.joinpath("docs", "missions").glob("*.md")}
+    assert pages == names | {"index", "predictor-corrector", "laws-compared"}
