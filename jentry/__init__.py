@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def __getattr__(name: str) -> Any:
-    """Imported when first asked for: JAX takes seconds, and a command may be `--help`."""
+    """A public name, imported at its first use: `--help` must not wait for JAX."""
     if name == "__version__":
         return import_module("importlib.metadata").version(__name__)
     if name == "__all__" or not name.startswith("_"):
@@ -38,7 +38,7 @@ def __dir__() -> list[str]:
 
 
 def _import_all() -> None:
-    """Put here all that is offered, with `__all__`."""
+    """Import all public names into this module, and set `__all__`."""
     api = vars(import_module("._api", __name__))
     offered = {
         name: x

@@ -1,4 +1,4 @@
-"""Functions that the compiler keeps apart from what calls them."""
+"""Functions that the compiler does not inline into their callers."""
 
 import functools
 from collections.abc import Callable
@@ -15,14 +15,15 @@ R = TypeVar("R")
 
 
 def apart(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a function as `eqx.filter_jit` does, and keep it out of what calls it.
+    """Compile a function as `eqx.filter_jit` does, without inlining it into its callers.
 
-    XLA puts a function into its callers, and computes there what is cheap once more for
-    everything that needs it: out of a large one it makes several times as much, to compile
-    and to run. One that is called computes nothing twice, and stores what it returns. It
-    pays where much is computed in every stage of a step: 512 flights of `sx-2` take 0.38 s
-    in place of 0.60 (`full`), 0.32 in place of 0.41 (`small-angle`). Measure it: with the
-    command of every law apart, those of Mars in the plane took 5 % more, of `rlv` 8 %.
+    XLA inlines a function into its callers, and repeats cheap operations there for each of
+    their uses. A large function then takes several times as long to compile and to run. A
+    function that is not inlined computes nothing twice, and stores its results. This helps
+    if much is computed in every stage of a step: 512 flights of `sx-2` take 0.38 s instead
+    of 0.60 s (`full`), and 0.32 s instead of 0.41 s (`small-angle`). Measure it: if the
+    command of every law is not inlined, flights of Mars in the plane take 5 % longer, and
+    those of `rlv` 8 %.
     """
     compiled = eqx.filter_jit(function)
 
@@ -34,7 +35,7 @@ def apart(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _called(result: Any) -> Any:
-    """A result of a call that is not to be put into its caller."""
+    """A result of a call that must not be inlined."""
     if not isinstance(result, Tracer):
         return result
-    return set_xla_metadata(result, inlineable="false")  # what gives it, the call
+    return set_xla_metadata(result, inlineable="false")  # marks the call

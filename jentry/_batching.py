@@ -1,4 +1,4 @@
-"""Flights that are flown side by side: one answer for all, and one number for each."""
+"""Tools for batches of flights: one decision for all, and one number for each flight."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
@@ -19,7 +19,7 @@ T = TypeVar("T", bound=PyTree)
 
 @jax.custom_batching.custom_vmap
 def any_lane(condition: Bool[Array, "..."]) -> Bool[Array, "..."]:
-    """Whether it holds for any flight of the batch: one answer for all under `vmap`."""
+    """Whether a condition holds for any flight of a batch: one value for all in `vmap`."""
     return condition
 
 
@@ -29,21 +29,21 @@ def _(axis_size, in_batched, condition):
 
 
 def where_due(due: Flag, act: Callable[[T], T], otherwise: T) -> T:
-    """`act(otherwise)` where it is due, computed only while it is for any flight.
+    """`act(otherwise)` where it is due, computed only if it is due for any flight.
 
-    `lax.cond` under `vmap` computes both sides at all times; this skips what no flight
-    of the batch needs. Worth it where all flights of a batch are due together.
+    `lax.cond` under `vmap` always computes both sides. This function skips `act` if no
+    flight of the batch needs it. It helps if all flights of a batch are due together.
     """
     acted = lax.cond(any_lane(jnp.asarray(due)), act, lambda same: same, otherwise)
     return jax.tree.map(lambda a, b: jnp.where(due, a, b), acted, otherwise)
 
 
 def side_by_side(tree: T, by: PyTree = None) -> T:
-    """The same numbers, each of them one for each flight of a batch if any of them is.
+    """The leaves of a tree, all of them batched if any leaf of it or of `by` is batched.
 
-    Or if any is of `by`. `vmap` goes through the body of a loop again for as long as this
-    makes more of what is carried differ from flight to flight. Where all of it does from
-    the start, it goes through it once. Nothing of this is left in what is compiled.
+    `vmap` traces the body of a loop again as long as this makes more leaves of the carry
+    batched. If all leaves are batched from the start, it traces the body once. The compiled
+    program contains nothing of this.
     """
     leaves, structure = jax.tree.flatten(tree)
     others = [x for x in jax.tree.leaves(by) if eqx.is_array(x)]
@@ -52,7 +52,7 @@ def side_by_side(tree: T, by: PyTree = None) -> T:
 
 
 _alike = Primitive("side_by_side")
-"""The first `count` of its operands as they are, in a batch each along a first axis"""
+"""Returns its first `count` operands unchanged, in a batch each along a first axis"""
 _alike.multiple_results = True
 
 

@@ -1,7 +1,7 @@
 """Legendre-Gauss-Lobatto collocation: nodes, weights, derivatives and interpolation.
 
-A function is known by its values at N + 1 nodes on [-1, 1], both ends among them, and
-stands for the polynomial of degree N through these.
+A function is represented by its values at N + 1 nodes on [-1, 1], which include both ends,
+and by the polynomial of degree N through these values.
 """
 
 import functools
@@ -16,26 +16,27 @@ from .fields import Scalar, Vector
 
 
 class Collocation(NamedTuple):
-    """The nodes of degree N and what is done with values there; arrays of numpy."""
+    """Nodes of degree N with their weights and differentiation matrices; NumPy arrays."""
 
     nodes: np.ndarray
-    """(N + 1,), from -1 to 1: the ends, and the zeros of the derivative of the Legendre
-    polynomial of degree N"""
+    """Nodes, shape (N + 1,), from -1 to 1: the ends, and the zeros of the derivative of the
+    Legendre polynomial of degree N"""
     weights: np.ndarray
-    """(N + 1,), of the quadrature that is exact for polynomials of degree 2 N - 1"""
+    """Weights, shape (N + 1,), of the quadrature that is exact for polynomials of degree
+    2 N - 1"""
     first: np.ndarray
-    """(N + 1, N + 1): times the values, the derivatives at the nodes"""
+    """Matrix, shape (N + 1, N + 1), that gives first derivatives at the nodes"""
     second: np.ndarray
-    """(N + 1, N + 1): times the values, the second derivatives at the nodes"""
+    """Matrix, shape (N + 1, N + 1), that gives second derivatives at the nodes"""
     barycentric: np.ndarray
-    """(N + 1,), the weights of the barycentric form, the largest of them 1"""
+    """Weights of the barycentric form, shape (N + 1,); the largest is 1"""
 
 
 @functools.cache
 def legendre_gauss_lobatto(degree: int) -> Collocation:
-    """Nodes and matrices of a degree, one or more.
+    """Nodes and matrices of a degree of one or more.
 
-    Made in the longest floating-point numbers that the machine has: their own rounding
+    They are computed in the longest floating-point type of the machine, so that rounding
     does not grow with the degree.
     """
     if degree < 1:
@@ -43,7 +44,7 @@ def legendre_gauss_lobatto(degree: int) -> Collocation:
     x = _nodes(degree)
     at_nodes, _ = _legendre(degree, x)
     weights = 2 / (degree * (degree + 1) * at_nodes**2)
-    # The polynomial changes its sign from node to node, as these weights do.
+    # The polynomial alternates in sign from node to node, as these weights do.
     barycentric = 1 / at_nodes
     apart = x[:, None] - x[None, :]
     np.fill_diagonal(apart, 1)
@@ -61,7 +62,7 @@ def legendre_gauss_lobatto(degree: int) -> Collocation:
 
 
 def _nodes(degree: int) -> np.ndarray:
-    """By Newton's method from those of Chebyshev, symmetric to the last bit."""
+    """Nodes by Newton's method from those of Chebyshev, symmetric to the last bit."""
     x = -np.cos(np.pi * np.arange(degree + 1, dtype=np.longdouble) / degree)
     for _ in range(100):
         value, before = _legendre(degree, x)
@@ -75,7 +76,7 @@ def _nodes(degree: int) -> np.ndarray:
 
 
 def _legendre(degree: int, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Legendre polynomials of a degree and of one less."""
+    """Values of the Legendre polynomials of a degree and of the degree below."""
     before, value = np.ones_like(x), x
     for n in range(1, degree):
         before, value = value, ((2 * n + 1) * x * value - n * before) / (n + 1)
@@ -83,8 +84,10 @@ def _legendre(degree: int, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _closed(matrix: np.ndarray) -> np.ndarray:
-    """Rounded, with the diagonal by which the derivative of a constant is zero: half of the
-    rounding of a second derivative is in this."""
+    """The rounded matrix, with a diagonal that makes the derivative of a constant zero.
+
+    Half of the rounding of a second derivative comes from the diagonal otherwise.
+    """
     rounded = np.asarray(matrix, float)
     np.fill_diagonal(rounded, 0.0)
     np.fill_diagonal(rounded, [-math.fsum(row) for row in rounded])
@@ -93,9 +96,9 @@ def _closed(matrix: np.ndarray) -> np.ndarray:
 
 @jax.custom_jvp
 def interpolate(values: Vector, x: Scalar) -> Scalar:
-    """The polynomial through values at the nodes, anywhere between -1 and 1.
+    """The polynomial through values at the nodes, evaluated anywhere in [-1, 1].
 
-    By the barycentric formula; differentiable as often as one likes, at the nodes too.
+    It uses the barycentric formula, and is differentiable to any order, at the nodes too.
     """
     collocation = legendre_gauss_lobatto(values.shape[0] - 1)
     apart = x - collocation.nodes

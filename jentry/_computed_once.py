@@ -1,4 +1,4 @@
-"""Values that are computed once, whoever asks first."""
+"""Values that are computed once per process."""
 
 import contextlib
 import functools
@@ -15,10 +15,10 @@ R = TypeVar("R")
 
 
 def computed_once(function: Callable[P, R]) -> Callable[P, R]:
-    """`functools.cache` for what holds arrays.
+    """`functools.cache` for functions whose results contain arrays.
 
-    Where JAX traces what asks first, a plain cache would keep numbers that only this
-    trace knows, and hand them to the next.
+    If the first call happens while JAX traces, a plain cache would store tracers, which are
+    valid only in that trace, and return them to later calls.
     """
 
     @functools.cache
@@ -27,13 +27,13 @@ def computed_once(function: Callable[P, R]) -> Callable[P, R]:
             return function(*given, **named)
 
     cached = functools.update_wrapper(of_known_numbers, function)
-    return cast(Callable[P, R], cached)  # a plain cache does not tell what it takes
+    return cast(Callable[P, R], cached)  # the type of a plain cache lacks the arguments
 
 
 def known_numbers() -> contextlib.AbstractContextManager:
-    """Within it all numbers are known, also where JAX traces what is computed.
+    """A context in which all numbers are known, even while JAX traces.
 
-    Where nothing is traced they are computed as ever: within JAX's own context this takes
-    `sx-2` 1.25 s in place of 1.
+    Without tracing it does nothing: the context of JAX would take `sx-2` 1.25 s instead of
+    1 s.
     """
     return jax.ensure_compile_time_eval() if is_tracing() else contextlib.nullcontext()

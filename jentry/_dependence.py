@@ -1,4 +1,4 @@
-"""What of a function does not depend on its inputs, read from its traced form."""
+"""Dependence of the outputs of a function on its inputs, from its traced form."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,16 +11,16 @@ from .fields import Scalar
 
 
 _CALLS = {"jit", "pjit", "closed_call", "remat2", "checkpoint", "custom_jvp_call"}
-"""Operations that are a traced function and no more: each output of them is judged by
-itself. Of any other one every output counts as depending on every input."""
+"""Operations that only call a traced function: each of their outputs is examined by itself.
+Every output of any other operation counts as depending on every input."""
 
 
 class Traced:
-    """A function that is traced once, and called as often as needed.
+    """A function that is traced once and may be called many times.
 
-    A comparison, a choice and a `stop_gradient` pass a dependence on. It is never
-    overlooked, whatever the values are; where a loop or a branch has several outputs, or
-    an input is multiplied by zero, one may be found that is none.
+    Comparisons, selections and `stop_gradient` propagate a dependence. No dependence is
+    overlooked, whatever the values are. A false dependence may be found if a loop or a
+    branch has several outputs, or if an input is multiplied by zero.
     """
 
     def __init__(self, function: Callable[..., Any], *inputs: Any):
@@ -28,22 +28,22 @@ class Traced:
         self._structure = jax.tree.structure(outputs)
 
     def __call__(self, *inputs: Any) -> Any:
-        # A constant comes out as a number of numpy.
+        # A constant is returned as a NumPy number.
         outputs = map(jnp.asarray, jaxpr_as_fun(self._closed)(*inputs))
         return jax.tree.unflatten(self._structure, outputs)
 
     def depends(self) -> bool:
-        """Whether any number that the function gives depends on its inputs."""
+        """Whether any output of the function depends on its inputs."""
         return any(self._dependent())
 
     def depending(self) -> Any:
-        """Which numbers that the function gives depend on its inputs, each in its place."""
+        """Whether each output depends on the inputs, in the structure of the outputs."""
         return jax.tree.unflatten(self._structure, self._dependent())
 
     def independent(self, where: Callable[[Any], Any]) -> Scalar | None:
-        """The number at a place of the output; None where it depends on the inputs.
+        """The number at a place of the output; None if it depends on the inputs.
 
-        Only the operations that lead to it are made, so that it costs no more.
+        Only the operations that are needed for this number are computed.
         """
         jaxpr = self._closed.jaxpr
         places = jax.tree.unflatten(self._structure, range(len(jaxpr.outvars)))
@@ -71,7 +71,7 @@ def _is_variable(v: Any) -> bool:
 
 
 def _dependent(jaxpr: Jaxpr, dependent_inputs: Sequence[bool]) -> list[bool]:
-    """Which outputs of a traced function depend on those of its inputs."""
+    """Whether each output of a traced function depends on the marked inputs."""
     dependent = {v for v, r in zip(jaxpr.invars, dependent_inputs, strict=True) if r}
 
     def is_dependent(v: Any) -> bool:

@@ -1,4 +1,4 @@
-"""One way to write a file: whole or not at all, and through no link."""
+"""Writing of files: completely or not at all, and never through a link."""
 
 import hashlib
 import io
@@ -17,7 +17,7 @@ import tomli_w
 _UNFINISHED = ".unfinished"
 
 _DIGEST = "digest"
-"""In an archive, of all other arrays"""
+"""Name of the array of an archive that contains the digest of all others"""
 
 _UNREADABLE = (
     ValueError,
@@ -31,31 +31,31 @@ _UNREADABLE = (
     zipfile.BadZipFile,
     zlib.error,
 )
-"""What may be raised of an archive that was not written by numpy, or is damaged"""
+"""Errors of NumPy for an archive that is damaged or was not written by NumPy"""
 
 
 def write_whole(path: Path | str, contents: bytes) -> None:
-    """Write a file so that it is there whole or not at all, also after a crash.
+    """Write a file so that it exists completely or not at all, also after a crash.
 
-    The contents go to a new file beside it, which nobody can have prepared: its name is
-    drawn, and it must not exist. Flushed to the disk, it takes the place of what has the
-    name, a link included. A writer that is killed leaves the new file, under a hidden
-    name that is never read; see `remove_unfinished`.
+    The contents are written to a new file in the same folder. Its name is random and must
+    not exist, so that no other user can prepare it. After a flush to the disk it replaces
+    whatever has the name, including a link. A writer that is killed leaves the new file
+    under a hidden name that is never read; see `remove_unfinished`.
     """
     path = Path(path)
-    # The beginning alone: a name may be as long as the file system takes.
+    # Only the beginning of the name: a name may be as long as the file system allows.
     unfinished = path.with_name(
         f".{path.name[:40]}.{secrets.token_hex(8)}{_UNFINISHED}"
     )
     new = os.O_WRONLY | os.O_CREAT | os.O_EXCL
-    # The first is not on Windows, and the second, which writes bytes, only there.
+    # O_NOFOLLOW does not exist on Windows; O_BINARY, for bytes, exists only there.
     new |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
     try:
         file = os.open(unfinished, new, 0o666)
     except FileExistsError:
         raise
     except OSError as error:
-        error.filename = str(path)  # which is the one that the user knows
+        error.filename = str(path)  # the name that the user knows
         raise
     try:
         with os.fdopen(file, "wb") as stream:
@@ -70,8 +70,8 @@ def write_whole(path: Path | str, contents: bytes) -> None:
 
 
 def _flush_folder(folder: Path) -> None:
-    """So that a renamed file has its name after a crash as well."""
-    if os.name == "nt":  # where a folder cannot be opened
+    """Flush a folder, so that a renamed file has its new name after a crash as well."""
+    if os.name == "nt":  # Windows cannot open a folder
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
@@ -81,9 +81,9 @@ def _flush_folder(folder: Path) -> None:
 
 
 def write_toml(path: Path | str, comment: str, contents: Mapping[str, Any]) -> None:
-    """Write plain values as TOML under lines of comment, whole or not at all.
+    """Write plain values as TOML under lines of comment, completely or not at all.
 
-    Numbers are written to the last digit. What is None is left out.
+    Numbers are written to the last digit. Values of None are left out.
     """
     lines = [f"# {line}".rstrip() + "\n" for line in comment.splitlines()]
     given = {name: value for name, value in contents.items() if value is not None}
@@ -91,10 +91,10 @@ def write_toml(path: Path | str, comment: str, contents: Mapping[str, Any]) -> N
 
 
 def write_sealed(path: Path | str, arrays: Mapping[str, np.ndarray], kind: str) -> None:
-    """Write arrays by name as an archive of numpy (npz), whole or not at all.
+    """Write arrays by name as a NumPy archive (npz), completely or not at all.
 
-    Its folder is made if it is not there. A digest of all of them, and of the kind of file
-    that it is, goes with them.
+    The folder is created if it does not exist. The archive contains a digest of all arrays
+    and of the kind of file.
     """
     sealed = {**arrays, _DIGEST: np.array(digest_of_arrays(arrays, kind))}
     archive = io.BytesIO()
@@ -105,10 +105,10 @@ def write_sealed(path: Path | str, arrays: Mapping[str, np.ndarray], kind: str) 
 
 
 def read_sealed(path: Path | str, kind: str) -> dict[str, np.ndarray]:
-    """The arrays of such an archive, by name. Nothing in a file is executed.
+    """The arrays of an archive of `write_sealed`, by name. Nothing in it is executed.
 
-    Raises `ValueError` for a file that is none, of another kind, or damaged: numpy alone
-    may read one with arrays that are shorter or not there at all.
+    Raises `ValueError` for a file that is not such an archive, is of another kind, or is
+    damaged. NumPy alone may read a damaged file in which arrays are shorter or missing.
     """
     try:
         archive = io.BytesIO(Path(path).read_bytes())
@@ -125,7 +125,7 @@ def read_sealed(path: Path | str, kind: str) -> dict[str, np.ndarray]:
 
 
 def digest_of_arrays(arrays: Mapping[str, np.ndarray], kind: str) -> str:
-    """Of names, types, shapes and contents, and of the kind of file."""
+    """Digest of names, types, shapes and contents of arrays, and of the kind of file."""
     hashed = hashlib.sha256()
     named = {**arrays, "format": np.array(kind)}
     for name in sorted(named):
@@ -136,9 +136,10 @@ def digest_of_arrays(arrays: Mapping[str, np.ndarray], kind: str) -> str:
 
 
 def remove_unfinished(folder: Path, pattern: str) -> None:
-    """Remove what killed writers of files with such names have left in a folder.
+    """Remove unfinished files that killed writers have left in a folder.
 
-    Only for a folder that nobody else writes these files into at the time.
+    `pattern` is that of the names of the files. No other process may write such files into
+    the folder at the same time.
     """
     for unfinished in folder.glob(f".{pattern}.*{_UNFINISHED}"):
         unfinished.unlink(missing_ok=True)

@@ -1,4 +1,4 @@
-"""The classical Runge-Kutta method, for flights and for what is predicted on board."""
+"""The classical Runge-Kutta method, for flights and for predictions on board."""
 
 import functools
 from collections.abc import Callable
@@ -15,17 +15,17 @@ from .fields import Scalar
 
 Y = TypeVar("Y", bound=PyTree)
 Slope = Callable[[Scalar, Y], Y]
-"""dy/dx over the independent variable x and over y"""
+"""dy/dx as a function of the independent variable x and of y"""
 
 
 def runge_kutta_step(slope: Slope, x: Scalar, y: Y, step: Scalar | float) -> Y:
     """y after one step of the classical fourth-order method from x to x + step.
 
-    Each stage adds to the sum and is forgotten. The stages are a loop: written out they
+    Each stage is added to the sum and is not stored. The stages are a loop: unrolled they
     compile more slowly, and reverse mode takes four times as long.
     """
 
-    # In a loop nothing is there to be merged with what is computed again.
+    # In a loop no common subexpressions can be merged with the recomputed stages.
     @functools.partial(jax.checkpoint, prevent_cse=False)
     def stage(carry, place_and_weight):
         k, total = carry
@@ -46,7 +46,7 @@ def runge_kutta_step(slope: Slope, x: Scalar, y: Y, step: Scalar | float) -> Y:
 def runge_kutta(
     slope: Slope, start: Scalar | float, end: Scalar | float, y: Y, steps: int
 ) -> Y:
-    """y at the end, integrated from the start in so many equal steps."""
+    """y at the end, integrated from the start in a number of equal steps."""
     step = (end - start) / steps
 
     def advance(y, index):

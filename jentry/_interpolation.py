@@ -1,8 +1,8 @@
-"""Smooth interpolation in tables: monotone cubics over one variable and over two.
+"""Smooth interpolation in tables: monotone cubics over one or two variables.
 
 Slopes are computed from the values at each call, so that a table is a leaf like any
 other number: it can be dispersed, tuned and differentiated. Under `vmap` over flights
-that share a table this costs once, not once for each flight.
+that share a table the slopes are computed once, not once for each flight.
 """
 
 import jax
@@ -17,7 +17,7 @@ from .fields import Scalar, Vector
 def check_grid(name: str, grid: Array) -> None:
     """Refuse a grid that is not a list of at least two increasing numbers.
 
-    The order is checked where the numbers are known, that is outside of `jit`.
+    The order is checked if the numbers are known, that is outside of `jit`.
     """
     if grid.ndim != 1 or grid.shape[0] < 2:
         raise ValueError(
@@ -35,21 +35,21 @@ def check_grid(name: str, grid: Array) -> None:
 
 
 def clamp(x: Scalar, low: Scalar | float, high: Scalar | float) -> Scalar:
-    """x held between two ends, with derivative one at the ends and zero beyond.
+    """x clamped to two ends, with derivative one at the ends and zero beyond.
 
-    `jnp.clip` has derivative one half where x is at an end.
+    `jnp.clip` has derivative one half if x is at an end.
     """
     return jnp.where(x < low, low, jnp.where(x > high, high, x))
 
 
 def interval(grid: Vector, x: Scalar) -> Int[Array, ""]:
-    """Number of the interval that holds x; beyond the ends the first or last one."""
+    """Number of the interval that contains x; beyond the ends the first or last one."""
     number = jnp.searchsorted(grid[1:-1], x, side="right", method="scan_unrolled")
     return number.astype(int)
 
 
 def _end_slope(width, next_width, secant, next_secant):
-    """Slope at an end through three points, limited so that it does not overshoot."""
+    """Slope at an end from three points, limited so that the cubic does not overshoot."""
     slope = (2.0 * width + next_width) * secant - width * next_secant
     slope = slope / (width + next_width)
     turns = secant * next_secant <= 0.0
@@ -64,8 +64,9 @@ def monotone_slopes(
 ) -> Float[Array, " n *trailing"]:
     """Slopes at the grid points along the first axis, for a cubic without overshoot.
 
-    Between two secants of one sign their weighted harmonic mean, zero at a turning
-    point; exact for straight lines, second order otherwise.
+    A slope is the weighted harmonic mean of the two adjacent secants if they have one sign,
+    and zero at a turning point. It is exact for straight lines, and of second order
+    otherwise.
 
     Reference: Fritsch and Butland, "A method for constructing local monotone piecewise
     cubic interpolants", SIAM J. Sci. Stat. Comput. 5(2), 1984, equation (5).
@@ -101,7 +102,7 @@ def interpolate(
 ) -> Float[Array, " *trailing"]:
     """Monotone cubic through the values along the first axis, once differentiable.
 
-    Beyond the ends it goes on as a straight line with the slope of the end.
+    Beyond the ends it continues as a straight line with the slope at the end.
     """
     slopes = monotone_slopes(grid, values)
     inside = clamp(x, grid[0], grid[-1])
@@ -122,8 +123,8 @@ def interpolate_surface(
 ) -> Float[Array, " *trailing"]:
     """Bicubic surface through a table over two variables, once differentiable.
 
-    Monotone along the lines of the grid; held at the edges, where the gradient across
-    the edge is zero outside.
+    It is monotone along the lines of the grid. Beyond an edge it is constant, and its
+    gradient across the edge is zero.
     """
     x_slopes = monotone_slopes(x_grid, values)
     y_slopes = _slopes_along_second_axis(y_grid, values)

@@ -1,8 +1,8 @@
-"""The solution of a linear system, differentiable to any order, traced as it is needed.
+"""The solution of a linear system, differentiable to any order, traced only as needed.
 
-`lax.custom_linear_solve` traces, and batches, the equations and their transpose with both
-solutions wherever it is called. A derivative of first order needs one of the four: where
-the equations are those of a whole flight, the other three are most of what Python does.
+`lax.custom_linear_solve` traces and batches the equations, their transpose and both
+solutions at each call. A derivative of first order needs one of the four. If the equations
+are those of a whole flight, the other three take most of the time in Python.
 """
 
 import dataclasses
@@ -20,7 +20,7 @@ from jaxtyping import Array, PyTree
 
 Places = TypeVar("Places", bound=PyTree)
 X = TypeVar("X", bound=PyTree)
-# Arrays, and where JAX takes a program apart also its literals.
+# Arrays, and also literals where JAX processes a program.
 Leaves = Sequence[Any]
 
 
@@ -33,16 +33,15 @@ def linear_solve(
 ) -> X:
     """The x with `equations(places, x) == right`, which is linear in x.
 
-    The equations and what solves them depend on no other arrays than `places`, in which
-    they are differentiable; neither the places nor x are differentiated through what
-    solves.
+    The equations and the solvers depend on no arrays other than `places`. The equations
+    are differentiable in these. The solvers themselves are not differentiated.
 
     **Arguments:**
 
-    - `equations`: left-hand sides, of the structure and shapes of x.
-    - `solve`: x for the right-hand sides.
-    - `transpose_solve`: the same for the transposed system.
-    - `places`: a pytree of arrays, on which the system depends.
+    - `equations`: left-hand sides, with the structure and shapes of x.
+    - `solve`: function that returns x for right-hand sides.
+    - `transpose_solve`: function that returns x for the transposed system.
+    - `places`: a pytree of arrays on which the system depends.
     - `right`: a pytree of arrays of floats.
     """
     flat_places, places_structure = jax.tree.flatten(places)
@@ -65,15 +64,16 @@ def linear_solve(
 
 
 def solve_dense(matrix: Array, right: Array) -> Array:
-    """The x with `matrix @ x == right`, in flight: in a batch, one system after the other.
+    """The x with `matrix @ x == right`; in a batch, one system is solved after the other.
 
-    `jnp.linalg.solve` of a batch hands its systems to threads and waits for them. Where
-    these fly on the other devices they wait for this one, and so on for ever.
+    Use it within flights. `jnp.linalg.solve` of a batch gives its systems to threads and
+    waits for them. Threads that fly on other devices wait for this device in turn, which is
+    a deadlock.
 
     **Arguments:**
 
-    - `matrix`: (n, n).
-    - `right`: (n, columns).
+    - `matrix`: matrix, shape (n, n).
+    - `right`: right-hand sides, shape (n, columns).
     """
     return linear_solve(
         jnp.matmul, _one, lambda matrix, right: _one(matrix.T, right), matrix, right
@@ -87,7 +87,7 @@ def _one(matrix: Array, right: Array) -> Array:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class _System:
-    """Functions of the leaves of places and of x, to leaves like those of x."""
+    """Functions of the leaves of places and x that return leaves like those of x."""
 
     equations: Callable[[Leaves, Leaves], Leaves]
     solve: Callable[[Leaves, Leaves], Leaves]
@@ -103,7 +103,7 @@ class _System:
         return _System(equations, self.transpose_solve, self.solve)
 
     def batched(self, axes: Sequence[int | None], size: int) -> "_System":
-        """Side by side, along axes of the places and along the first one of x."""
+        """The batched system, along axes of the places and along the first axis of x."""
 
         def over(function):
             return jax.vmap(function, (list(axes), 0), 0, axis_size=size)

@@ -1,4 +1,4 @@
-"""Newton's method with safeguards: a fixed number of steps, which end within bounds."""
+"""Newton's method with safeguards: a fixed number of steps, which stay within bounds."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from .fields import Flag, Scalar
 
 
 Point = Scalar | Float[Array, " 2"]
-"""One unknown, or two of them"""
+"""One unknown, or two unknowns"""
 Slope = Scalar | Float[Array, "2 2"]
 """Derivative of one value, or of each of two values (rows) in each unknown (columns)"""
 Bound = Scalar | float | None
@@ -21,15 +21,15 @@ ValueAndSlope = Callable[[Point], tuple[Point, Slope]]
 
 
 class Root(NamedTuple):
-    """Where Newton's method has come to."""
+    """Result of Newton's method."""
 
     x: Point
     value: Point
-    """Of the function where the last step began"""
+    """Value of the function where the last step began"""
     step: Point
-    """The last one: small where the method has converged, infinite where there was none"""
+    """The last step: small if the method has converged, infinite if no step was possible"""
     known: Flag
-    """Whether the function and its derivative were finite wherever they were asked for"""
+    """Whether the function and its derivative were finite wherever they were evaluated"""
 
 
 def newton(
@@ -44,26 +44,27 @@ def newton(
     unroll: bool = False,
     nan_where_lost: bool = False,
 ) -> Root:
-    """Look for a zero of a function of one or of two unknowns.
+    """Search a zero of a function of one or two unknowns.
 
-    Always as many steps as asked for, none of which leaves the bounds: what cannot be
-    reached ends at a bound. Where the function is not finite, or its slope is zero, x
-    stays. The derivative of the result is that of the steps. Begun at a zero that is not
+    The number of steps is fixed, and no step leaves the bounds: a search for a zero beyond
+    a bound ends at the bound. If the function is not finite, or its slope is zero, x does
+    not change. The derivative of the result is that of the steps. From a zero that is not
     differentiated, `stop_gradient(x)`, one step has the first derivative of the implicit
-    function, two steps have the first three.
+    function, and two steps have the first three.
 
     **Arguments:**
 
-    - `value_and_slope`: of the function, such as `by_jvp(function)`.
-    - `x`: where to begin.
+    - `value_and_slope`: value and slope of the function, such as `by_jvp(function)`.
+    - `x`: initial value.
+    - `steps`: number of steps.
     - `lower`, `upper`: bounds on each unknown.
     - `largest_step`: bound on each step of each unknown.
     - `falls`: the function of one unknown is known to fall from a positive value at the
       lower bound to a negative one at the upper bound. The bounds then close in on the
       zero, and a step that would leave them goes to the middle between them.
-    - `unroll`: write the steps out, in place of a loop that compiles once.
-    - `nan_where_lost`: x becomes NaN, and stays so, where otherwise it stays: for an inner
-      loop, which then carries x alone.
+    - `unroll`: unroll the steps instead of compiling a loop.
+    - `nan_where_lost`: x becomes NaN, and remains so, where otherwise it would not change.
+      This is for an inner loop, which then carries only x.
     """
     if falls and nan_where_lost:
         raise ValueError("falls=True has bounds that close in: it is not lost")
@@ -74,14 +75,14 @@ def newton(
         (x, _, _, known), low, high = carry
         value, slope = value_and_slope(x)
         if nan_where_lost:
-            # A slope of zero gives an infinite step, and an infinite slope one of zero.
+            # A slope of zero gives an infinite step; an infinite slope gives a zero step.
             step = -solve(slope, value) + 0.0 * jnp.sum(slope)
             step = jnp.where(jnp.isfinite(step), step, jnp.nan)
         else:
             finite = _is_finite(value) & _is_finite(slope)
             usable = finite & (_determinant(slope) != 0.0)
             known = known & finite
-            # On both sides of the last `where`, so that no derivative comes from there.
+            # Replaced before and after the division, so that no derivative is NaN.
             at = jnp.where(usable, value, jnp.zeros_like(value))
             step = -solve(jnp.where(usable, slope, _identity(slope)), at)
         if largest_step is not None:
@@ -128,7 +129,7 @@ def solve(slope: Slope, right: Point) -> Point:
 
 
 def _is_finite(x: Point | Slope) -> Flag:
-    # A reduction of a scalar would stand between operations that belong together.
+    # A reduction of a scalar would prevent the fusion of the operations around it.
     return jnp.isfinite(x if jnp.ndim(x) == 0 else jnp.sum(x))
 
 
@@ -140,7 +141,7 @@ def _determinant(slope: Slope) -> Scalar:
 
 
 def _within(x: Point, low: Bound, high: Bound) -> Array:
-    # `jnp.clip` has derivative one half where x is at an end.
+    # `jnp.clip` has derivative one half if x is at an end.
     if low is not None:
         x = jnp.where(x < low, low, x)
     return jnp.asarray(x if high is None else jnp.where(x > high, high, x))

@@ -1,4 +1,4 @@
-"""Names in words, and objects as text: their numbers in the units people read."""
+"""Names as words, and objects as text, with numbers in the usual units."""
 
 import contextlib
 import dataclasses
@@ -15,14 +15,14 @@ from .units import at_edge
 
 
 def in_words(name: str) -> str:
-    """The name of a field or of an output in words: `heat_rate` is heat rate."""
+    """The name of a field or an output as words: `heat_rate` becomes heat rate."""
     return name.replace("_", " ").replace("flight path", "flight-path")
 
 
 def quantity_in_words(value: Any, unit: str) -> str:
-    """A number, or the extremes of many, in the unit in which people read it.
+    """Text for a number, or for the extremes of several, in its usual unit.
 
-    What has no numbers yet, as under `jit`, is told by its type and shape.
+    A value without known numbers, as under `jit`, is shown by its type and shape.
     """
     if not _is_known(value):
         described = hasattr(value, "dtype") and hasattr(value, "shape")
@@ -42,7 +42,7 @@ def quantity_in_words(value: Any, unit: str) -> str:
 
 
 def _is_known(value: Any) -> bool:
-    """Whether this is a number, or an array of some, that can be looked at."""
+    """Whether a value is a number, or an array of numbers, that is known."""
     if isinstance(value, Tracer | bool):
         return False
     if isinstance(value, np.ndarray | np.generic | jax.Array):
@@ -51,10 +51,10 @@ def _is_known(value: Any) -> bool:
 
 
 def as_text(self: Any) -> str:
-    """An object as people read it: a line for each of its numbers, with its unit.
+    """An object as text: one line for each of its numbers, with its unit.
 
-    It is the `__str__` of what is printed most; `repr` shows the structure. Fields that
-    are None are left out.
+    It is the `__str__` of the objects that are printed most; `repr` shows the structure.
+    Fields that are None are left out.
     """
     lines = [(f"{'  ' * depth}{name}", value) for depth, name, value in _lines(self, 1)]
     width = max((len(name) for name, _ in lines), default=0)
@@ -64,7 +64,7 @@ def as_text(self: Any) -> str:
 
 def _lines(tree: Any, depth: int) -> Iterator[tuple[int, str, str]]:
     units = units_of(type(tree)) if dataclasses.is_dataclass(tree) else {}
-    units |= getattr(tree, "_units", {})  # of a mapping, which has no fields
+    units |= getattr(tree, "_units", {})  # units of a mapping, which has no fields
     for name, value in _members(tree, units).items():
         if value is None:
             continue
@@ -92,14 +92,14 @@ def _members(tree: Any, units: Mapping[str, str]) -> dict[str, Any]:
         field.name: getattr(tree, field.name) for field in dataclasses.fields(tree)
     }
     for name in units:
-        # What is no number, such as a place holder of a transformation, has no property.
+        # The property fails if a field is no number, such as a placeholder of JAX.
         with contextlib.suppress(TypeError, ValueError):
             found[name] = getattr(tree, name)
     return found
 
 
 def _plain(value: Any) -> str:
-    """A member without a unit."""
+    """Text for a member without a unit."""
     if isinstance(value, jax.Array | np.ndarray):
         return quantity_in_words(value, "1")
     return repr(value)

@@ -1,8 +1,8 @@
-"""Programs that have been traced once, for the processes to come as well.
+"""Cached programs: functions that are traced once, for later processes as well.
 
-JAX's compilation cache spares the compiler. Before it can be asked a program must be
-traced, which for a guided flight takes seconds of Python. A program kept here is found by
-what it is made of instead (`_provenance.py`), as `jax.export` has written it down.
+JAX's own cache saves the time of the compiler, but it finds a program only after tracing,
+which takes seconds of Python for a guided flight. This cache stores traced programs, as
+`jax.export` writes them, and finds them by what they depend on (`_provenance`).
 """
 
 import contextlib
@@ -27,37 +27,41 @@ from jax.core import Tracer
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 from ._files import write_whole
-from ._provenance import Untold, made_of, provenance, settings
+from ._provenance.program_keys import Unknown, description_of, key_of, settings
 from ._setup import programs_directory
 
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_LOOKED_AT = "jax_disable_jit", "jax_debug_nans", "jax_debug_infs"
-"""Settings of JAX with which `jit` does more than to run a program"""
+_INSPECTED = "jax_disable_jit", "jax_debug_nans", "jax_debug_infs"
+"""Settings of JAX with which `jit` does more than run a program"""
 
-_GROUND = jax.make_user_context(None)
-"""Part of what JAX finds its traces by"""
+_ENVIRONMENT = jax.make_user_context(None)
+"""Part of the key under which JAX finds its own traces"""
 
-_ONE_AT_A_TIME = threading.RLock()
-"""Of the threads: warnings are of the whole process"""
+_ONE_THREAD = threading.RLock()
+"""One thread at a time traces: the filters of warnings belong to the whole process"""
 
 _UNUSED = 60 * 86400.0
-"""s, after which a program that nobody has asked for is removed"""
+"""s, after which a program that was not used is removed"""
 
 
-def kept(function: Callable[P, R], **options: Any) -> "Kept[P, R]":
-    """Compile a function as `eqx.filter_jit` does, and keep what was traced.
+def cached(function: Callable[P, R], **options: Any) -> "Cached[P, R]":
+    """Compile a function as `eqx.filter_jit` does, and cache its traced programs.
 
-    Kept are programs with nothing in them of the user's own, in the folder that
-    `jentry.setup` settles. What lies there is run: nobody else must be able to write there.
+    A program is cached if it contains nothing of the user's own code. The cache is the
+    folder that `jentry.setup` chooses. Programs are run from there, so only the user may
+    have write access to it.
     """
-    return Kept(function, options)
+    return Cached(function, options)
 
 
-class Kept(Generic[P, R]):
-    """A compiled function whose programs are kept, see `kept`."""
+class Cached(Generic[P, R]):
+    """A compiled function whose programs are cached, see `cached`."""
+
+    IN_KEYS = "_function", "_options"
+    """Attributes that are part of the keys of programs. The others are state."""
 
     def __init__(self, function: Callable[P, R], options: dict[str, Any]):
         functools.update_wrapper(self, function)
@@ -72,29 +76,29 @@ class Kept(Generic[P, R]):
         return program(leaves) if program else self._traced(*given, **named)
 
     def _program(self, leaves: list[Any], structure: Any) -> "_Program | None":
-        """The program for what is given; none where it is not kept."""
+        """The program for these arguments, or None if it is not cached."""
         folder = programs_directory()
-        if folder is None or _looked_at(leaves):
+        if folder is None or _is_inspected(leaves):
             return None
         try:
-            made = made_of(self._function, leaves, structure)
-            known = made, settings()
-            with _ONE_AT_A_TIME:
+            description = description_of(self._function, leaves, structure)
+            known = description, settings()
+            with _ONE_THREAD:
                 if known not in self._programs:
-                    key = provenance(made)
-                    self._programs[known] = self._found(folder, key, leaves, structure)
+                    key = key_of(description)
+                    self._programs[known] = self._load(folder, key, leaves, structure)
                 return self._programs[known]
-        except Untold:
+        except Unknown:
             return None
 
-    def _found(
+    def _load(
         self, folder: Path, key: str, leaves: list[Any], structure: Any
     ) -> "_Program | None":
         file = folder / f"{self._function.__name__.strip('_')}-{key}"
         contents = _read(file)
         if contents is None:
-            # What JAX has traced before, in a jentry that was another, does not count.
-            with _GROUND(key):
+            # JAX may hold traces of functions of jentry that were replaced in memory.
+            with _ENVIRONMENT(key):
                 contents = _traced(self._function, leaves, structure)
             if contents is None:
                 return None
@@ -107,22 +111,22 @@ def is_tracing() -> bool:
     return not trace_state_clean()
 
 
-def _looked_at(leaves: list[Any]) -> bool:
-    """Whether somebody follows what happens in the function: JAX itself, or its checks."""
+def _is_inspected(leaves: list[Any]) -> bool:
+    """Whether JAX traces or checks the operations of the function itself."""
     if is_tracing() or any(isinstance(leaf, Tracer) for leaf in leaves):
         return True
-    return any(getattr(jax.config, name) for name in _LOOKED_AT)
+    return any(getattr(jax.config, name) for name in _INSPECTED)
 
 
 class _Place:
-    """Where in the results of a program an array is."""
+    """Placeholder for an array in the results of a program."""
 
     def __init__(self, index: int):
         self.index = index
 
 
 class _Program:
-    """A program with the form of what it returns."""
+    """A program with the structure of its results."""
 
     def __init__(self, contents: bytes, options: dict[str, Any]):
         written, self._form = pickle.loads(contents)
@@ -139,7 +143,7 @@ class _Program:
 
     def __call__(self, leaves: list[Any]) -> Any:
         numbers = self._run(*filter(eqx.is_array, leaves))
-        # An exported program ties what it returns to its devices.
+        # An exported program commits its results to its devices.
         numbers = [
             jnp.asarray(x.item() if x.weak_type else np.asarray(x)) for x in numbers
         ]
@@ -148,16 +152,16 @@ class _Program:
         )
 
 
-def _comes_back(x: Any) -> bool:
-    """Whether a result can be given its type again, after its way through numpy."""
+def _is_restored(x: Any) -> bool:
+    """Whether an array has the same type after its conversion to numpy and back."""
     is_key = jnp.issubdtype(x.dtype, jax.dtypes.extended)
     return not is_key and (x.ndim == 0 or not x.weak_type)
 
 
 def _traced(function: Callable, leaves: list[Any], structure: Any) -> bytes | None:
-    """A program as it is written; none where it cannot be, or warns when it is traced.
+    """The bytes of a program, or None if it cannot be exported or warns when traced.
 
-    Of the leaves the arrays are what varies.
+    Leaves that are arrays are its arguments. All other leaves are part of it.
     """
     forms = []
 
@@ -167,7 +171,7 @@ def _traced(function: Callable, leaves: list[Any], structure: Any) -> bytes | No
         given, named = jax.tree.unflatten(structure, inside)
         out = function(*given, **named)
         numbers = [x for x in jax.tree.leaves(out) if eqx.is_array(x)]
-        if any(not _comes_back(x) for x in numbers):
+        if any(not _is_restored(x) for x in numbers):
             raise TypeError
         places = map(_Place, range(len(numbers)))
         forms.append(
@@ -176,14 +180,14 @@ def _traced(function: Callable, leaves: list[Any], structure: Any) -> bytes | No
         return numbers
 
     of_arrays.__name__ = of_arrays.__qualname__ = function.__name__
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             exported = export.export(jax.jit(of_arrays))(*filter(eqx.is_array, leaves))
             contents = pickle.dumps((bytes(exported.serialize()), forms[-1]))
-        except Exception:  # whatever it was, the function itself says it better
+        except Exception:  # the function itself raises it with a better traceback
             contents = None
-    for warning in said:  # it would be said once, and never again
+    for warning in caught:  # later processes would not show it
         contents = None
         warnings.warn_explicit(
             warning.message, warning.category, warning.filename, warning.lineno
@@ -192,7 +196,7 @@ def _traced(function: Callable, leaves: list[Any], structure: Any) -> bytes | No
 
 
 def _read(file: Path) -> bytes | None:
-    """What has been kept; none if there is nothing, or not what was written."""
+    """The program in a file, or None if there is none or it is damaged."""
     try:
         contents = file.read_bytes()
         os.utime(file)
@@ -203,8 +207,8 @@ def _read(file: Path) -> bytes | None:
 
 
 def _write(file: Path, program: bytes) -> None:
-    """Keep a program, and remove those that nobody has asked for in months."""
-    with contextlib.suppress(OSError):  # a folder that is full, or not to be written in
+    """Store a program, and remove those that were not used for `_UNUSED`."""
+    with contextlib.suppress(OSError):  # a full disk, or no write access
         file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         write_whole(file, hashlib.sha256(program).digest() + program)
         for other in filter(Path.is_file, file.parent.iterdir()):

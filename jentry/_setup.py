@@ -1,4 +1,4 @@
-"""One explicit call that settles precision, cores, compilation cache and XLA options."""
+"""`setup`, an explicit call that sets precision, cores, cache and XLA options."""
 
 import contextlib
 import contextvars
@@ -20,16 +20,17 @@ R = TypeVar("R")
 
 
 _LOOPS = "xla_cpu_small_while_loop_byte_threshold=100000000"
-"""Compiles a loop as one function, where it is otherwise a list of operations that are
-called one by one: flights are twice as fast (`benchmarks/monte_carlo.py`), and reverse
-gradients too (`benchmarks/gradient.py`)"""
+"""Compiles a loop as one function instead of a list of operations that are called one by
+one: flights are twice as fast (`benchmarks/monte_carlo.py`), and reverse gradients too
+(`benchmarks/gradient.py`)"""
 
 _FUSION = "xla_cpu_use_multi_output_fusion"
-"""A quarter more flights in the plane over a table, in none of the other missions; reverse
-gradients take twice as long with it, and some programs cannot be compiled"""
+"""Gives a quarter more flights per second in the plane over a table, and no more in other
+missions. Reverse gradients take twice as long with it, and some programs cannot be
+compiled"""
 
 _WIDTH = "--xla_cpu_prefer_vector_width=512"
-"""A sixth more flights, on processors that have such vectors"""
+"""Gives a sixth more flights per second on processors that have such vectors"""
 
 _EXTRA = "--xla_backend_extra_options="
 
@@ -53,20 +54,20 @@ assert np.allclose(x, a, rtol=1e-12) and np.allclose(y, b, rtol=1e-12)
 
 
 def cache_directory() -> Path:
-    """Where programs are kept: `JENTRY_CACHE`, or the user's cache folder.
+    """Folder in which programs are cached: `JENTRY_CACHE`, or the user's cache folder.
 
-    They are run as they are found: it must be a folder in which nobody else can write.
+    Cached programs are run without a check: no other user may be able to write there.
     """
     given = os.environ.get("JENTRY_CACHE")
     if given and not os.path.isabs(given):
         raise ValueError(
             f"JENTRY_CACHE is {given!r}: programs are run from there, and it must be an "
-            "absolute path, not one below whatever folder jentry is started in"
+            "absolute path, which does not depend on the folder in which jentry starts"
         )
     if given:
         return Path(given)
     base = Path(os.environ.get("XDG_CACHE_HOME") or "")
-    # The specification of XDG has a relative path ignored: programs are run from here.
+    # By the XDG specification relative paths are ignored: programs are run from here.
     return (base if base.is_absolute() else Path.home() / ".cache") / "jentry"
 
 
@@ -80,24 +81,25 @@ def available_cores() -> int:
 def setup(
     workers: int | None = None, *, fast: bool = False, cache: bool = True
 ) -> None:
-    """Settle how jentry computes. Call it first, before any array is made.
+    """Set how jentry computes. Call it first, before any array is made.
 
-    Importing jentry changes no global setting; this does, for the whole process: float64,
-    one CPU device for each worker, JAX's persistent compilation cache, and in `XLA_FLAGS`
-    the options of XLA with which long loops are twice as fast on a CPU. These are not
-    documented: a process of its own tries them first, once for each version of JAX, and
-    they are left off with a warning if that fails. An environment with `JENTRY_FAST=0`
-    keeps them off, which changes results by rounding.
+    Importing jentry changes no global setting. This function changes settings of the whole
+    process: float64, one CPU device for each worker, JAX's persistent compilation cache,
+    and in `XLA_FLAGS` the options of XLA that make long loops twice as fast on a CPU. These
+    options are not documented: a separate process tests them first, once for each version
+    of JAX, and they are left off with a warning if the test fails. The environment variable
+    `JENTRY_FAST=0` leaves them off, which changes results by rounding.
 
     **Arguments:**
 
-    - `workers`: cores for batches of flights; all that are available if not given.
-    - `fast`: one more XLA option, which gives up to a quarter more flights, for large
-      campaigns. Gradients are slower with it, XLA cannot compile the `Adaptive` solver,
-      and there may be other programs that it cannot.
-    - `cache`: keep compiled programs in `cache_directory()`, and what was traced for them:
-      the next process compiles and traces nothing of what this one has. Programs with a
-      law, an atmosphere or a function of your own in them are traced by every process.
+    - `workers`: number of cores for batches of flights; the default is all that are
+      available.
+    - `fast`: turn on one more XLA option, which gives up to a quarter more flights per
+      second in large campaigns. Gradients are slower with it. XLA cannot compile the
+      `Adaptive` solver, and possibly other programs.
+    - `cache`: cache compiled and traced programs in `cache_directory()`: the next process
+      neither compiles nor traces them again. Every process traces programs that contain a
+      law, an atmosphere or a function of your own.
 
     **Raises:** `RuntimeError` if JAX has been used before with other settings.
     """
@@ -129,22 +131,22 @@ def setup(
 
 
 _PROGRAMS: Path | None = None
-"""Where programs are kept that need not be traced again; nowhere before `setup`"""
+"""Folder of traced programs; None before `setup`"""
 
 
 def programs_directory() -> Path | None:
-    """Where programs are kept that need not be traced again, if they are."""
+    """Folder of traced programs; None if they are not cached."""
     return _PROGRAMS
 
 
 _SAID: contextvars.ContextVar[bool] = contextvars.ContextVar("_SAID", default=False)
-"""Whether what is running has been called by a function that has looked for float64"""
+"""Whether a caller of the running function has already checked for float64"""
 
 
 def needs_float64(function: Callable[P, R]) -> Callable[P, R]:
-    """Make a function of the public face warn, by its name, where float64 is off.
+    """Make a public function warn, with its name, if float64 is off.
 
-    Of functions that call one another the outermost warns, and no other.
+    If such functions call one another, only the outermost one warns.
     """
 
     @functools.wraps(function)
@@ -175,7 +177,7 @@ def _warn_without_float64(name: str) -> None:
 
 
 def xla_options() -> list[str]:
-    """Options of XLA of this process, among those that `setup` turns on."""
+    """Options of XLA that are on in this process, among those that `setup` turns on."""
     flags = os.environ.get("XLA_FLAGS", "")
     return [option for option in (_LOOPS, _FUSION) if option in flags]
 
@@ -186,7 +188,7 @@ def fast_options_are_on() -> bool:
 
 
 def _turn_on(*options: str, remember: bool) -> None:
-    """Set options of XLA for this process, if they work here and it has not begun."""
+    """Set options of XLA for this process, if they work and JAX has not started."""
     if set(options) <= set(xla_options()):
         return
     flags = os.environ.get("XLA_FLAGS", "").split()
@@ -215,7 +217,7 @@ def _jax_has_begun() -> bool:
 
 
 def _failure_where_new(flags: str, remember: bool) -> str | None:
-    """Why these flags do not work here; none where they do, or once did."""
+    """Reason why these flags do not work; None if they do, or did in an earlier test."""
     told = [flags, _SELF_TEST, version("jax"), version("jaxlib"), processor()]
     digest = hashlib.sha256("\n".join(told).encode()).hexdigest()
     passed = cache_directory() / "self-tests" / digest
@@ -223,14 +225,14 @@ def _failure_where_new(flags: str, remember: bool) -> str | None:
         return None
     failure = _failure_of_self_test({**os.environ, "XLA_FLAGS": flags})
     if failure is None and remember:
-        with contextlib.suppress(OSError):  # a folder that cannot be written in
+        with contextlib.suppress(OSError):  # a folder that is not writable
             passed.parent.mkdir(parents=True, exist_ok=True)
             passed.touch()
     return failure
 
 
 def processor() -> str:
-    """What kind of processor this is, as far as the system says."""
+    """Description of the processor, as far as the system reports it."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -240,10 +242,10 @@ def processor() -> str:
 
 
 def _failure_of_self_test(environment: dict[str, str]) -> str | None:
-    """Why the options of an environment do not work; none where they do.
+    """Reason why the options of an environment do not work; None if they do.
 
-    The process is isolated from the working folder, in which a `jax.py` may lie, and
-    imports from where this one does: places that are relative are left out.
+    The test process is isolated from the working folder, which may contain a `jax.py`. It
+    imports from the places of this process, without relative ones.
     """
     places = json.dumps([place for place in sys.path if os.path.isabs(place)])
     command = [sys.executable or "", "-I", "-c", _SELF_TEST, places]
@@ -256,7 +258,7 @@ def _failure_of_self_test(environment: dict[str, str]) -> str | None:
             text=True,
             errors="replace",
         )
-    except OSError as error:  # no interpreter of its own, as in an embedded one
+    except OSError as error:  # no executable, as in an embedded interpreter
         return str(error)
     if test.returncode == 0:
         return None

@@ -1,4 +1,4 @@
-"""Reading tables of numbers from text files, with errors that name file and line."""
+"""Tables of numbers from text files, with errors that name file and line."""
 
 import csv
 import math
@@ -25,13 +25,13 @@ def read_columns(
 
     - `required`, `optional`: names of columns, in any order; others are refused, unless
       `optional` is None.
-    - `rows`: at least as many.
-    - `increasing`: the column in which each number exceeds the one before.
-    - `positive`: columns in which every number exceeds zero.
+    - `rows`: least number of rows.
+    - `increasing`: name of a column in which each number must exceed the one before.
+    - `positive`: names of columns in which every number must exceed zero.
 
     **Returns:**
 
-    The columns that are there, by name, and the line of the file of each row.
+    The columns of the file by name, and the line number of each row.
 
     Raises `ValueError` that names the file, the line and what was expected there.
     """
@@ -79,7 +79,7 @@ def read_columns(
 
 
 def _numbered(file):
-    """Rows with the line they stand on, without blank lines and comments."""
+    """Rows with their line numbers, without blank lines and comments."""
     for number, line in enumerate(file, start=1):
         if line.strip() and not line.lstrip().startswith("#"):
             yield number, next(csv.reader([line]))

@@ -1,5 +1,5 @@
-"""The warning that a result has something to say."""
+"""The warning that a result has caveats."""
 
 
 class ResultWarning(UserWarning):
-    """What a result says of itself as well: `Flight.caveats`, `Tuned.remarks`."""
+    """A warning that the result states as well: `Flight.caveats`, `Tuned.remarks`."""

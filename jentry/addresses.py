@@ -1,7 +1,7 @@
 """Dotted addresses of the leaves of a pytree: `planet.density_scale`.
 
-In Python a parameter is named by a lens, `lambda s: s.planet.density_scale`; on the
-command line, in configuration files and in result files by the address of the same leaf.
+Python code selects a parameter by a lens, `lambda s: s.planet.density_scale`. The command
+line, configuration files and result files select it by the address of that leaf.
 """
 
 import dataclasses
@@ -31,7 +31,7 @@ def _step(key: Any) -> str:
 
 
 def address_of(path: tuple) -> str:
-    """The address of a node by its path, as `jax.tree_util` gives it."""
+    """The address of a node from its path in `jax.tree_util`."""
     return ".".join(_step(key) for key in path)
 
 
@@ -42,9 +42,9 @@ def leaves_by_address(tree: PyTree) -> dict[str, Any]:
 
 
 def addresses_of(tree: PyTree, where: Callable[[Any], Any]) -> list[str]:
-    """Addresses of the leaves that a lens reaches.
+    """Addresses of the leaves that a lens selects.
 
-    Raises `ValueError` when it reaches none.
+    Raises `ValueError` if it selects none.
     """
     names = jtu.tree_map_with_path(
         lambda path, leaf: address_of(path) if eqx.is_array(leaf) else None, tree
@@ -61,7 +61,7 @@ def addresses_of(tree: PyTree, where: Callable[[Any], Any]) -> list[str]:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """The existing names that look most like a wrong one, as the end of a sentence."""
+    """Text with the existing names that are most similar to a wrong name."""
     known = list(known)
     close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
     last = name.rsplit(".", 1)[-1]
@@ -72,7 +72,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def require_address(known: Iterable[str], address: str) -> None:
-    """Refuse an address that is not in the tree, with the nearest ones that are."""
+    """Refuse an address that is not in the tree, and name the most similar ones."""
     known = list(known)
     if address not in known:
         raise ValueError(
@@ -83,8 +83,8 @@ def require_address(known: Iterable[str], address: str) -> None:
 def replace_leaves(tree: Tree, values: Mapping[str, Any]) -> Tree:
     """Copy of the tree with the leaves at some addresses replaced.
 
-    Works under `jit`, `vmap` and `grad`. Raises `ValueError` for an address that is not
-    there and for a value of another shape than the leaf's.
+    It works under `jit`, `vmap` and `grad`. Raises `ValueError` for an address that does
+    not exist, and for a value whose shape is not that of the leaf.
     """
     paths, structure = jtu.tree_flatten_with_path(tree)
     known = leaves_by_address(tree)
@@ -107,7 +107,7 @@ def replace_leaves(tree: Tree, values: Mapping[str, Any]) -> Tree:
 
 
 def field_metadata(tree: PyTree, address: str) -> Mapping[str, Any]:
-    """What the field at an address says of itself: its unit, whether it is positive."""
+    """Metadata of the field at an address, such as its unit and its allowed range."""
     node = tree
     metadata: Mapping[str, Any] = {}
     for step in address.split("."):
@@ -128,11 +128,11 @@ def unit_of(tree: PyTree, address: str) -> str:
 
 
 def with_leaves(tree: Tree) -> Tree:
-    """The tree with every Python number in it made a leaf, where its field says how.
+    """The tree with Python numbers in fields of `scalar()` replaced by arrays.
 
-    To JAX a Python number is a part of the program: it is compiled anew for each value,
-    and has no gradient and no address. `eqx.tree_at` leaves such numbers in fields made
-    by `scalar()`: these become arrays. Raises `ValueError` for one in any other field.
+    For JAX a Python number is a part of the program: the program is compiled again for each
+    value, and the number has no gradient and no address. `eqx.tree_at` may put such numbers
+    into fields of `scalar()`. Raises `ValueError` for a Python number in any other field.
     """
     paths, structure = jtu.tree_flatten_with_path(tree)
     if not any(isinstance(leaf, int | float | complex) for _, leaf in paths):
@@ -150,7 +150,7 @@ def _as_leaf(tree: PyTree, address: str, leaf: Any) -> Any:
     name = address.rsplit(".", 1)[-1]
     raise ValueError(
         f"{address} is the Python number {leaf!r}, which has no gradient and cannot be "
-        "dispersed, and is compiled anew for each value: declare its field as a number, "
+        "dispersed, and is compiled again for each value: declare its field as a number, "
         f"`{name}: Scalar = jentry.scalar()`, or, if it is a count or a setting, as "
         "`eqx.field(static=True)`"
     )

@@ -1,4 +1,4 @@
-"""Array types, and the fields that make every physical number a leaf."""
+"""Array types, and fields that make every physical number a leaf."""
 
 import dataclasses
 import math
@@ -31,19 +31,19 @@ def as_float_array(value: Any) -> Array:
 
 
 Range = tuple[float, float]
-"""Least and largest value of a field, both allowed, in its unit"""
+"""Least and largest allowed value of a field, in its unit"""
 
 NOT_NEGATIVE: Range = (0.0, math.inf)
 
 ABOVE_GROUND: Range = (0.0, math.inf)
-"""m; where an entry may begin. Where one should end may lie lower"""
+"""Range of the altitude at the start of an entry, m; its end may be lower"""
 
 QUARTER: Range = (-0.5 * math.pi, 0.5 * math.pi)
-"""rad; of latitudes and flight-path angles"""
+"""Range of latitudes and flight-path angles, rad"""
 
 
 def _about(unit: str, positive: bool, range: Range | None) -> dict[str, Any]:
-    """What a field says of itself; an angle lies within a turn if no range is given."""
+    """Metadata of a field; an angle is within a turn if no range is given."""
     if range is None and unit == "rad":
         range = (-TURN, TURN)
     return {"unit": unit, "positive": positive, "range": range}
@@ -61,14 +61,14 @@ def scalar(
 
     **Arguments:**
 
-    - `default`: the value where the caller gives none; required without it.
-    - `unit`: SI unit; shown by `jentry show`, stored in result files, and what a unit
-      that a user gives is checked against.
+    - `default`: default value; without it the field is required.
+    - `unit`: SI unit. `jentry show` shows it, result files store it, and units that a user
+      gives must agree with it.
     - `positive`: refuse values that are zero or negative (see `check`).
-    - `range`: least and largest value, both allowed, likewise; an angle lies within a
-      turn if not given.
-    - `choice`: it only chooses something, as the seed of noise does: its size means
-      nothing, and a flight has no derivative by it.
+    - `range`: least and largest allowed value (see `check`); by default an angle is within
+      a turn.
+    - `choice`: the number only selects something, such as the seed of noise: its size has
+      no meaning, and a flight has no derivative with respect to it.
     """
     given = {} if default is MISSING else {"default": default}
     metadata = {**_about(unit, positive, range), **({"choice": True} if choice else {})}
@@ -76,7 +76,7 @@ def scalar(
 
 
 def optional_scalar(*, unit: str = "1", range: Range | None = None) -> Any:
-    """A physical number that may be none, and then is no leaf."""
+    """A physical number that may be None, in which case it is no leaf."""
 
     def convert(value: Any) -> Any:
         return None if value is None else as_float_array(value)
@@ -86,9 +86,9 @@ def optional_scalar(*, unit: str = "1", range: Range | None = None) -> Any:
 
 
 def output(*, unit: str = "1", default: Any = MISSING) -> Any:
-    """A number that a flight gives, of any shape, with its SI unit.
+    """An output of a flight: a number or an array, with its SI unit.
 
-    Its name and its unit are those of tables, results, figures and of `jentry tune`.
+    Tables, results, figures and `jentry tune` use its name and its unit.
     """
     given = {} if default is MISSING else {"default": default}
     return eqx.field(metadata={"unit": unit}, **given)
@@ -98,7 +98,7 @@ Getter = TypeVar("Getter", bound=Callable)
 
 
 def in_unit(unit: str) -> Callable[[Getter], Getter]:
-    """The unit of a number that is a property, and so has no field to state it.
+    """Decorator that states the unit of a number that is a property, not a field.
 
     @property
     @in_unit("m")
@@ -113,7 +113,7 @@ def in_unit(unit: str) -> Callable[[Getter], Getter]:
 
 
 def units_of(kind: type) -> dict[str, str]:
-    """SI units of the numbers of a class by name: of its fields, then its properties."""
+    """SI units of the numbers of a class by name: first its fields, then its properties."""
     found = {
         field.name: field.metadata["unit"]
         for field in dataclasses.fields(kind)
@@ -127,9 +127,9 @@ def units_of(kind: type) -> dict[str, str]:
 
 
 def table(*, unit: str = "1", positive: bool = False, increasing: bool = False) -> Any:
-    """An array of physical numbers: one leaf.
+    """An array of physical numbers, which is one leaf.
 
-    `positive` and `increasing` refuse other values (see `check`).
+    With `positive` or `increasing`, other values are refused (see `check`).
     """
     metadata = _about(unit, positive, None) | {"increasing": increasing}
     return eqx.field(converter=as_float_array, metadata=metadata)

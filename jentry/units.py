@@ -1,4 +1,4 @@
-"""Factors between the units of the edge and SI: multiply in, divide out.
+"""Factors between usual units and SI: multiply to convert to SI, divide to convert back.
 
 altitude = 125 * km
 flight_path_angle = -14.2 * degree
@@ -23,30 +23,30 @@ pound = 0.45359237
 minute = 60.0
 hour = 3600.0
 micro_g = 9.80665e-6
-"""m/s2"""
+"""One micro-g in m/s2"""
 standard_gravity = 9.80665
-"""m/s2, the g in which load factors are counted"""
+"""Standard gravity in m/s2, the unit of load factors"""
 
 TURN = 2.0 * math.pi
-"""rad; an angle that is larger was meant in degrees, more likely than not"""
+"""One turn in rad; a larger angle was probably meant in degrees"""
 
 
 class UnknownUnit(ValueError):
-    """A text that is no unit, or not one that is known."""
+    """Error for a text that is not a known unit."""
 
 
 class Quantity(NamedTuple):
-    """A number as a user gives it, with the unit that stands behind it, if one does."""
+    """A number from a user, with its unit if it has one."""
 
     number: float
     unit: str
     text: str
 
     def si(self, unit: str) -> float:
-        """The number in the SI unit of what it is given for.
+        """The number in an SI unit.
 
-        Raises `ValueError` for a unit that is not known or of another dimension, and for
-        an angle without a unit that is beyond a turn: it was meant in degrees.
+        Raises `ValueError` for a unit that is unknown or of another dimension, and for an
+        angle without a unit beyond one turn, which was probably meant in degrees.
         """
         if not self.unit and unit == "rad" and TURN < abs(self.number) < math.inf:
             raise ValueError(
@@ -58,9 +58,9 @@ class Quantity(NamedTuple):
 
 
 def quantity(given: str | float | int) -> Quantity:
-    """A number, or one with a unit: `"126.1 km"`, `"-14.4deg"`, `"0.9"`.
+    """A number with or without a unit: `"126.1 km"`, `"-14.4deg"`, `"0.9"`.
 
-    Raises `ValueError` that names the text and the units that are known.
+    Raises `ValueError` that names the text and examples of known units.
     """
     if not isinstance(given, str):
         return Quantity(float(given), "", f"{float(given):g}")
@@ -93,13 +93,13 @@ _QUANTITY = re.compile(r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(\D.{0,59
 _SIGNS = {"%": " percent ", "°": "deg", "·": "*", "^": "**", "²": "2", "³": "3"}
 _SIGNS |= {"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"}
 
-# Names to a power, and between them a product, a quotient or brackets. What pint would
-# make of more than that, such as a power of a power, is not what a unit is.
+# Names to a power, joined by products, quotients or brackets. Anything else that pint may
+# accept, such as a power of a power, is not a unit.
 _UNIT = re.compile(r"(?:[A-Za-z]+(?:\*\*-?\d(?:\.\d)?)?|1(?= */)|[ */()])+")
 
 
 def _spelled(unit: str) -> str:
-    """A unit as pint reads it: `m/s2` is `m/s**2`."""
+    """A unit in the notation of pint: `m/s2` becomes `m/s**2`."""
     for sign, word in _SIGNS.items():
         unit = unit.replace(sign, word)
     return re.sub(r"(?<=[A-Za-z])(?=-?\d)", "**", unit).strip()
@@ -107,10 +107,10 @@ def _spelled(unit: str) -> str:
 
 @functools.cache
 def _registry() -> Any:
-    """The units of entry flight with all prefixes; pint takes a while to import.
+    """Units of entry flight with all prefixes, as a registry of pint.
 
-    Not pint's own list: there an angle is a plain number, so that degrees would be
-    taken for a factor.
+    Importing pint takes a while. Pint's own list is not used: an angle is a plain number
+    there, so that degrees would be accepted as a factor.
     """
     import pint
 
@@ -120,15 +120,15 @@ def _registry() -> Any:
 
 
 def _factor(given: str, unit: str, text: str) -> float:
-    """How many of an SI unit one of a given unit is."""
+    """Size of a given unit in an SI unit."""
     registry = _registry()
     wanted = registry.parse_units(_spelled("" if unit == "1" else unit))
     try:
         one = registry.parse_expression(_spelled(given))
-        # A unit whose name cancels leaves a number.
+        # A unit that cancels, such as m/m, leaves a plain number.
         one = registry.Quantity(one) if isinstance(one, int | float) else one
         dimension = one.dimensionality
-    except Exception as error:  # of whatever a parser makes of a text
+    except Exception as error:  # a parser may raise anything
         raise UnknownUnit(
             f"{text!r} has a unit that is not known, {given!r}: take one such as "
             f"{_SUCH_AS}"
@@ -136,14 +136,14 @@ def _factor(given: str, unit: str, text: str) -> float:
     if dimension != wanted.dimensionality:
         here = "a plain number" if unit == "1" else f"a number in {unit}"
         raise ValueError(
-            f"{text!r} is {_kind(dimension)}, and what is wanted is {here}, "
+            f"{text!r} is {_kind(dimension)}; expected {here}, "
             f"{_kind(wanted.dimensionality)}"
         )
     return float(one.to(wanted).magnitude)
 
 
 def _kind(dimension: Any) -> str:
-    """A dimension in words: `[length] / [time]`."""
+    """Text for a dimension: `[length] / [time]`."""
     return str(dimension) if dimension else "without a dimension"
 
 
@@ -151,15 +151,15 @@ _EDGE = {"m": ("km", km), "rad": ("deg", degree), "Pa": ("kPa", 1e3)}
 _EDGE |= {"W/m2": ("W/cm2", 1e4), "J/m2": ("J/cm2", 1e4)}
 
 _SHORT = 10.0
-"""m; lengths that are all below it are shown in metres"""
+"""Length in m; if all lengths are below it, they are shown in metres"""
 
 
 def edge_unit(unit: str, values: Any, named: str | None = None) -> tuple[str, float]:
-    """The unit in which people read values that are in an SI unit, and its SI value.
+    """The usual unit for values in an SI unit, and its size in SI.
 
-    Tables, figures and printed objects show every number in it. Values that stand beside
-    one another share it; those that are not finite do not count. `named` is another name
-    for the same numbers, such as g, where they have one: they stay as they are.
+    Tables, figures and printed objects show all numbers in it. Values that are shown
+    together share one unit; values that are not finite are ignored. `named` is another name
+    of the unit, such as g, if there is one: the numbers then do not change.
     """
     if named is not None:
         return named, 1.0
@@ -170,7 +170,7 @@ def edge_unit(unit: str, values: Any, named: str | None = None) -> tuple[str, fl
 
 
 def at_edge(values: Any, unit: str, named: str | None = None) -> tuple[Any, str]:
-    """Values in the unit in which people read them, and that unit: see `edge_unit`."""
+    """Values in their usual unit, and that unit: see `edge_unit`."""
     shown, size = edge_unit(unit, values, named)
     return np.asarray(values) / size, shown
 
@@ -237,5 +237,5 @@ watt = joule / second = W
 british_thermal_unit = 1055.05585262 * joule = Btu = BTU
 rankine = kelvin * 5 / 9 = degR
 """
-"""Exact by definition, but for the slug, which is rounded, and the British thermal unit,
-which is that of the International Table."""
+"""Units, exact by definition. Exceptions are the slug, which is rounded, and the British
+thermal unit, which is that of the International Table."""

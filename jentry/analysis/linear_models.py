@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from .._programs import kept
+from .._programs import cached
 from ..addresses import leaves_by_address
 from ..campaign.batch import LANES, over_runs
 from ..campaign.campaign import fly_run
@@ -55,7 +55,7 @@ Pairs = tuple[tuple[str, Dispersion], ...]
 """Dispersions with their names in order; a dictionary loses its order under `jit`"""
 
 
-@kept
+@cached
 def draw_many(pairs: Pairs, key: Key[Array, ""], runs: Array) -> Draws:
     return jax.vmap(lambda run: draw(dict(pairs), key, run))(runs)
 
@@ -168,7 +168,7 @@ def linear_model(
     )
 
 
-@kept
+@cached
 def _linearize(scenario, pairs: Pairs, outputs, solver):
     moments = {name: d.distribution.moments() for name, d in pairs}
 

@@ -12,7 +12,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from .._programs import kept
+from .._programs import cached
 from ..addresses import leaves_by_address
 from ..fields import Count, Scalar, Vector
 from ..flight.closed_loop import Lane, command, sense, start, vector_field
@@ -101,7 +101,7 @@ def fly_points(
     )
 
 
-@kept
+@cached
 def _flown(
     scenario: Scenario, plan: Plan, index: AbstractIndex
 ) -> tuple[Lane, Count, Vector, Scalar, Count, Count]:
@@ -160,7 +160,7 @@ class LoopDerivatives(eqx.Module):
     """`errors` after the cycle; without cycles, their rate per unit of the index"""
 
 
-@functools.partial(kept, compiler_options=QUICKLY)
+@functools.partial(cached, compiler_options=QUICKLY)
 def loop_derivatives(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> LoopDerivatives:
@@ -252,7 +252,7 @@ class PlantDerivatives(eqx.Module):
     """Derivatives of these errors with respect to angle of attack and bank"""
 
 
-@functools.partial(kept, compiler_options=QUICKLY)
+@functools.partial(cached, compiler_options=QUICKLY)
 def plant_derivatives(
     scenario: Scenario, index: AbstractIndex, plan: Plan, lanes: Lane
 ) -> PlantDerivatives:

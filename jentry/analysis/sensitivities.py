@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .._programs import kept
+from .._programs import cached
 from .._setup import needs_float64
 from ..addresses import addresses_of, leaves_by_address, require_address
 from ..campaign.campaign import fly_run
@@ -129,7 +129,7 @@ def named(address: str) -> str:
     return address or "output"
 
 
-@kept
+@cached
 def _jacobian(
     leaves: dict[str, Array],
     scenario: Scenario,

@@ -1,9 +1,9 @@
-"""The batch runner: flights side by side, a cache-full at a time, on all devices.
+"""The batch runner: flies many runs side by side, in small batches, on all devices.
 
-Everything that flies many runs goes through `over_runs`, which gives what each of them
-gives, `over_blocks`, which gives it block by block, or `sum_over_runs`, which adds it up.
-Runs are filled up to whole batches on the way in, and the fill is taken off on the way
-out. Within `flying_on(machines)` other processes do all of it, see `cluster`.
+All code that flies many runs calls one of three functions. `over_runs` returns the values
+of all runs, `over_blocks` returns them block by block, and `sum_over_runs` adds them up.
+Each fills the runs up to whole batches and removes the fill from the results. Within
+`flying_on(machines)` other processes fly instead, see `cluster`.
 """
 
 import abc
@@ -22,45 +22,47 @@ from jax import lax
 from jax.sharding import AxisType, PartitionSpec
 from jaxtyping import PyTree
 
-from .._programs import kept
+from .._programs import cached
 
 
 LANES = 64
-"""Number of flights side by side: few enough to stay in the cache, and always as many,
-so that a run does not depend on how many it is flown with. A law of your own may depend
-by rounding on its place among them: the compiler may treat the last eight otherwise
-than the others, where a flight reads several numbers out of one array of its own."""
+"""Number of flights side by side. They are few enough to stay in the processor's cache. The
+number is fixed, so that a run does not depend on how many others are flown. The result of a
+law of your own may depend by rounding on the place of the run in its batch: where a flight
+indexes one of its own arrays several times, the compiler may treat the last eight flights
+differently."""
 
 _CHUNKS = 8
-"""Batches of each core between two reports to the host: so many has a program room for."""
+"""Batches of each core in one call of a program, which reports to the host at its end"""
 
 _CHUNKS_OF_HISTORIES = 1
-"""Room of a program where each run gives much: no memory is taken for what does not fly"""
+"""Batches of each core in one call if the results of a run are large, which saves memory"""
 
 _BLOCKS = 4
-"""Of a part that another machine flies: to store it takes as long, however large it is."""
+"""Calls of a program in a part that another machine flies. The time to store a part hardly
+depends on its size."""
 
 Block = TypeVar("Block")
 
 
 class AbstractMachines(abc.ABC):
-    """Other processes that fly in place of this one, within `flying_on(machines)`."""
+    """Other processes that fly instead of this one, within `flying_on(machines)`."""
 
     @property
     @abc.abstractmethod
     def count(self) -> int:
-        """How many there are."""
+        """Number of machines."""
 
     @property
     @abc.abstractmethod
     def cores(self) -> int:
-        """Cores that one of them flies on."""
+        """Number of cores of one machine."""
 
     @abc.abstractmethod
     def each(
         self, work: Callable[[Any, Any], Any], shared: PyTree, parts: Iterable[PyTree]
     ) -> Iterator[tuple[int, Any]]:
-        """Place and value of `work(shared, part)` for each part, as they come."""
+        """Index of each part and its `work(shared, part)`, in the order of completion."""
 
 
 _MACHINES: contextvars.ContextVar[AbstractMachines | None]
@@ -69,7 +71,7 @@ _MACHINES = contextvars.ContextVar("_MACHINES", default=None)
 
 @contextlib.contextmanager
 def flying_on(machines: AbstractMachines) -> Iterator[None]:
-    """Have other processes do the work of the batch runner."""
+    """Context in which other processes do the work of the batch runner."""
     if _MACHINES.get() is not None:
         raise RuntimeError("one cluster flies already: leave it before another begins")
     token = _MACHINES.set(machines)
@@ -80,7 +82,7 @@ def flying_on(machines: AbstractMachines) -> Iterator[None]:
 
 
 def in_blocks(runs: np.ndarray) -> Iterator[np.ndarray]:
-    """Indices of runs in parts of constant memory, after each of which the host reports."""
+    """Indices of runs in blocks of constant memory. The host reports after each block."""
     machines = _MACHINES.get()
     if machines is None:
         most = LANES * _CHUNKS * len(jax.devices())
@@ -98,16 +100,17 @@ def over_runs(
     one_device: bool = False,
     large: bool = False,
 ) -> Any:
-    """Values of `function(shared, run)` for all runs, as numpy arrays, the runs in front.
+    """Values of `function(shared, run)` for all runs, as numpy arrays of shape (runs, ...).
 
     **Arguments:**
 
-    - `function`: compiled once for each function; define it once, at module level.
-    - `shared`: a pytree that is the same for all runs. What is no array is part of the
-      compiled program.
+    - `function`: each function object is compiled once. Define it at module level.
+    - `shared`: a pytree that all runs have in common. Leaves that are not arrays are part
+      of the compiled program.
     - `runs`: a pytree of arrays of shape (runs, ...).
-    - `one_device`: for a function that cannot be compiled for several.
-    - `large`: whether each run gives much, as a history: fewer of them fly in one call.
+    - `one_device`: use one device, for a function that cannot be compiled for several.
+    - `large`: whether the result of a run is large, such as a history. Then fewer runs fly
+      in one call.
     """
     machines = _MACHINES.get()
     given = function, shared, one_device, large
@@ -125,9 +128,9 @@ def over_blocks(
     *,
     large: bool = False,
 ) -> Iterator[tuple[Block, Any]]:
-    """Values of `over_runs` for each block of runs, with what the block is called.
+    """The label of each block of runs, with its values as `over_runs` returns them.
 
-    They come in the order of the blocks; from other machines as they are done.
+    The blocks come in their order, or from other machines in the order of completion.
     """
     machines = _MACHINES.get()
     given = function, shared, False, large
@@ -149,16 +152,16 @@ def over_blocks(
 def sum_over_runs(
     function: Callable[[Any, Any, Any], Any], shared: PyTree, runs: PyTree
 ) -> Any:
-    """Sum of `function(shared, runs, counts)` over the batches of which the runs are made.
+    """Sum of `function(shared, runs, counts)` over all batches of the runs.
 
-    It is added up batch by batch in their order: the same on any number of devices, and
-    of machines.
+    The batches are added in their order, so the sum does not depend on the number of
+    devices or machines.
 
     **Arguments:**
 
-    - `function`: takes runs of shape (`LANES`, ...) and which of them count, bools of shape
-      (`LANES`,): the others are fill, and must add nothing. Define it once, at module
-      level.
+    - `function`: takes runs of shape (`LANES`, ...) and bools of shape (`LANES`,) that are
+      true for the runs that count. The other runs are fill and must add nothing. Define it
+      at module level.
     - `shared`, `runs`: as for `over_runs`.
     """
     machines = _MACHINES.get()
@@ -174,8 +177,11 @@ def sum_over_runs(
 
 
 def _parts(machines: AbstractMachines, runs: PyTree) -> Iterator[tuple[PyTree, int]]:
-    """Runs in parts of one size, and how many of each count: as many for each machine,
-    and none of more than a block."""
+    """Parts of the runs, and how many runs of each part count.
+
+    All parts have one size, each machine has the same number of them, and no part is larger
+    than a block.
+    """
     count, cores = machines.count, machines.cores
     batches = -(-_count(runs) // LANES)
     rounds = -(-batches // (count * _CHUNKS * _BLOCKS * cores))
@@ -186,7 +192,7 @@ def _parts(machines: AbstractMachines, runs: PyTree) -> Iterator[tuple[PyTree, i
 
 
 def _in_order(values: Iterable[tuple[int, Any]]) -> Iterator[Any]:
-    """Values in the order of their places, each as soon as it may be."""
+    """Values in the order of their indices, each as soon as all earlier ones are there."""
     waiting: dict[int, Any] = {}
     place = 0
     for own, value in values:
@@ -197,13 +203,13 @@ def _in_order(values: Iterable[tuple[int, Any]]) -> Iterator[Any]:
 
 
 def _apart(values: PyTree) -> Iterator[PyTree]:
-    """Batch by batch what several of them give."""
+    """The values of each batch, from the stacked values of several batches."""
     for i in range(_count(values)):
         yield jax.tree.map(operator.itemgetter(i), values)
 
 
 def _fly(given: tuple[Callable, PyTree, bool, bool], runs: PyTree) -> Any:
-    """Here, as `over_runs` says."""
+    """Values of `over_runs`, computed by this process."""
     function, shared, one_device, large = given
     devices = 1 if one_device else len(jax.devices())
     most = _CHUNKS_OF_HISTORIES if large else _CHUNKS
@@ -212,7 +218,10 @@ def _fly(given: tuple[Callable, PyTree, bool, bool], runs: PyTree) -> Any:
 
 
 def _fly_batches(given: tuple[Callable, PyTree], part: tuple[PyTree, int]) -> Any:
-    """Here, what each batch gives, of runs of which the first so many count."""
+    """Values of all batches, computed by this process.
+
+    The part consists of its runs and of how many of them count, from the first.
+    """
     runs, counted = part
     size = _up(counted, LANES)
     batches = _around(runs, 0, size), np.arange(size) < counted
@@ -227,11 +236,12 @@ def _called(
     devices: int,
     most: int,
 ) -> Any:
-    """What a program gives of each batch of the runs, in their order.
+    """Values of a program for each batch of the runs, in their order.
 
-    It is compiled for each number of devices: there is room on each for the largest number
-    of batches, and how many there are it is told. A single batch has a program without the
-    loop over them, which is sooner compiled (of `sx-2` in 15 s, not 21).
+    The program is compiled once for each number of devices. It has room for the largest
+    number of batches on each device, and the actual number is an argument. A single batch
+    has a program without the loop over batches, which compiles faster (15 s instead of 21 s
+    for `sx-2`).
     """
     count = _count(runs)
     if count <= LANES:
@@ -254,7 +264,7 @@ def _at(places: np.ndarray, runs: PyTree) -> PyTree:
 
 
 def filled_up(runs: np.ndarray) -> np.ndarray:
-    """Indices of runs, and the first ones again until they are whole blocks."""
+    """Indices of runs, followed by the first of them again up to whole blocks."""
     size = LANES * _CHUNKS * len(jax.devices())
     return _around(runs, 0, _up(len(runs), size))
 
@@ -264,20 +274,20 @@ def _count(runs: PyTree) -> int:
 
 
 def _up(count: int, multiple: int) -> int:
-    """The next multiple that is no less."""
+    """The smallest multiple that is not less than the count."""
     return -(-count // multiple) * multiple
 
 
 def _around(runs: PyTree, begin: int, size: int) -> PyTree:
-    """So many runs from a place on, the first ones again behind the last.
+    """A number of runs from an index on, with the first ones again after the last.
 
-    What fills a batch up are other flights of the campaign, so that those at its end are
-    not beside themselves alone. On other machines they are the same.
+    A batch is filled up with other flights of the campaign, and not with copies of its last
+    flight. The fill is the same on all machines.
     """
     return _at(np.arange(begin, begin + size) % _count(runs), runs)
 
 
-@kept
+@cached
 def _mapped(function, shared, runs, count, devices: int):
     def on_batch(shared, runs):
         return jax.vmap(lambda run: function(shared, run))(runs)
@@ -285,7 +295,7 @@ def _mapped(function, shared, runs, count, devices: int):
     return _on_devices(on_batch, shared, runs, count, devices)
 
 
-@kept
+@cached
 def _batches(function, shared, runs, count, devices: int):
     def on_batch(shared, runs):
         return function(shared, *runs)
@@ -294,13 +304,13 @@ def _batches(function, shared, runs, count, devices: int):
 
 
 def _on_devices(function, shared, batches, count, devices: int):
-    """`function(shared, batch)` of the first so many batches of each device, in parallel.
+    """`function(shared, batch)` for the first `count` batches of each device, in parallel.
 
-    What it returns is put together along the first axis, with room for all batches.
+    The results are stacked along the first axis, with room for all batches.
     """
     numbers, structure = eqx.partition(shared, eqx.is_array)
 
-    @jax.jit  # traced once, for its shapes and in the loop
+    @jax.jit  # so that it is traced once, for its shapes and in the loop
     def on_batch(numbers, batch):
         return function(eqx.combine(numbers, structure), batch)
 

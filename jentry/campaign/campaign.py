@@ -1,4 +1,4 @@
-"""Fly many dispersed runs of one scenario, fast and on all cores."""
+"""Monte Carlo: many dispersed runs of one scenario, flown on all cores."""
 
 import bisect
 import itertools
@@ -47,28 +47,28 @@ if TYPE_CHECKING:
 
 
 Runs = int | np.integer | Sequence[int] | np.ndarray
-"""How many runs there are, or the indices of some"""
+"""Number of runs, or indices of single runs"""
 
 
 class Campaign(eqx.Module):
-    """Flown runs; every array has the runs in front, as numpy arrays."""
+    """Flown runs. All arrays are of numpy and of shape (runs, ...)."""
 
     runs: np.ndarray
     """Indices of the runs"""
     inputs: dict[str, np.ndarray]
-    """Values of the dispersed leaves by address"""
+    """Values of the dispersed leaves, by address"""
     flights: Flight
     misses: Misses
 
     def to_xarray(
         self, scenario: Scenario, history: float | None = None
     ) -> "xarray.Dataset":
-        """The campaign as a dataset with units, as `open_campaign` gives a stored one.
+        """The campaign as a dataset with units, as `open_campaign` returns a stored one.
 
         **Arguments:**
 
-        - `scenario`: the nominal one, which was flown.
-        - `history`: interval (s) at which histories were kept, if they were.
+        - `scenario`: the nominal scenario of the campaign.
+        - `history`: interval (s) of the histories, if the campaign has any.
 
         **Raises:** `ValueError` for histories without their interval.
         """
@@ -77,11 +77,10 @@ class Campaign(eqx.Module):
         return dataset(scenario, self, history)
 
     def summary(self, scenario: Scenario) -> str:
-        """Outcomes, and mean, standard deviation and extremes of every output.
+        """Text with the outcomes, and mean, standard deviation and extremes of each output.
 
-        In words and lines, to be printed, in the units of the tables. Flights that are
-        not finite or have no end are counted among the outcomes, and are left out of the
-        statistics.
+        It is in lines for printing and in the units of the tables. Flights that are not
+        finite or have no end count in the outcomes, but not in the statistics.
 
             print(campaign.summary(scenario))
         """
@@ -119,27 +118,28 @@ def monte_carlo(
     history: float | None = None,
     sampler: AbstractSampler | None = None,
 ) -> Campaign:
-    """Fly a scenario many times, with drawn or with given inputs.
+    """Fly a scenario many times, with inputs that are drawn or prescribed.
 
-    A run is the same alone and in any batch, bit by bit: it depends on the key and on its
-    index alone. (With a law of your own see `LANES`.) All CPU devices share the work, see
-    `jentry.setup`.
+    A run depends on the key and on its index alone: it is the same to the last bit in any
+    batch. (`LANES` describes an exception for laws of your own.) All CPU devices share the
+    work, see `jentry.setup`.
 
     **Arguments:**
 
-    - `scenario`: the nominal one.
-    - `dispersions`: what is drawn, by name; with `key`.
-    - `runs`: how many, or which; 1000, or all of the inputs, if not given.
-    - `inputs`: in place of dispersions, values by address, each of shape (runs,).
+    - `scenario`: the nominal scenario.
+    - `dispersions`: what is drawn, by name. They need a `key`.
+    - `runs`: the number of runs, or the indices of single runs. By default 1000, or all
+      runs of the inputs.
+    - `inputs`: values by address instead of dispersions, each of shape (runs,).
     - `solver`, `history`: as for `fly`.
-    - `sampler`: how the draws are spread, `LatinHypercube(runs)` or `Sobol()`; if not
-        given they are independent of each other.
+    - `sampler`: spreads the draws evenly, `LatinHypercube(runs)` or `Sobol()`. By default
+      the draws are independent of each other.
 
     **Raises:** `ValueError` for an empty batch, a dispersion or an address that reaches no
-    leaf, inputs of unequal length, and inputs that cannot be flown: all draws are looked
-    at before the first flight.
+    leaf, inputs of unequal length, and inputs that cannot be flown. All draws are checked
+    before the first flight.
 
-    Warns where a law has caveats (see `Flight.caveats`).
+    Warns if a law has caveats (see `Flight.caveats`).
 
         campaign = monte_carlo(scenario, dispersions, jax.random.key(0))
         np.std(campaign.misses.downrange)
@@ -171,13 +171,13 @@ def fly_in_blocks(
     history: float | None = None,
     sampler: AbstractSampler | None = None,
 ) -> Iterator[tuple[int, Campaign]]:
-    """Fly a campaign as `monte_carlo` does, part by part, each with its place.
+    """Fly a campaign as `monte_carlo` does, in blocks, each with its index.
 
-    The memory that it takes does not grow with the runs. The parts come in the order of
-    the runs; from a `Cluster` as they are done.
+    Its memory does not grow with the number of runs. The blocks come in the order of the
+    runs, or from a `Cluster` in the order of completion.
     """
     scenario = checked(scenario)
-    Plan.of(scenario, solver, history)  # refuses a step or an interval
+    Plan.of(scenario, solver, history)  # refuses a wrong step or interval
     given = None
     count = 1000
     if inputs is not None:
@@ -248,7 +248,7 @@ def drawn_inputs(
 ) -> dict[str, np.ndarray]:
     """Inputs of some runs by address, as `monte_carlo` draws them.
 
-    Raises `ValueError` for a draw that cannot be flown.
+    **Raises:** `ValueError` for a draw that cannot be flown.
     """
     inputs = _drawn(scenario, dispersions, key, runs, sampler)
     moved = {
@@ -265,7 +265,7 @@ def drawn_inputs(
 def _drawn(
     scenario, dispersions, key, runs: np.ndarray, sampler: AbstractSampler | None
 ) -> dict[str, np.ndarray]:
-    """Drawn in whole batches, for which flying has compiled."""
+    """Inputs of some runs by address, drawn in whole blocks by one program."""
     filled = filled_up(runs)
     if sampler is None:
         inputs = dispersed_inputs(scenario, dispersions, key, jnp.asarray(filled))
@@ -283,10 +283,10 @@ def check_draws(
     runs: np.ndarray,
     sampler: AbstractSampler | None = None,
 ) -> None:
-    """Refuse runs of which one has a draw that cannot be flown, before any is flown.
+    """Refuse runs if the draw of any of them cannot be flown, before the first flight.
 
-    They are drawn block by block, as they will be flown: in constant memory, and with
-    nothing compiled that flying does not need.
+    The runs are drawn in the same blocks as in flight. This takes constant memory, and
+    compiles nothing that the flights do not need.
     """
     for block in in_blocks(runs):
         drawn_inputs(scenario, dispersions, key, block, sampler)
@@ -300,7 +300,7 @@ def _check_runs(
     runs: np.ndarray,
     source: str,
 ) -> None:
-    """Refuse values of a leaf, one a run, with the first run whose value is wrong."""
+    """Refuse values of a leaf, one per run, and name the first run with a wrong value."""
     metadata = field_metadata(scenario, address)
     whole = not jnp.issubdtype(leaf.dtype, jnp.inexact)
 
@@ -357,6 +357,6 @@ def fly_run(
     solver: AbstractSolver,
     history: float | None = None,
 ) -> tuple[Flight, Scenario]:
-    """Fly one run of a campaign, and give the dispersed scenario that it flew."""
+    """Fly one run of a campaign. Returns the flight and the dispersed scenario."""
     dispersed = replace_leaves(scenario, inputs)
     return fly(dispersed, solver, history), dispersed

@@ -1,13 +1,13 @@
-"""What goes to other processes: in bytes, with the source of what they cannot import.
+"""Objects in bytes for other processes, with the sources of the user's own modules.
 
-A law in a script or beside it is a class that a worker finds by its name, in a module
-that is made there of the same source. (By its value, as cloudpickle has it, a class would
-be another one there, and one of equinox would lose its fields and fly on its defaults.)
+The class of a law in a script, or in a module beside it, is found by its name. The worker
+creates the module from its source. (cloudpickle would send the class by value. Then the
+worker would have another class, and a class of Equinox would lose its fields and use its
+defaults.)
 """
 
 import ast
 import functools
-import hashlib
 import importlib
 import importlib.abc
 import importlib.machinery
@@ -22,14 +22,16 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 
+from .._provenance.modules import MAIN, Owner, find, owner_of, package_of
+from .._provenance.parts import digest
 
-MAIN = "__main__"
+
 SCRIPT = "jentry_script"
-"""Name of the script of who asks, in a worker, which has a main module of its own"""
+"""Name of the user's script in a worker, whose own main module is another one"""
 
 
 class Source(NamedTuple):
-    """Of a module."""
+    """Source of a module."""
 
     text: str
     file: str
@@ -37,26 +39,26 @@ class Source(NamedTuple):
 
 
 Sources = dict[str, Source]
-"""By the names of the modules"""
+"""Sources by the names of their modules"""
 
 
 class Carried(NamedTuple):
-    """Anything in bytes, with what it takes to have it again."""
+    """An object in bytes, with the sources that are needed to load it."""
 
     contents: bytes
     sources: Sources
 
     @property
     def digest(self) -> str:
-        """Of all of it."""
-        told = repr(sorted(self.sources.items())).encode()
-        return hashlib.sha256(told + self.contents).hexdigest()
+        """Digest of contents and sources."""
+        sources = repr(sorted(self.sources.items())).encode()
+        return digest(sources + self.contents)
 
 
 def dumped(tree: Any) -> Carried:
-    """Bytes of anything, with the source of all that is not installed.
+    """Bytes of any object, with the sources of the user's own modules.
 
-    **Raises:** `ValueError` for a class that nobody else can find.
+    **Raises:** `ValueError` for a class that no other process can find.
     """
     file = io.BytesIO()
     pickler = _pickler()(file)
@@ -65,7 +67,7 @@ def dumped(tree: Any) -> Carried:
 
 
 def loaded(carried: Carried) -> Any:
-    """What has been `dumped`, here or elsewhere."""
+    """The object that was `dumped` by this or another process."""
     return pickle.loads(carried.contents)
 
 
@@ -74,7 +76,7 @@ def _pickler() -> Any:
     import cloudpickle
 
     class Pickler(cloudpickle.Pickler):
-        """Knows what is not installed by its name, and in which modules that is."""
+        """Pickles the user's own code by name, and collects the names of its modules."""
 
         def __init__(self, file: io.BytesIO):
             super().__init__(file)
@@ -86,7 +88,7 @@ def _pickler() -> Any:
             elif isinstance(obj, type | types.FunctionType):
                 home, name = obj.__module__ or "", obj.__qualname__
                 self._note(home)
-                found = _named(home, name) is obj
+                found = find(home, name) is obj
                 if found and (home == SCRIPT or home in self.homes and home == MAIN):
                     return _found_in_script, (name,)
                 if isinstance(obj, type) and issubclass(obj, eqx.Module):
@@ -94,7 +96,7 @@ def _pickler() -> Any:
             return super().reducer_override(obj)
 
         def _note(self, home: str) -> None:
-            if _is_own(home):
+            if _is_carried(home):
                 self.homes.add(home)
 
     return Pickler
@@ -108,46 +110,39 @@ def _refuse_hidden(kind: type, found: bool) -> None:
         )
 
 
-def _named(home: str, name: str) -> Any:
-    """What a module that is imported has by a name; nothing where it has none."""
-    found: Any = sys.modules.get(home)
-    for part in name.split("."):
-        found = getattr(found, part, None)
-    return found
-
-
 def _found_in_script(name: str) -> Any:
-    """What the script of who asks defines: there, or here as it comes back."""
+    """What the user's script defines: in a worker, or in the client when it comes back."""
     home = MAIN
     if SCRIPT in _SENT:
         home = importlib.import_module(SCRIPT).__name__
-    return _named(home, name)
+    return find(home, name)
 
 
-def _is_own(name: str) -> bool:
-    """Whether a module that is imported is no part of Python, a package or jentry."""
-    module = sys.modules.get(name)
-    file = getattr(module, "__file__", None)
+def _is_carried(name: str) -> bool:
+    """Whether the source of an imported module goes along to other processes.
+
+    A package in editable mode is the user's own, but workers import it like any other.
+    """
+    file = getattr(sys.modules.get(name), "__file__", None)
     if not isinstance(file, str) or not file.endswith(".py") or name in _SENT:
         return False
-    return name.split(".")[0] not in _installed()
+    return owner_of(name) is Owner.USER and package_of(name) not in _importable()
 
 
 @functools.cache
-def _installed() -> frozenset[str]:
-    packages = importlib.metadata.packages_distributions()
-    ours = __name__.split(".")[0], "__mp_main__"
-    return frozenset({*sys.stdlib_module_names, *packages, *ours})
+def _importable() -> frozenset[str]:
+    """Names of modules that a worker has without their source."""
+    return frozenset({*importlib.metadata.packages_distributions(), "__mp_main__"})
 
 
 def _sources_of(homes: set[str]) -> Sources:
-    """Of modules, of the packages that they are in, and of all that they import."""
+    """Sources of modules, of their parents and of the user's modules that they import."""
     found: Sources = {}
-    todo = [name for name in homes if name not in _SENT]
+    todo = list(homes)
     while todo:
         name = todo.pop()
         sent = SCRIPT if name == MAIN else name
-        if sent in found or not _is_own(name):
+        if sent in found or not _is_carried(name):
             continue
         found[sent] = source = _source(name)
         package = getattr(sys.modules[name], "__package__", None) or ""
@@ -166,7 +161,7 @@ def _source(name: str) -> Source:
 
 @functools.lru_cache(maxsize=256)
 def _imported(text: str, package: str) -> tuple[str, ...]:
-    """Names of all that a source may import, at its top or in a function."""
+    """Names of all modules that a source may import, at its top or in a function."""
     return tuple(_names_imported(ast.parse(text), package))
 
 
@@ -184,11 +179,11 @@ def _names_imported(tree: ast.AST, package: str) -> Iterator[str]:
 
 
 _SENT: Sources = {}
-"""What this process has been sent, and imports before all else"""
+"""Sources that this process has received. They take precedence over files."""
 
 
 class _Finder(importlib.abc.MetaPathFinder, importlib.abc.InspectLoader):
-    """Imports what has been sent."""
+    """Imports modules from the sources in `_SENT`."""
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
         if fullname not in _SENT:
@@ -199,7 +194,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.InspectLoader):
             origin=_SENT[fullname].file,
             is_package=_SENT[fullname].is_package,
         )
-        spec.has_location = True  # which gives the module its `__file__`
+        spec.has_location = True  # so that the module has a `__file__`
         return spec
 
     def get_source(self, fullname: str) -> str:
@@ -214,13 +209,13 @@ _FINDER = _Finder()
 
 
 def receive(sources: Mapping[str, Source]) -> bool:
-    """Have this process import these modules; whether others were there by their names."""
+    """Make this process import these modules. Returns whether any source is new."""
     if _FINDER not in sys.meta_path:
         sys.meta_path.insert(0, _FINDER)
     fresh = {name for name in sources if sources[name] != _SENT.get(name)}
     if not fresh:
         return False
-    # Those of before may have imported what is another now.
+    # Earlier modules may have imported others that have changed.
     for name in {*_SENT, *fresh}:
         sys.modules.pop(name, None)
     _SENT.update({name: sources[name] for name in fresh})

@@ -1,8 +1,8 @@
-"""A cluster of Dask: parts of campaigns and of gradients, as tasks of its workers.
+"""A cluster of Dask, whose workers fly parts of campaigns and of gradients.
 
-Workers need jentry, of the same code and versions, and no common folder. Each part is
-flown by a whole worker, on as many cores as it has threads, with the numbers of one
-machine to the last bit.
+Workers need jentry with the same code and versions, but no common folder. One worker flies
+each part, on as many cores as it has threads. The numbers are those of one machine to the
+last bit.
 """
 
 import contextlib
@@ -36,34 +36,34 @@ if TYPE_CHECKING:
 
 _LOCAL = re.compile(r"local:(\d+)")
 _AHEAD = 2
-"""Tasks for each worker, of which it flies one: it need not wait for the next"""
+"""Tasks per worker. It flies one of them, and need not wait for the next."""
 _LOOK = 1.0
-"""s, between two looks at the cluster while nothing is done"""
+"""Interval between checks of the cluster while no task ends, s"""
 _ANSWER = 10.0
-"""s, within which a scheduler answers"""
+"""Time within which a scheduler must answer, s"""
 
 
 class Cluster:
-    """Workers of Dask that fly in place of this process, between `with` and its end.
+    """Workers of Dask that fly instead of this process, within a `with` block.
 
         with Cluster("tcp://10.0.0.1:8786"):
             monte_carlo(scenario, dispersions, key, 100_000)
 
-    Every batch of flights goes there: `monte_carlo`, `run_campaign`, the gradients of
-    `tune`. A worker that is lost costs the parts that it had, which others fly again. Needs
-    `python -m pip install 'jentry[cluster]'`, here and there.
+    The workers fly all batches of flights: of `monte_carlo`, of `run_campaign` and of the
+    gradients of `tune`. If a worker is lost, others fly its parts again. The cluster needs
+    `python -m pip install 'jentry[cluster]'`, on this machine and on those of the workers.
 
     **Arguments:**
 
-    - `where`: address of a scheduler, "tcp://10.0.0.1:8786"; a scheduler file, a path that
-      ends in .json; or "local:2" for two processes on this machine, which share its cores.
-      (A script of your own then begins with `if __name__ == "__main__":`, as all that
-      start processes in Python.)
+    - `where`: address of a scheduler, "tcp://10.0.0.1:8786", or a scheduler file, a path
+      that ends in .json, or "local:2" for two processes on this machine, which share its
+      cores. (A script that uses a local cluster needs `if __name__ == "__main__":`, as
+      every Python script that starts processes.)
     - `patience`: how long to wait (s) for a worker while there is none.
 
-    **Raises:** `ValueError` for a local one with more processes than cores; `ClusterError`
-    where there is no such cluster or it has no workers, where the scheduler is lost, and
-    where a worker has other code or packages than this process.
+    **Raises:** `ValueError` for a local cluster with more processes than cores.
+    `ClusterError` if there is no such cluster, it has no workers, the scheduler is lost, or
+    a worker has other code or packages than this process.
     """
 
     def __init__(self, where: str, patience: float = 60.0):
@@ -82,8 +82,8 @@ class Cluster:
     def __enter__(self) -> "Cluster":
         if am_worker():
             raise ClusterError(
-                "a worker runs the script of who asks, for what that defines: let all "
-                'else in the script be below if __name__ == "__main__":'
+                "a worker runs this script to import what it defines: put all other code "
+                'of the script below if __name__ == "__main__":'
             )
         with contextlib.ExitStack() as ending:
             client = ending.enter_context(_connected(self.where))
@@ -134,7 +134,7 @@ def _address_in(file: Path) -> str:
 
 @contextlib.contextmanager
 def _without_a_word(logger: str) -> Iterator[None]:
-    """What it has to say of a scheduler that is lost, `ClusterError` says in one line."""
+    """Context in which a logger is silent: `ClusterError` reports a lost scheduler."""
     log = logging.getLogger(logger)
     before = log.level
     log.setLevel(logging.CRITICAL + 1)
@@ -145,7 +145,7 @@ def _without_a_word(logger: str) -> Iterator[None]:
 
 
 def _processes(where: str) -> int:
-    """How many a local cluster has; 0 where that is no number."""
+    """Number of processes of a local cluster, or 0 if the text has no number."""
     match = _LOCAL.fullmatch(where)
     return int(match[1]) if match else 0
 
@@ -158,7 +158,7 @@ def _local(workers: int) -> "distributed.LocalCluster":
         threads_per_worker=available_cores() // workers,
         processes=True,
         memory_limit=None,
-        dashboard_address="127.0.0.1:0",  # with none it would take the usual port
+        dashboard_address="127.0.0.1:0",  # None would mean the usual port
         scheduler_kwargs={"dashboard": False},
         silence_logs=logging.CRITICAL,
     )
@@ -166,12 +166,14 @@ def _local(workers: int) -> "distributed.LocalCluster":
 
 @contextlib.contextmanager
 def _no_interrupts() -> Iterator[None]:
-    """Threads that begin within it, and their processes, do not hear of Ctrl-C: of that
-    each would print a traceback, while it is the one who has begun them who ends them."""
+    """Context in which new threads, and the processes that they start, ignore Ctrl-C.
+
+    Otherwise each would print a traceback. The process that has started them ends them.
+    """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
-    resource_tracker.ensure_running()  # whose beginning would lift it
+    resource_tracker.ensure_running()  # its start would unblock the signal
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -180,7 +182,7 @@ def _no_interrupts() -> Iterator[None]:
 
 
 class _Workers(AbstractMachines):
-    """The workers of a scheduler, as those who fly."""
+    """The workers of a scheduler, as the machines of the batch runner."""
 
     def __init__(self, client: "distributed.Client", where: str, patience: float):
         self._client = client
@@ -206,8 +208,8 @@ class _Workers(AbstractMachines):
         return max(self._threads(), default=1)
 
     def _threads(self) -> list[int]:
-        """Of each worker that is there now."""
-        if self._client.status != "running":  # it would wait for the scheduler
+        """Number of threads of each present worker."""
+        if self._client.status != "running":  # else it waits for the scheduler
             raise self._lost()
         try:
             threads: Any = self._client.nthreads()
@@ -245,14 +247,14 @@ class _Workers(AbstractMachines):
     def _next(
         self, ended: "queue.SimpleQueue[distributed.Future]"
     ) -> "distributed.Future":
-        """The next task that ends, in whatever way."""
+        """The next task that ends, with a value or an error."""
         while True:
             with contextlib.suppress(queue.Empty):
                 return ended.get(timeout=_LOOK)
             self._look()
 
     def _look(self) -> None:
-        """Give up where there has been no worker for long."""
+        """Raise an error if there has been no worker for too long."""
         now = time.monotonic()
         if self._threads():
             self._alone_since = None
@@ -282,19 +284,19 @@ class _Workers(AbstractMachines):
                     f"a worker of {self._where} has no {error.name}: install there what "
                     "is installed here"
                 ) from error
-            except TimeoutError:  # its worker was lost with the value, or that is large
+            except TimeoutError:  # the value is large, or was lost with its worker
                 if future.status == "error":
                     raise
                 self._look()
             except Exception as error:
-                if future.status == "error":  # of the flights themselves
+                if future.status == "error":  # an error of the flights themselves
                     raise
                 raise self._lost() from error
         self._say_if_other(flown)
         return loaded(flown.value)
 
     def _say_if_other(self, flown: Flown) -> None:
-        """Warn of a worker whose processor may round otherwise."""
+        """Warn of a worker whose processor may round differently."""
         if flown.processor not in self._processors:
             self._processors.add(flown.processor)
             warnings.warn(

@@ -1,4 +1,4 @@
-"""Normal dispersions that go together, by the matrix of their correlations."""
+"""Correlated normal dispersions, from the matrix of their correlations."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -11,13 +11,13 @@ from .distributions import CorrelatedNormal, Normal
 
 
 _SLACK = 1e-9
-"""By which a matrix may differ from its transpose, and its diagonal from 1"""
+"""Tolerance of symmetry, of the diagonal of 1 and of the least eigenvalue of a matrix"""
 
 
 def correlated_normals(
     dispersions: Mapping[str, Dispersion], correlation: Any
 ) -> dict[str, Dispersion]:
-    """The same dispersions, with draws that are correlated.
+    """Dispersions with correlated draws, made of independent normal ones.
 
         dispersions = {
             "density": density,
@@ -26,15 +26,15 @@ def correlated_normals(
             ),
         }
 
-    They are drawn from a stream of their own, named after all of them.
+    They share one stream, which is named after all of them.
 
     **Arguments:**
 
     - `dispersions`: two or more, each `Normal` and without a stream.
-    - `correlation`: their matrix in the order of the dispersions.
+    - `correlation`: the correlation matrix, in the order of the dispersions.
 
     **Raises:** `ValueError` for another distribution, and for a matrix that is not
-    symmetric with a diagonal of 1 and positive definite.
+    symmetric, has no diagonal of 1 or is not positive definite.
     """
     names = list(dispersions)
     if len(names) < 2:
@@ -69,7 +69,7 @@ def correlated_normals(
 
 
 def _lower_root(names: list[str], correlation: Any) -> np.ndarray:
-    """The lower triangular root of a correlation matrix. Refuses what is none."""
+    """The lower triangular root of a correlation matrix. Refuses any other matrix."""
     of = f"the correlation of {', '.join(names)}"
     matrix = np.asarray(correlation, dtype=float)
     count = len(names)

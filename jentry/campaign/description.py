@@ -1,4 +1,7 @@
-"""What a campaign is, in plain values: kept beside its results, compared on resumption."""
+"""The description of a campaign in plain values.
+
+It is stored beside the results, and compared when the campaign is resumed.
+"""
 
 import base64
 from collections.abc import Callable, Mapping
@@ -18,7 +21,7 @@ from .users_code import own_code
 
 
 _LONG = 100
-"""Numbers of a table that are written in digits"""
+"""Largest number of values of a table that are written in digits"""
 
 _PACKAGES = ("jentry", "jax", "equinox", "diffrax", "numpy")
 
@@ -33,7 +36,7 @@ def describe(
     sampler: AbstractSampler | None = None,
     **labels: Any,
 ) -> dict[str, Any]:
-    """A campaign as plain values: two with equal values fly the same runs."""
+    """A campaign as plain values. Campaigns with equal values fly the same runs."""
     leaves = leaves_by_address(scenario)
     code = own_code(
         scenario,
@@ -80,7 +83,7 @@ def describe(
 
 
 def _plain(leaf: Any) -> Any:
-    """Numbers as JSON has them; of a long table, the bytes: in digits they take seconds."""
+    """Numbers for JSON. A long table is encoded in base 64, since digits take seconds."""
     values = np.asarray(leaf)
     if values.size <= _LONG:
         return values.tolist()
@@ -93,7 +96,7 @@ def _plain(leaf: Any) -> Any:
 
 
 def leaf_of(plain: Any) -> np.ndarray:
-    """The numbers of a leaf as a description has them, to the last bit."""
+    """The numbers of a leaf of a description, equal to the last bit."""
     if not isinstance(plain, dict):
         return np.asarray(plain)
     little_endian = np.dtype(plain["type"]).newbyteorder("<")
@@ -102,7 +105,7 @@ def leaf_of(plain: Any) -> np.ndarray:
 
 
 def scalars_of(description: Mapping[str, Any]) -> dict[str, Any]:
-    """The numbers of a described scenario, by address, without its tables."""
+    """The numbers of a described scenario by address, without its tables."""
     return {
         address: leaf
         for address, leaf in description["scenario"].items()
@@ -111,7 +114,7 @@ def scalars_of(description: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _name(function: Callable) -> str:
-    """By which a function is known again. Raises `ValueError` where it has no name."""
+    """Full name of a function. Raises `ValueError` if it has none."""
     name = getattr(function, "__qualname__", "<lambda>")
     if "<lambda>" in name:
         raise ValueError(
@@ -122,7 +125,7 @@ def _name(function: Callable) -> str:
 
 
 def first_difference(known: Any, wanted: Any, place: str = "") -> str | None:
-    """Words for the first place where two descriptions differ; None if they are equal."""
+    """Text for the first difference of two descriptions, or None if they are equal."""
     if isinstance(known, dict) and isinstance(wanted, dict):
         if "base64" in known and known != wanted:
             return f"{place.removesuffix('.value')} differs"

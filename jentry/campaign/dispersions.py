@@ -1,4 +1,4 @@
-"""What is uncertain: the leaves of a scenario that are drawn, run by run."""
+"""Dispersions: the leaves of a scenario that are drawn for each run."""
 
 import dataclasses
 import zlib
@@ -12,7 +12,8 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float, Int, Key
 
-from .._programs import kept
+from .._printed import quantity_in_words
+from .._programs import cached
 from ..addresses import (
     addresses_of,
     field_metadata,
@@ -28,7 +29,7 @@ from .distributions import AbstractDistribution, TruncatedNormal
 
 
 def replace(nominal: Scalar, draw: Scalar) -> Scalar:
-    """The draw takes the place of the nominal value."""
+    """The draw replaces the nominal value."""
     return draw
 
 
@@ -43,28 +44,28 @@ def multiply(nominal: Scalar, draw: Scalar) -> Scalar:
 
 
 class Dispersion(eqx.Module):
-    """One uncertain number, and the leaves that it moves.
+    """One uncertain number, and the leaves that it changes.
 
         Dispersion(lambda s: s.planet.density_scale, Uniform(0.8, 1.2))
         Dispersion(lambda s: s.vehicle.mass, Uniform(0.95, 1.05), apply=multiply)
 
     A lens may return several leaves, `lambda s: (s.vehicle.lift_scale,
-    s.vehicle.drag_scale)`: the one draw moves them all. Define tables of dispersions
-    once, at module level: a fresh lambda is compiled anew.
+    s.vehicle.drag_scale)`. One draw changes them all. Define tables of dispersions once, at
+    module level, since each new lambda is compiled again.
     """
 
     where: Callable[[Any], Any] = eqx.field(static=True)
     distribution: AbstractDistribution
     apply: Callable[[Scalar, Scalar], Scalar] = eqx.field(default=replace, static=True)
     stream: str | None = eqx.field(default=None, static=True)
-    """Dispersions of one stream are drawn by the same random number, each from its own
-    distribution; None for a stream of its own"""
+    """Name of a stream. Dispersions of one stream use the same random number, each with its
+    own distribution. By default a dispersion has a separate stream."""
 
 
 def scaled_dispersions(
     dispersions: Mapping[str, Dispersion], factor: Scalar | float
 ) -> dict[str, Dispersion]:
-    """The same dispersions about the same means, so many times as wide."""
+    """Dispersions about the same means, wider by a factor."""
     return {
         name: dataclasses.replace(
             dispersion, distribution=dispersion.distribution.scaled(factor)
@@ -74,19 +75,19 @@ def scaled_dispersions(
 
 
 _FARTHEST = 37.0
-"""Standard deviations: beyond it the probability is below the least number there is."""
+"""Standard deviations beyond which the probability is below the smallest positive number"""
 
 
 Inputs = dict[str, Scalar]
-"""Values of leaves by their addresses."""
+"""Values of leaves, by address"""
 
 
 MOST_RUNS = 2**32
-"""Number of runs that draw apart: a key takes 32 bits of the index of a run."""
+"""Number of runs with different draws: a key uses 32 bits of the index of a run"""
 
 
 def key_of(seed: int) -> Key[Array, ""]:
-    """The key of a seed. Raises `ValueError` for one that JAX does not take."""
+    """The key of a seed. Raises `ValueError` for a seed that JAX does not accept."""
     bits = 64 if jax.config.read("jax_enable_x64") else 32
     if not -(2 ** (bits - 1)) <= seed < 2 ** (bits - 1):
         raise ValueError(
@@ -97,13 +98,13 @@ def key_of(seed: int) -> Key[Array, ""]:
 
 
 def check_runs(runs: np.ndarray) -> None:
-    """Refuse indices of runs that would not draw apart."""
+    """Refuse indices of runs that would have the draws of another run."""
     for wrong in runs[(runs < 0) | (runs >= MOST_RUNS)][:1]:
         raise ValueError(f"run {wrong} was asked for: runs count from 0 to 2^32 - 1")
 
 
 def _codes(names: Iterable[str]) -> dict[str, int]:
-    """What a key is folded with, by name. Refuses two that would share their draws."""
+    """Numbers with which a key is folded, by name. Refuses names with equal numbers."""
     codes: dict[str, int] = {}
     for name in names:
         code = zlib.crc32(name.encode())
@@ -118,9 +119,9 @@ def _codes(names: Iterable[str]) -> dict[str, int]:
 
 
 def numbers_of_streams(dispersions: Mapping[str, Dispersion]) -> dict[str, int]:
-    """How many random numbers a run takes of each stream, in the order of the table.
+    """How many random numbers of each stream a run takes, in the order of the table.
 
-    Raises `ValueError` for a stream of which two dispersions take several, and not as many.
+    **Raises:** `ValueError` for a stream from which two dispersions take different numbers.
     """
     counts: dict[str, int] = {}
     for name, dispersion in dispersions.items():
@@ -140,8 +141,8 @@ def draw(
 ) -> dict[str, Scalar]:
     """The draws of one run, by the names of the dispersions.
 
-    They depend on the key, the name (or the stream) and the run alone, not on what else
-    is drawn.
+    A draw depends on the key, the name (or the stream) and the run alone. Other dispersions
+    do not change it.
     """
     streams = {name: each.stream or name for name, each in dispersions.items()}
     codes = _codes(dict.fromkeys(streams.values()))
@@ -157,13 +158,13 @@ def disperse(
     dispersions: Mapping[str, Dispersion],
     draws: Mapping[str, Scalar],
 ) -> Inputs:
-    """The values that the dispersed leaves take in one run.
+    """The values of the dispersed leaves in one run.
 
-    Dispersions that move the same leaf do so one after the other, in their order.
+    Dispersions of the same leaf are applied one after the other, in their order.
 
-    Raises `ValueError` for a dispersion that reaches no leaf, a whole module, one leaf
-    twice or one that is no single real number, and for one that would discard what another
-    has done to the same leaf.
+    **Raises:** `ValueError` for a dispersion that reaches no leaf, a whole module, one leaf
+    twice, or a leaf that is not a single real number. Also for one that replaces a leaf
+    which another dispersion has already changed.
     """
     leaves = leaves_by_address(scenario)
     inputs: Inputs = {}
@@ -192,7 +193,10 @@ def disperse(
 def addresses_of_dispersion(
     scenario: Scenario, name: str, dispersion: Dispersion
 ) -> list[str]:
-    """The leaves that it moves, each once. Raises `ValueError` for what is no leaf."""
+    """The addresses of the leaves that a dispersion changes.
+
+    **Raises:** `ValueError` for parts that are not leaves, and for a leaf that comes twice.
+    """
     try:
         addresses = addresses_of(scenario, dispersion.where)
         parts = dispersion.where(scenario)
@@ -217,9 +221,9 @@ def unit_of_draw(
     addresses: Iterable[str],
     apply: Callable[[Scalar, Scalar], Scalar],
 ) -> str:
-    """Unit of what a dispersion draws: that of its leaves, or of a factor on them.
+    """Unit of the draws of a dispersion: the unit of its leaves, or 1 for a factor.
 
-    Raises `ValueError` for a draw that takes the place of leaves in different units.
+    **Raises:** `ValueError` for a draw that replaces leaves in different units.
     """
     if apply not in (replace, add):
         return "1"
@@ -236,8 +240,10 @@ def unit_of_draw(
 def check_dispersions(
     scenario: Scenario, dispersions: Mapping[str, Dispersion]
 ) -> None:
-    """Refuse what `disperse` would, distributions that cannot be drawn from, and what
-    cannot matter: a number that no flight depends on, or a factor on zero.
+    """Refuse dispersions that `disperse` refuses, or that cannot be drawn.
+
+    Also those without an effect: of a number on which no flight depends, or a factor on
+    zero.
     """
     draws = {name: jnp.zeros(()) for name in dispersions}
     jax.eval_shape(lambda draws: disperse(scenario, dispersions, draws), draws)
@@ -246,7 +252,7 @@ def check_dispersions(
     moved: set[str] = set()
     for name, dispersion in dispersions.items():
         addresses = addresses_of_dispersion(scenario, name, dispersion)
-        unit_of_draw(scenario, name, addresses, dispersion.apply)
+        unit = unit_of_draw(scenario, name, addresses, dispersion.apply)
         for address in addresses:
             require_effect(scenario, address)
             if dispersion.apply is multiply and address not in moved:
@@ -264,9 +270,10 @@ def check_dispersions(
         if {"lower", "upper"} <= set(numbers):
             lower, upper = float(numbers["lower"]), float(numbers["upper"])
             if not lower < upper:
+                least, most = (quantity_in_words(x, unit) for x in (lower, upper))
                 raise ValueError(
-                    f"dispersions.{name}.lower is {lower:g}: it must be below upper, "
-                    f"which is {upper:g}"
+                    f"dispersions.{name}.lower is {least}: it must be below upper, "
+                    f"which is {most}"
                 )
         if isinstance(distribution, TruncatedNormal):
             _refuse_empty_interval(name, distribution)
@@ -311,11 +318,11 @@ def dispersed_inputs(
     runs: Int[Array, " runs"],
 ) -> dict[str, Float[Array, " runs"]]:
     """Inputs of many runs, by address."""
-    # As pairs: JAX sorts the names of a dictionary, and the order is part of the meaning.
+    # As pairs: JAX sorts the names of a dictionary, and dispersions depend on their order.
     return _dispersed_inputs(scenario, tuple(dispersions.items()), key, runs)
 
 
-@kept
+@cached
 def _dispersed_inputs(
     scenario: Scenario,
     pairs: tuple[tuple[str, Dispersion], ...],
@@ -331,18 +338,18 @@ def _dispersed_inputs(
     return jax.vmap(one)(runs)
 
 
-@kept
+@cached
 def inputs_of_shares(
     scenario: Scenario,
     pairs: tuple[tuple[str, Dispersion], ...],
     shares: Mapping[str, Array],
 ) -> dict[str, Float[Array, " runs"]]:
-    """Inputs of many runs, by address, whose shares of each stream a sampler has chosen.
+    """Inputs of many runs by address, from the shares that a sampler has chosen.
 
     **Arguments:**
 
-    - `pairs`: the dispersions by name, in their order.
-    - `shares`: by stream, of shape (runs,) or (runs, numbers).
+    - `pairs`: names and dispersions, in their order.
+    - `shares`: the shares of each stream, of shape (runs,) or (runs, numbers).
     """
     dispersions = dict(pairs)
 

@@ -1,4 +1,4 @@
-"""Distributions of one number: what a dispersion is drawn from."""
+"""Distributions of one number, from which dispersions are drawn."""
 
 import dataclasses
 import math
@@ -18,7 +18,7 @@ from ..fields import Scalar, Vector, as_float_array, scalar, table
 
 
 _OFF = 1e-9
-"""By which the sum of probabilities may be off, for each of them: they are decimals"""
+"""Tolerance of the sum of probabilities, per probability, since they are decimals"""
 
 
 class AbstractDistribution(eqx.Module):
@@ -29,10 +29,10 @@ class AbstractDistribution(eqx.Module):
         """Draw one number."""
 
     def quantile(self, share: Float[Array, "..."]) -> Scalar:
-        """The number below which a share of all draws lies, for samplers that choose it.
+        """The number below which a share of all draws lies, for samplers.
 
         The share is above 0 and below 1. A distribution that takes several `numbers` has
-        as many shares, of shape (numbers,), each uniform and independent of the others.
+        one share for each, of shape (numbers,). They are uniform and independent.
         """
         raise ValueError(
             f"{type(self).__name__} has no quantile(share), the inverse of its cumulative "
@@ -45,7 +45,7 @@ class AbstractDistribution(eqx.Module):
 
     @abstractmethod
     def moments(self) -> tuple[Scalar, Scalar]:
-        """Mean and standard deviation of what is drawn."""
+        """Mean and standard deviation of the draws."""
 
     @abstractmethod
     def scaled(self, factor: Scalar | float) -> "AbstractDistribution":
@@ -53,7 +53,7 @@ class AbstractDistribution(eqx.Module):
 
 
 class Normal(AbstractDistribution):
-    """Normal distribution. Where a source quotes three sigma, write the division."""
+    """Normal distribution. If a source quotes three sigma, write the division by 3."""
 
     mean: Scalar = scalar()
     standard_deviation: Scalar = scalar(positive=True)
@@ -74,8 +74,8 @@ class Normal(AbstractDistribution):
 class LogNormal(AbstractDistribution):
     """Distribution of a positive number whose logarithm is normal.
 
-    For a factor that is as often halved as doubled, write a median of 1 and a deviation
-    of the logarithm of `math.log(2.0)` for one standard deviation.
+    A factor that is halved as often as doubled has the median 1. If a factor of 2 is one
+    standard deviation, the deviation of the logarithm is `math.log(2.0)`.
     """
 
     median: Scalar = scalar(positive=True)
@@ -97,7 +97,7 @@ class LogNormal(AbstractDistribution):
     def scaled(self, factor: Scalar | float) -> "LogNormal":
         mean, _ = self.moments()
         variance = self.deviation_of_logarithm * self.deviation_of_logarithm
-        # That of a lognormal distribution whose deviation over its mean is a multiple.
+        # The standard deviation over the mean becomes larger by the factor.
         variance = jnp.log1p(factor * factor * jnp.expm1(variance))
         return LogNormal(mean * jnp.exp(-0.5 * variance), jnp.sqrt(variance))
 
@@ -127,7 +127,7 @@ class Uniform(AbstractDistribution):
 
 
 class Constant(AbstractDistribution):
-    """A number that is always the same, for a table of dispersions without a draw."""
+    """A constant in a table of dispersions, without a draw."""
 
     value: Scalar = scalar()
 
@@ -148,16 +148,16 @@ class Constant(AbstractDistribution):
 
 
 class Discrete(AbstractDistribution):
-    """One of a list of numbers, each with its own probability.
+    """One of several numbers, each with a probability.
 
     Discrete([0.0, 1.0], [0.9, 0.1])  # a failure in a tenth of the runs
-    Discrete([900.0, 950.0, 1000.0])  # as likely each
+    Discrete([900.0, 950.0, 1000.0])  # equally likely
     """
 
     values: Vector = table(increasing=True)
     """(n,), increasing"""
     probabilities: Vector = table()
-    """(n,), whose sum is 1; all equal if not given"""
+    """(n,), with the sum 1. By default all are equal."""
 
     def __init__(self, values: Any, probabilities: Any = None):
         self.values = as_float_array(values)
@@ -193,7 +193,7 @@ class Discrete(AbstractDistribution):
         return self.quantile(jax.random.uniform(key, dtype=float))
 
     def quantile(self, share: Float[Array, "..."]) -> Scalar:
-        # The last bound is 1 whatever the rounding of the sum, and is left out.
+        # The last bound is left out: it is 1, however the sum is rounded.
         below = jnp.cumsum(self.probabilities)[:-1]
         return self.values[jnp.searchsorted(below, share, side="right")]
 
@@ -208,17 +208,17 @@ class Discrete(AbstractDistribution):
 
 
 class CorrelatedNormal(AbstractDistribution):
-    """One of several normal distributions that go together: see `correlated_normals`.
+    """One of several correlated normal distributions: see `correlated_normals`.
 
-    A draw is the mean plus a weighted sum of independent standard normal numbers, which
-    are the same for all distributions of a stream; the weights are a row of the
-    lower triangular root of the correlation matrix.
+    A draw is the mean plus the standard deviation times a weighted sum of independent
+    standard normal numbers. All distributions of a stream share these numbers. The weights
+    are a row of the lower triangular root of the correlation matrix.
     """
 
     mean: Scalar = scalar()
     standard_deviation: Scalar = scalar(positive=True)
     weights: Vector = table()
-    """(n,), the squares of which have the sum 1"""
+    """(n,), with squares that have the sum 1"""
 
     def sample(self, key: Key[Array, ""]) -> Scalar:
         keys = (jax.random.fold_in(key, place) for place in range(self.weights.size))
@@ -244,16 +244,16 @@ class CorrelatedNormal(AbstractDistribution):
 
 
 class OneOfSeveral(AbstractDistribution):
-    """Uniform about zero in a share of the runs, and zero in the others.
+    """Uniform about zero in one of `count` runs on average, and zero in the others.
 
-    Dispersions with places 0 to `count` - 1 and one stream are drawn one at a time: in
-    each run one of them, which is as likely as any other.
+    In each run, exactly one of the dispersions with places 0 to `count` - 1 and one stream
+    is not zero. All are equally likely.
     """
 
     place: int = eqx.field(static=True)
     count: int = eqx.field(static=True)
     most: Scalar = scalar(positive=True)
-    """Largest size of what is drawn"""
+    """Largest absolute value of a draw"""
 
     def __check_init__(self):
         if not 0 <= self.place < self.count:
@@ -266,7 +266,7 @@ class OneOfSeveral(AbstractDistribution):
         return self.quantile(jax.random.uniform(key, dtype=float))
 
     def quantile(self, share: Float[Array, "..."]) -> Scalar:
-        # Not in rising order: the share says first which one is drawn.
+        # It does not rise with the share, whose first digits choose the dispersion.
         number = self.count * share
         chosen = jnp.floor(number) == self.place
         size = 2.0 * (number - self.place) - 1.0
@@ -280,7 +280,7 @@ class OneOfSeveral(AbstractDistribution):
 
 
 class TruncatedNormal(AbstractDistribution):
-    """Normal distribution of which only what lies between two bounds is drawn."""
+    """Normal distribution that is truncated at two bounds."""
 
     mean: Scalar = scalar()
     standard_deviation: Scalar = scalar(positive=True)
@@ -288,7 +288,7 @@ class TruncatedNormal(AbstractDistribution):
     upper: Scalar = scalar()
 
     def in_deviations(self) -> tuple[Scalar, Scalar]:
-        """The two bounds, counted from the mean in standard deviations."""
+        """The two bounds relative to the mean, in standard deviations."""
         lower = (self.lower - self.mean) / self.standard_deviation
         upper = (self.upper - self.mean) / self.standard_deviation
         return lower, upper
@@ -298,8 +298,8 @@ class TruncatedNormal(AbstractDistribution):
 
     def quantile(self, share: Float[Array, "..."]) -> Scalar:
         lower, upper = self.in_deviations()
-        # In the tail below the mean, by symmetry, where a probability that is small keeps
-        # its digits: above it they are what is left of 1, and beyond 8 deviations nothing.
+        # Computed in the tail below the mean, where small probabilities have all digits.
+        # Above the mean they are differences from 1, which vanish beyond 8 deviations.
         above = lower + upper > 0.0
         near = jnp.where(above, ndtr(-lower), ndtr(lower))
         far = jnp.where(above, ndtr(-upper), ndtr(upper))
@@ -308,10 +308,10 @@ class TruncatedNormal(AbstractDistribution):
         return self.mean + self.standard_deviation * draw
 
     def moments(self) -> tuple[Scalar, Scalar]:
-        # By quadrature about the mode: the closed form cancels in the tails.
+        # Computed by quadrature about the mode: the closed form loses digits in the tails.
         lower, upper = self.in_deviations()
         mode = jnp.clip(jnp.zeros_like(lower), lower, upper)
-        # As far as the density is more than exp(-80) of that at the mode.
+        # The density is more than exp(-80) of its value at the mode.
         reach = jnp.sqrt(mode * mode + 160.0) - jnp.abs(mode)
         lower, upper = (
             jnp.maximum(lower, mode - reach),
@@ -334,6 +334,6 @@ class TruncatedNormal(AbstractDistribution):
 
 
 def static_fields(module: eqx.Module) -> dict[str, Any]:
-    """What a distribution or a sampler has besides numbers that JAX sees, by name."""
+    """The static fields of a distribution or a sampler, by name."""
     fields = dataclasses.fields(module)
     return {f.name: getattr(module, f.name) for f in fields if f.metadata.get("static")}

@@ -1,9 +1,9 @@
-"""Errors of stored campaigns, and of the machines that fly them."""
+"""Errors of stored campaigns and of clusters."""
 
 
 class CampaignError(Exception):
-    """A campaign folder that cannot be used as it is; the message says what to do."""
+    """A campaign folder that cannot be used. The message says what to do."""
 
 
 class ClusterError(Exception):
-    """A cluster that is not there, is lost, or is not as this process."""
+    """A cluster that is not there, is lost, or differs from this process."""

@@ -1,4 +1,4 @@
-"""Parts of one campaign that several machines have flown, put together."""
+"""Merging of the slices of one campaign that several machines have flown."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,18 +21,20 @@ from .store import alone_in
 def merge_campaigns(out: Path | str, folders: Sequence[Path | str]) -> tuple[int, int]:
     """Copy the runs of several folders of one campaign into one folder.
 
-    What is copied is verified to the last bit before and after, and stays where it is.
-    Called again it copies what is missing. Gives the number of runs that are there, and
-    how many are not: of all slices where the folders say of how many runs they are a part,
-    and up to the last run that is there where they do not.
+    Files are verified to the last bit before they are copied. The originals stay. A second
+    call copies the runs that are missing.
 
     **Arguments:**
 
-    - `out`: folder; made if it does not exist. It may hold runs of the campaign already.
-    - `folders`: of `run_campaign(..., part=...)`, on any machines.
+    - `out`: folder, created if needed. It may already hold runs of the campaign.
+    - `folders`: folders of `run_campaign(..., part=...)`, from any machines.
+
+    **Returns:** the number of runs in `out`, and the number of missing runs. These are
+    counted in the whole campaign if a folder states its size, else up to the last run in
+    `out`.
 
     **Raises:** `CampaignError` for folders of different campaigns, with the first
-    difference, and for parts that are damaged; `ValueError` for no folder.
+    difference, and for damaged parts; `ValueError` without any folder.
 
         merge_campaigns("results/all", ["results/part-1", "results/part-2"])
     """
@@ -58,7 +60,7 @@ def merge_campaigns(out: Path | str, folders: Sequence[Path | str]) -> tuple[int
                     raise not_as_written([part.path])
                 if not (out / part.path.name).exists():
                     write_whole(out / part.path.name, contents)
-        # The largest whole: a campaign may have been flown on with more runs.
+        # The largest size counts: a campaign may have been extended.
         noted = [read_slices(folder, campaign) for folder in (out, *sources)]
         known = [slices for slices in noted if slices is not None]
         if known:
@@ -69,9 +71,9 @@ def merge_campaigns(out: Path | str, folders: Sequence[Path | str]) -> tuple[int
 
 
 def slices_lacking(out: Path | str) -> list[str]:
-    """Slices of a merged campaign with runs that are not there, as `--slice` takes them.
+    """Slices of a merged campaign with missing runs, in the form of the option `--slice`.
 
-    Empty where none lacks, and where no folder said of how many runs it is a part.
+    The list is empty if no run is missing, or if no folder stated the size of the campaign.
     """
     out = Path(out)
     slices = read_slices(out, digest_of(read_manifest(out)))

@@ -1,4 +1,4 @@
-"""What the outputs of flights are called in results, and how people read them."""
+"""Names of the outputs of flights in results, and the units in which they are shown."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -13,45 +13,47 @@ MISS_DISTANCE = "miss_distance"
 
 
 def at_end(name: str) -> str:
-    """Name in the results of a component of the state, or of the time, at the end."""
+    """Name in results of a component of the state, or of the time, at the end."""
     return f"end_{name}"
 
 
 def error_of(miss: str) -> str:
-    """Name in the results of a field of `Misses`, or of its `distance`."""
+    """Name in results of a field of `Misses`, or of its `distance`."""
     return MISS_DISTANCE if miss == "distance" else f"{miss}_error"
 
 
 def peak_of(constraint: str) -> str:
-    """Name in the results of the peak of a path constraint."""
+    """Name in results of the peak of a path constraint."""
     return f"peak_{constraint}"
 
 
 def is_error(name: str) -> bool:
-    """Whether a variable of a result is a difference, actual minus desired."""
+    """Whether a variable of results is an error, actual minus desired."""
     return "." not in name and name.endswith(error_of(""))
 
 
 def is_output(name: str) -> bool:
-    """Whether a variable of a result tells how the flight ended, or a peak of it."""
+    """Whether a variable of results belongs to the end of a flight or is a peak."""
     begins = at_end(""), peak_of(""), MISS_DISTANCE
     return "." not in name and (name.startswith(begins) or is_error(name))
 
 
 def shown(variable: "xarray.DataArray") -> tuple[Any, str]:
-    """Values of a variable of a result as people read them, and their unit."""
+    """Values of a variable of results in the unit in which they are shown, and the unit."""
     unit, size = edge_of(variable, variable.values)
     return variable.values / size, unit
 
 
 def unit_size(variable: "xarray.DataArray") -> float:
-    """SI value of the unit in which people read a variable of a result."""
+    """SI value of the unit in which a variable of results is shown."""
     return edge_of(variable, variable.values)[1]
 
 
 def edge_of(variable: "xarray.DataArray", values: Any) -> tuple[str, float]:
-    """The unit in which people read values that are of a variable of a result, such as
-    differences of it, and its SI value."""
+    """The unit in which values of a variable of results are shown, and its SI value.
+
+    The values may be differences of the variable.
+    """
     attributes = variable.attrs
     unit, named = attributes.get("units", "1"), attributes.get("shown_units")
     return edge_unit(unit, values, named)

@@ -1,9 +1,9 @@
-"""What stands in a campaign's folder: a manifest and parts, each sealed with a digest.
+"""Files of a campaign's folder: a manifest and parts, each sealed with a digest.
 
-The name of a part ends in a digest of its campaign, its runs and all of its bytes. What
-was damaged since, renamed, or brought from another campaign is found before anything in
-the file is believed; and since the name comes with the rename that puts the part in its
-place, no kill leaves the one without the other.
+The name of a part ends with a digest of its campaign, its runs and all of its bytes. So a
+part that was damaged, renamed or copied from another campaign is found before it is read.
+A part gets this name in the same step in which it appears in the folder, so an interrupted
+process leaves no part without its digest.
 """
 
 import dataclasses
@@ -24,18 +24,18 @@ AGAIN = "run the same campaign again, which flies what is missing"
 
 _PART = re.compile(r"runs-(\d{9,})-(\d{9,})-([0-9a-f]{16})\.nc")
 _DIGEST = "digest"
-"""In the manifest, of all the rest of it"""
+"""Name in the manifest of the digest of all other entries"""
 _NAMED = 5
-"""Files that one message names"""
+"""Largest number of files that a message names"""
 
 
 def digest_of(description: Mapping[str, Any]) -> str:
-    """Digest of a campaign: the same for the same description, in whatever order."""
+    """Digest of a campaign. The order of its description does not change it."""
     return hashlib.sha256(json.dumps(description, sort_keys=True).encode()).hexdigest()
 
 
 def name_of_part(campaign: str, first: int, last: int, contents: bytes) -> str:
-    """File name of the runs from the first to the last, of a campaign of this digest."""
+    """File name of the runs from the first to the last of a campaign with this digest."""
     return f"runs-{first:09d}-{last:09d}-{_seal(campaign, first, last, contents)}.nc"
 
 
@@ -47,7 +47,7 @@ def _seal(campaign: str, first: int, last: int, contents: bytes) -> str:
 
 @dataclasses.dataclass(frozen=True, order=True)
 class Part:
-    """A stored part of a campaign, by what its file name says."""
+    """A stored part of a campaign, as its file name describes it."""
 
     first: int
     last: int
@@ -55,14 +55,14 @@ class Part:
     path: Path
 
     def contents_of(self, campaign: str) -> bytes | None:
-        """Bytes of the part; None unless a campaign of this digest has written them."""
+        """Bytes of the part, or None if no campaign with this digest has written them."""
         contents = _read(self.path)
         seal = _seal(campaign, self.first, self.last, contents)
         return contents if seal == self.digest else None
 
 
 def parts_of(out: Path) -> list[Part]:
-    """The parts in a folder, in order. Refuses a file that only looks like one."""
+    """The parts in a folder, in order. Refuses a file with a similar name."""
     found, wrong = [], []
     for path in sorted(out.glob("runs-*.nc")):
         match = _PART.fullmatch(path.name)
@@ -76,7 +76,7 @@ def parts_of(out: Path) -> list[Part]:
 
 
 def not_as_written(paths: list[Path]) -> CampaignError:
-    """Sentence about files that are no parts of the campaign whose folder they are in."""
+    """Error for files that are no parts of the campaign in whose folder they are."""
     named = ", ".join(map(str, paths[:_NAMED]))
     if len(paths) > _NAMED:
         named += f" and {len(paths) - _NAMED} more"
@@ -90,17 +90,19 @@ def not_as_written(paths: list[Path]) -> CampaignError:
 def claim(
     out: Path, description: Mapping[str, Any]
 ) -> tuple[dict[str, Any], list[Part]]:
-    """Make a folder a campaign's, or find that it is; its description and its parts.
+    """Reserve a folder for a campaign, or check that it belongs to the campaign already.
 
-    A folder of another campaign that has no runs yet holds nothing, and is taken over. A
-    manifest that is lost is written again if all parts are of this campaign.
+    The folder of another campaign without runs is reused. A lost manifest is written again
+    if all parts belong to this campaign.
 
-    **Raises:** `CampaignError` for a folder of another campaign, and for parts that are
-    not as the campaign has written them.
+    **Returns:** the description of the campaign and its stored parts.
+
+    **Raises:** `CampaignError` for a folder of another campaign, and for parts that the
+    campaign has not written.
     """
     manifest = out / MANIFEST
     parts = parts_of(out)
-    # As it will be read.
+    # In the form in which the manifest is read.
     ours = json.loads(json.dumps(description))
     known = read_manifest(out) if manifest.exists() else None
     different = known and first_difference(known, ours)
@@ -129,33 +131,33 @@ def _manifest_of(description: Mapping[str, Any]) -> bytes:
 
 
 SLICES = "slices.json"
-"""File beside the manifest of a part: the whole of which it is one"""
+"""File beside the manifest of a slice, with the size of the whole campaign"""
 
 
 class Slices(NamedTuple):
-    """Into how many slices the runs of a campaign are divided."""
+    """The division of the runs of a campaign into slices."""
 
     campaign: str
     """Digest of the campaign"""
     runs: int
-    """Of all slices together"""
+    """Number of runs of all slices together"""
     count: int
 
     def runs_of(self, place: int) -> range:
-        """Runs of the slice at a place, which is 1 for the first."""
+        """Indices of the runs of a slice. The first slice is 1."""
         first, last = (i * self.runs // self.count for i in (place - 1, place))
         return range(first, last)
 
 
 def note_slices(out: Path, slices: Slices) -> None:
-    """Write down of which whole the runs in a folder are a part."""
+    """Store the division of the campaign whose slice is in a folder."""
     write_whole(out / SLICES, (json.dumps(slices._asdict()) + "\n").encode())
 
 
 def read_slices(out: Path, campaign: str) -> Slices | None:
-    """Of which whole the runs in a folder are a part; None where that is not written.
+    """The division of the campaign whose slice is in a folder, or None if none is stored.
 
-    Raises `CampaignError` for a file that is damaged, or of another campaign.
+    **Raises:** `CampaignError` for a file that is damaged or of another campaign.
     """
     path = out / SLICES
     if not path.exists():
@@ -176,7 +178,7 @@ def read_slices(out: Path, campaign: str) -> Slices | None:
 def read_manifest(out: Path) -> dict[str, Any]:
     """The description of the campaign in a folder.
 
-    **Raises:** `CampaignError` where there is none, or not as it was written.
+    **Raises:** `CampaignError` if there is none, or if it has changed since it was written.
     """
     manifest = out / MANIFEST
     if not manifest.exists():
@@ -188,7 +190,7 @@ def read_manifest(out: Path) -> dict[str, Any]:
     try:
         known = json.loads(contents)
         del known[_DIGEST]
-        # Byte by byte: nothing may differ, be it in what is said or between.
+        # All bytes are compared, including those between the values.
         as_written = contents == _manifest_of(known)
     except (ValueError, RecursionError, TypeError, KeyError):
         as_written, known = False, {}

@@ -1,8 +1,8 @@
-"""How far a statistic of one set of runs can be believed: the same of many sets.
+"""Populations: a statistic of many sets of runs, to judge that of one set.
 
-Two sets of runs with other draws differ. What a source prints of its one set is compared
-with the population of sets of the same size: consecutive runs of one campaign, which
-share no draw.
+Sets of runs with different draws differ. A statistic that a source prints for its one set
+is compared with a population of sets of the same size. These are consecutive runs of one
+campaign, which share no draw.
 """
 
 from collections.abc import Callable, Iterable
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 
 def finite_flights(results: "xarray.Dataset") -> "xarray.Dataset":
-    """The runs that statistics are taken of.
+    """The runs that count in statistics.
 
-    Runs without an end (see `has_end`) are left out, and so are runs of which an output is
-    not finite, whatever their outcome.
+    Runs without an end (see `has_end`) are left out. So are runs with an output that is not
+    finite, whatever their outcome.
     """
     finite = np.array(has_end(results["outcome"].values))
     for name in map(str, results.data_vars):
@@ -37,10 +37,10 @@ def sets_of(results: "xarray.Dataset", size: int) -> "list[xarray.Dataset]":
 
     **Arguments:**
 
-    - `results`: a campaign as it was stored, in the order of its runs.
-    - `size`: runs in a set; the first is of the runs 0 to size - 1, and so on.
+    - `results`: a stored campaign, in the order of its runs.
+    - `size`: number of runs in a set. The first set has the runs 0 to size - 1.
 
-    Raises `ValueError` for a set without two finite flights.
+    **Raises:** `ValueError` for a set without two finite flights.
     """
     ends = results.drop_dims("time", errors="ignore")
     sets = []
@@ -68,15 +68,15 @@ class Population(eqx.Module):
 
     @property
     def spread(self) -> float:
-        """Standard deviation from set to set: how far one set may be off."""
+        """Standard deviation over the sets, the uncertainty of one set."""
         return float(np.std(self.values, ddof=1))
 
     def deviations(self, value: float) -> float:
-        """How many spreads a value lies above the mean; NaN where all sets are equal."""
+        """How many spreads a value is above the mean, or NaN if all sets are equal."""
         return (value - self.mean) / self.spread if self.spread > 0.0 else np.nan
 
     def below(self, value: float) -> int:
-        """In how many sets the statistic is below a value."""
+        """Number of sets whose statistic is below a value."""
         return int(np.sum(self.values < value))
 
 

@@ -1,4 +1,4 @@
-"""Flown runs as an `xarray.Dataset`, with units and long names."""
+"""Results of campaigns as an `xarray.Dataset`, with units and long names."""
 
 import dataclasses
 from typing import TYPE_CHECKING, Any
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     import xarray
 
 _ANGLES = ("bank_angle", "angle_of_attack")
-"""What results tell of the controls"""
+"""Components of the controls in results"""
 
 
 def _angles(controls: Controls) -> dict[str, Scalar]:
@@ -33,7 +33,7 @@ def _angles(controls: Controls) -> dict[str, Scalar]:
 
 
 def _of(constraint: AbstractPathConstraint) -> dict[str, Any]:
-    """The attributes of a variable that is constrained."""
+    """Attributes of the variable of a path constraint."""
     limit, shown = constraint.limit, constraint.shown_unit
     found = {} if limit is None else {"limit": float(limit)}
     return found if shown is None else found | {"shown_units": shown}
@@ -41,9 +41,9 @@ def _of(constraint: AbstractPathConstraint) -> dict[str, Any]:
 
 @dataclasses.dataclass(frozen=True)
 class OutputNamed:
-    """One output of a flight by the name that it has in results: `downrange_error`.
+    """One output of a flight, by its name in results, such as `downrange_error`.
 
-    A function of the scenario that the misses are counted from, and of the flight.
+    It is a function of the scenario, whose target defines the misses, and of the flight.
     """
 
     name: str
@@ -56,7 +56,7 @@ class OutputNamed:
             outputs[peak_of(constraint)] = peak
         if self.name in outputs:
             return outputs[self.name]
-        # A miss distance may have no derivative: it is not computed for the others.
+        # Misses are computed only if requested: a miss distance may have no derivative.
         missed = misses(scenario, flight)
         for miss in units_of(Misses):
             if error_of(miss) == self.name:
@@ -65,7 +65,7 @@ class OutputNamed:
 
 
 def output_names(scenario: Scenario) -> list[str]:
-    """Names of the outputs that flights of a scenario have in results, none being flown."""
+    """Names of the outputs of a scenario in results, without a flight."""
     states = list(units_of(EntryState))
     found = [at_end(name) for name in ("time", *states)]
     for miss in units_of(Misses):
@@ -83,11 +83,11 @@ def dataset(
 ) -> "xarray.Dataset":
     """The results of a campaign as a dataset, with units.
 
-    It has the inputs by address, outcome, final state, misses, peaks and, if kept,
-    histories; and the caveats: a variable with the attribute `caveat` is a share, and where
-    it is not zero the run did not go as the law is meant to, or left a table.
+    It has the inputs by address, outcome, final state, misses, peaks and caveats, and the
+    histories if there are any. A variable with the attribute `caveat` is a share. If it is
+    not zero, the law did not work as intended in the run, or the run left a table.
 
-    Dimensions: run, and time for histories, whose interval is `history` (s). Errors are
+    Dimensions: run, and time for histories with the interval `history` (s). Errors are
     actual minus desired. Names and units are those of the fields of the flight.
     """
     import xarray
@@ -147,7 +147,7 @@ def dataset(
     for name, shares in flights.caveats.items():
         put(name, shares, "1", f"{in_words(name)}, share", caveat=1)
     for name, distances in flights.beyond_tables.items():
-        # The share of the time is the caveat; this is how far.
+        # The caveat is the share of the time. This is the distance.
         far, unit = distance_of(name), unit_of_caveat(name)
         put(far, distances, unit, f"largest {in_words(far)}", distance_of=name)
 
@@ -155,7 +155,7 @@ def dataset(
     kept = flights.history
     if kept is not None:
         if history is None:
-            raise ValueError("the campaign kept histories: give their interval")
+            raise ValueError("the campaign has histories: give their interval")
         grid = history * np.arange(kept.time.shape[1])
         described = {"units": units_of(History)["time"], "long_name": "time"}
         coordinates["time"] = ("time", grid, described)

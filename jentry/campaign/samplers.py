@@ -1,11 +1,11 @@
-"""Draws that are spread evenly over what is uncertain: Latin hypercube and Sobol.
+"""Samplers: draws that are spread evenly over the dispersions, Latin hypercube and Sobol.
 
-Plain draws are independent of each other, and a mean of n of them is off by their standard
-deviation over the square root of n. Draws that fill the space evenly leave less to chance:
-how much less depends on the flight, see `benchmarks/sampling.py`.
+Plain draws are independent of each other. The standard error of a mean of n of them is
+their standard deviation over the square root of n. Draws that fill the space evenly have a
+smaller error. How much smaller depends on the flight, see `benchmarks/sampling.py`.
 
-A sampler gives each run, for each random number that it takes, a share between 0 and 1;
-the draw is the quantile of that share.
+A sampler assigns a share between 0 and 1 to each random number of each run. The draw is the
+quantile of that share.
 """
 
 import functools
@@ -25,24 +25,25 @@ from .distributions import static_fields
 
 
 _BITS = 52
-"""Of a share: with a half more than so many, none is 0 or 1"""
+"""Number of binary digits of a share. A half of the last digit is added, so that no share
+is 0 or 1."""
 
 
 _AT_ONCE = 2**16
-"""Points of a sequence that are made at a time, on the way to a later one"""
+"""Number of points of a sequence that are computed at a time, to reach a later one"""
 
 
 class AbstractSampler(eqx.Module):
-    """How the runs of a campaign are spread over what is dispersed."""
+    """How the runs of a campaign are spread over the dispersions."""
 
     @abstractmethod
     def check(self, numbers: int, runs: int | None) -> None:
-        """Refuse more random numbers a run than it has, or another number of runs.
+        """Refuse too many random numbers per run, or a wrong number of runs.
 
         **Arguments:**
 
         - `numbers`: how many random numbers each run takes.
-        - `runs`: how many runs the campaign has; none where single runs are named.
+        - `runs`: how many runs the campaign has, or None for single runs.
         """
 
     @abstractmethod
@@ -55,19 +56,19 @@ class AbstractSampler(eqx.Module):
 
         **Arguments:**
 
-        - `names`: of each random number, the stream and its place there.
+        - `names`: for each random number its stream and its place in the stream.
         - `runs`: indices of runs.
         """
 
 
 class LatinHypercube(AbstractSampler):
-    """A fixed number of runs, one in each of as many equally likely parts of every number.
+    """Latin hypercube of n runs: one in each of n equally likely intervals of every number.
 
-    Each random number by itself is evenly spread, and in another order than the others: an
-    effect that is a sum over the dispersions is averaged much better than by plain draws.
-    The runs belong together: more of them are another campaign. The draws of a dispersion
-    depend on the key, its stream and the number of runs alone, so that adding another
-    dispersion leaves them as they were.
+    Each random number is evenly spread, in an independent random order. If an effect is a
+    sum over the dispersions, its mean is much more exact than with plain draws. A hypercube
+    cannot be extended: another number of runs makes another campaign. The draws of a
+    dispersion depend on the key, its stream and the number of runs alone. Adding another
+    dispersion does not change them.
 
     Reference: McKay, Beckman and Conover, "A comparison of three methods for selecting
     values of input variables in the analysis of output from a computer code",
@@ -75,7 +76,7 @@ class LatinHypercube(AbstractSampler):
     """
 
     runs: int = eqx.field(static=True)
-    """How many runs there are in all"""
+    """Number of all runs"""
 
     def __check_init__(self):
         if self.runs < 2:
@@ -101,17 +102,17 @@ class LatinHypercube(AbstractSampler):
 
 
 class Sobol(AbstractSampler):
-    """Points of a scrambled Sobol sequence, as many as are wanted, and more later.
+    """Points of a scrambled Sobol sequence. Any number of runs can be added later.
 
-    The first n runs are most evenly spread where n is a power of 2. A run depends on the
-    key, its index and the places of its dispersions in the table: adding a dispersion at
-    the end of the table leaves the draws of the others as they were, anywhere else those
-    of the dispersions behind it are others.
+    The first n runs are spread most evenly if n is a power of 2. A run depends on the key,
+    its index and the places of its dispersions in the table. A dispersion that is added at
+    the end of the table does not change the draws of the others. A dispersion that is added
+    elsewhere changes the draws of those after it.
 
     Direction numbers and scrambling are those of `scipy.stats.qmc.Sobol`: Joe and Kuo,
-    and a random linear matrix with a digital shift.
+    and a random linear matrix with a digital shift. The first point is not dropped.
 
-    Reference: Owen, "On dropping the first Sobol' point", 2020: the first point is kept.
+    Reference: Owen, "On dropping the first Sobol' point", 2020.
     """
 
     def check(self, numbers: int, runs: int | None) -> None:
@@ -126,8 +127,8 @@ class Sobol(AbstractSampler):
     def columns(
         self, key: Key[Array, ""], names: tuple[tuple[str, int], ...], runs: np.ndarray
     ) -> np.ndarray:
-        # The points are linear, over the bits of the index, about the first one: so that
-        # any can be had without those before it, in constant memory.
+        # Relative to the first point, a point is linear in the bits of its index. So it is
+        # computed without those before it, in constant memory.
         bits = max(int(np.max(runs, initial=0)).bit_length(), 1)
         words = _words_of(key)
         points = [_powers(words, *n, d, bits) for d, n in enumerate(names)]
@@ -144,9 +145,9 @@ def shares_of(
     streams: Mapping[str, int],
     runs: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """The shares of runs by stream, for as many random numbers as each takes.
+    """The shares of runs, by stream.
 
-    Of shape (runs,) for one number, and (runs, numbers) for several.
+    They have the shape (runs,) for a stream of one number, and (runs, numbers) for several.
     """
     names = _names(streams)
     columns = sampler.columns(key, names, np.asarray(runs))
@@ -154,7 +155,7 @@ def shares_of(
     for stream, count in streams.items():
         ours = [place for place, (name, _) in enumerate(names) if name == stream]
         few = columns[:, ours]
-        # What takes no random number is drawn as well, and does not look at it.
+        # A distribution without random numbers ignores its share.
         shares[stream] = few if count > 1 else few[:, 0] if count else _half(runs)
     return shares
 
@@ -162,12 +163,12 @@ def shares_of(
 def check_sampler(
     sampler: AbstractSampler, streams: Mapping[str, int], runs: int | None
 ) -> None:
-    """Refuse a campaign that the sampler does not have."""
+    """Refuse a campaign that the sampler cannot draw."""
     sampler.check(len(_names(streams)), runs)
 
 
 def described(sampler: AbstractSampler | None) -> dict[str, Any]:
-    """What the description of a campaign says of its sampler: of none, nothing."""
+    """Entries for the sampler in the description of a campaign; none without a sampler."""
     if sampler is None:
         return {}
     kind = {"method": type(sampler).__name__, **static_fields(sampler)}
@@ -175,7 +176,7 @@ def described(sampler: AbstractSampler | None) -> dict[str, Any]:
 
 
 def _names(streams: Mapping[str, int]) -> tuple[tuple[str, int], ...]:
-    """Of each random number of a run, the stream and its place there."""
+    """Stream of each random number of a run, and its place in the stream."""
     return tuple((name, i) for name, count in streams.items() for i in range(count))
 
 
@@ -184,17 +185,17 @@ def _half(runs: np.ndarray) -> np.ndarray:
 
 
 def _shares(digits: np.ndarray) -> np.ndarray:
-    """Numbers of 52 bits as shares, each in the middle of its last digit."""
+    """Integers of 52 bits as shares, each in the middle between two multiples of 2^-52."""
     return (digits.astype(float) + 0.5) * 2.0**-_BITS
 
 
 def _words_of(key: Key[Array, ""]) -> tuple[int, ...]:
-    """A key in plain numbers."""
+    """A key as integers."""
     return tuple(int(word) for word in np.ravel(jax.random.key_data(key)))
 
 
 def _generator(words: tuple[int, ...], stream: str, place: int) -> np.random.Generator:
-    """The random numbers of a stream: by its name, as those of plain draws."""
+    """Generator of the random numbers at one place of a stream, seeded by its name."""
     return np.random.default_rng([*words, zlib.crc32(stream.encode()), place])
 
 
@@ -202,7 +203,7 @@ def _generator(words: tuple[int, ...], stream: str, place: int) -> np.random.Gen
 def _hypercube(
     words: tuple[int, ...], names: tuple[tuple[str, int], ...], runs: int
 ) -> np.ndarray:
-    """All shares of a Latin hypercube: 8 bytes for each."""
+    """All shares of a Latin hypercube, of shape (runs, names)."""
     shares = np.empty((runs, len(names)))
     for column, name in enumerate(names):
         generator = _generator(words, *name)
@@ -215,16 +216,18 @@ def _hypercube(
 def _powers(
     words: tuple[int, ...], stream: str, place: int, dimension: int, bits: int
 ) -> np.ndarray:
-    """One dimension of a scrambled sequence, in digits: the first point, and by what the
-    points 1, 2, 4, ... differ from it.
+    """One dimension of a scrambled sequence, in integers of 52 bits.
+
+    They are the first point, and the differences (exclusive or) of the points 1, 2, 4, ...
+    from it.
     """
-    from scipy.stats import qmc  # takes a while
+    from scipy.stats import qmc  # slow to import
 
     generator = _generator(words, stream, place)
     sequence = qmc.Sobol(dimension + 1, bits=_BITS, rng=generator)
     points = []
     for index in (0, *(2**bit for bit in range(bits))):
-        # `fast_forward` does not take so many bits.
+        # `fast_forward` does not support so many bits.
         while (gap := index - sequence.num_generated) > 0:
             sequence.random(min(gap, _AT_ONCE))
         points.append(sequence.random()[0, -1])

@@ -1,7 +1,8 @@
-"""Campaigns on disk: written part by part, resumed after a kill, read as one dataset.
+"""Campaigns on disk: written in parts, resumed after an interruption, read as one dataset.
 
-A campaign is a folder: `campaign.json` says what is flown, and each `runs-*.nc` holds a
-range of runs. Either is written whole or not at all, and sealed with a digest: see `parts`.
+A campaign is a folder. Its `campaign.json` describes the campaign, and each `runs-*.nc` has
+a range of runs. Each file is written whole or not at all, and sealed with a digest: see
+`parts`.
 """
 
 import contextlib
@@ -62,25 +63,25 @@ def run_campaign(
     part: tuple[int, int] | None = None,
     **labels: Any,
 ) -> None:
-    """Fly those runs of a campaign that are not in a folder yet, and store them there.
+    """Fly the runs of a campaign that are not in a folder yet, and store them there.
 
-    Interrupted at any moment, it is resumed by the same call and ends with the same
-    numbers. More runs of the same campaign are added by a larger `runs`. Nothing that is
-    stored is taken in unless it is, to the last bit, what this campaign has written.
+    After an interruption at any moment, the same call resumes the campaign and ends with
+    the same numbers. A larger `runs` adds runs to the campaign. Stored runs count only if
+    they are, to the last bit, what this campaign has written.
 
     **Arguments:**
 
-    - `out`: folder; made if it does not exist.
-    - `inputs`: in place of dispersions, values by address.
-    - `sampler`: as for `monte_carlo`; a `LatinHypercube` cannot be extended.
-    - `report`: is told how many runs are stored, whenever that changes.
-    - `part`: (3, 10) for the third of ten parts of the runs, each of which a machine flies
-      into a folder of its own: see `merge_campaigns`.
+    - `out`: folder, created if needed.
+    - `inputs`: values by address instead of dispersions.
+    - `sampler`: as for `monte_carlo`. A `LatinHypercube` cannot be extended.
+    - `report`: is called with the number of stored runs whenever it changes.
+    - `part`: (3, 10) for the third of ten slices of the runs. Each machine flies one slice
+      into a separate folder: see `merge_campaigns`.
     - `labels`: attributes of the results, such as the mission.
 
-    **Raises:** `CampaignError` for a folder with another campaign or with something else,
-    and for a part that is damaged; `ValueError` for what cannot be flown, a draw of any
-    run included, before the first flight.
+    **Raises:** `CampaignError` for a folder with another campaign or with other files, and
+    for a damaged part. `ValueError` for inputs that cannot be flown, before the first
+    flight. This includes the draws of all runs.
     """
     out = Path(out)
     scenario = checked(scenario)
@@ -98,7 +99,7 @@ def run_campaign(
             sampler=sampler,
         )
 
-    # Flies nothing yet, and refuses what cannot be flown.
+    # This refuses inputs that cannot be flown, and flies nothing yet.
     if part is not None and dispersions and sampler is not None:
         check_sampler(sampler, numbers_of_streams(dispersions), runs)
     blocks_of(runs if part is None else runs_of_part(runs, part))
@@ -127,9 +128,9 @@ def run_campaign(
 
 
 def runs_of_part(runs: int, part: tuple[int, int] | None) -> np.ndarray:
-    """Indices of the runs of a part, (3, 10) for the third of ten; of all for None.
+    """Indices of the runs of a slice, (3, 10) for the third of ten, or of all for None.
 
-    Raises `ValueError` for a part that there is not, or that has no runs.
+    **Raises:** `ValueError` for a slice that does not exist or has no runs.
     """
     if part is None:
         return np.arange(max(int(runs), 0))
@@ -166,7 +167,7 @@ def write_campaign(
     campaign: Campaign,
     description: Mapping[str, Any],
 ) -> None:
-    """Write flown runs with their inputs as one netCDF file, and how they were flown."""
+    """Write flown runs with their inputs and their description as one netCDF file."""
     part = dataset(scenario, campaign, description["history_interval"])
     part.attrs["campaign"] = json.dumps(description)
     write_whole(path, _netcdf(part))
@@ -178,10 +179,10 @@ def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
     **Arguments:**
 
     - `out`: folder of a campaign.
-    - `runs`: the first so many only.
+    - `runs`: number of runs to read, from the first. By default all.
 
-    **Raises:** `CampaignError` for a folder that holds no campaign, or a part that is not
-    as the campaign has written it.
+    **Raises:** `CampaignError` for a folder without a campaign, and for a part that has
+    changed since the campaign wrote it.
     """
     import xarray
 
@@ -196,13 +197,13 @@ def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
         contents = part.contents_of(campaign)
         if contents is None:
             raise not_as_written([part.path])
-        # What has been verified is what is opened, whatever happens to the file.
+        # The verified bytes are opened, since the file may change meanwhile.
         with xarray.open_dataset(io.BytesIO(contents), engine="h5netcdf") as runs_of:
             opened.append(runs_of.load())
     result = xarray.concat(
         opened, dim="run", data_vars="minimal", combine_attrs="drop_conflicts"
     )
-    # Parts overlap where a campaign was resumed after another division into parts.
+    # Parts overlap if a campaign was resumed with another division into parts.
     indices, places = np.unique(result["run"].values, return_index=True)
     if runs is not None:
         places = places[indices < runs]
@@ -217,10 +218,10 @@ def open_campaign(out: Path | str, runs: int | None = None) -> "xarray.Dataset":
 
 @contextlib.contextmanager
 def alone_in(out: Path) -> Iterator[None]:
-    """Keep other processes from flying into a folder at the same time."""
+    """Context in which no other process can fly into the folder."""
     try:
         import fcntl
-    except ImportError:  # Windows has no such lock
+    except ImportError:  # Windows has no locks of folders
         yield
         return
     folder = os.open(out, os.O_RDONLY)
@@ -239,7 +240,7 @@ def alone_in(out: Path) -> Iterator[None]:
 
 
 def _stored(parts: list[Part], runs: int) -> np.ndarray:
-    """Which of the first runs are stored."""
+    """Which of the first `runs` runs are stored, as bools."""
     stored = np.zeros(runs, dtype=bool)
     for part in parts:
         stored[part.first : part.last + 1] = True
@@ -247,7 +248,7 @@ def _stored(parts: list[Part], runs: int) -> np.ndarray:
 
 
 def _unbroken(indices: np.ndarray) -> list[np.ndarray]:
-    """Indices in rising order, split where they are not consecutive."""
+    """Increasing indices, split where they are not consecutive."""
     if not indices.size:
         return []
     return np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1)
@@ -271,5 +272,5 @@ def _write_part(
 
 
 def _netcdf(part: "xarray.Dataset") -> bytes:
-    """A netCDF file in memory. HDF5 itself dies of a full disk; Python only raises."""
+    """A netCDF file in memory. On a full disk HDF5 would crash, where Python raises."""
     return bytes(part.to_netcdf(engine="h5netcdf"))

@@ -1,154 +1,103 @@
-"""The user's own code in a campaign, by digests: with other code it is another campaign.
+"""Digests of the user's own code in a campaign: other code makes another campaign.
 
-What jentry and other packages are is told by their versions. A law in a script, or beside
-it, has none.
+The versions of jentry and of other packages identify their code. A law in a script, or in
+a module beside it, has no version.
 """
 
 import dataclasses
-import functools
-import hashlib
-import sys
-import sysconfig
 import types
-from collections.abc import Iterator, Mapping
-from pathlib import Path
+from collections.abc import Iterator
 from typing import Any
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
-from .._provenance import digest_of_code, is_filled
-from .carried import MAIN
-
-
-_OURS = __name__.split(".")[0]
-_PACKAGES = "site-packages", "dist-packages"
-"""Folders of what is installed"""
-
-_PLAIN = bool, int, float, complex, str, bytes, type(None)
+from .._provenance.modules import Owner, home_of, owner_of
+from .._provenance.parts import (
+    digest,
+    digest_of_code,
+    given_to,
+    held_by,
+    members_of,
+    text_of,
+)
 
 
 def own_code(*trees: Any) -> dict[str, str]:
-    """Digests of all classes and functions in some trees that are not installed, by name.
+    """Digests of the user's own classes and functions in some pytrees, by name.
 
-    Of the code as it runs here, with what it uses in turn: functions, classes, numbers and
-    arrays of its module, and of others that are not installed. Comments do not count.
+    A function or class counts with all that it uses: functions, classes, numbers and arrays
+    of its own module and of other modules of the user. The digests are of the code in
+    memory. Comments do not count.
     """
     found: dict[str, list[str]] = {}
     seen: dict[int, Any] = {}
-    # Arrays are told elsewhere, by their addresses.
+    # The description of a campaign has the arrays of the pytrees by their addresses.
     todo = [("", eqx.filter(tree, eqx.is_array, inverse=True)) for tree in trees]
     while todo:
         name, thing = todo.pop()
         if isinstance(thing, types.FunctionType):
-            name = f"{_home(thing)}.{thing.__qualname__}"
-        told = _told(thing)
-        if told is not None and name:
-            found.setdefault(name, []).append(told)
+            name = f"{home_of(thing)}.{thing.__qualname__}"
+        text = _text(thing)
+        if text is not None and name:
+            found.setdefault(name, []).append(text)
         if id(thing) not in seen:
-            seen[id(thing)] = thing  # kept, so that nothing else gets its place
-            todo += _inside(name, thing)
+            seen[id(thing)] = thing  # stored, so that no other object gets its identity
+            todo += _parts(name, thing)
     return {
-        name: hashlib.sha256("\n".join(sorted(digests)).encode()).hexdigest()
-        for name, digests in sorted(found.items())
+        name: digest("\n".join(sorted(texts)).encode())
+        for name, texts in sorted(found.items())
     }
 
 
-def _told(thing: Any) -> str | None:
-    """In words, what is no container of other things; None for all else."""
-    match thing:
-        case np.ndarray() | jax.Array() if not isinstance(thing, Tracer):
-            if jnp.issubdtype(thing.dtype, jax.dtypes.prng_key):
-                thing = jax.random.key_data(thing)
-            values = np.asarray(thing)
-            if values.dtype != object:
-                digest = hashlib.sha256(values.tobytes()).hexdigest()
-                return f"{values.dtype} {values.shape} {digest}"
-        case types.FunctionType() if _is_own(_home(thing)):
-            return digest_of_code(thing.__code__)
-        case _ if isinstance(thing, _PLAIN):
-            return repr(thing)
-    return None
+def _text(thing: Any) -> str | None:
+    """Text that identifies a function of the user, a plain value or an array, or None."""
+    if isinstance(thing, types.FunctionType) and _is_own(home_of(thing)):
+        return digest_of_code(thing.__code__)
+    return text_of(thing)
 
 
-def _inside(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
-    """What a thing holds or uses, with the names that these have."""
+def _parts(name: str, thing: Any) -> Iterator[tuple[str, Any]]:
+    """What an object holds or uses, with full names. Parts without a name do not count."""
     match thing:
-        case Mapping():
-            for key, value in thing.items():
-                yield f"{name}.{key}" if name else "", value
-        case list() | tuple() | set() | frozenset():
-            yield from ((name, value) for value in thing)
-        case functools.partial():
-            yield from ((name, x) for x in (thing.func, thing.args, thing.keywords))
-        case property():
-            yield from ((name, x) for x in (thing.fget,))
-        case types.MethodType():
-            yield from ((name, x) for x in (thing.__func__, thing.__self__))
         case types.FunctionType():
-            yield from _used(thing)
-            if hasattr(thing, "__wrapped__"):
-                yield name, thing.__wrapped__
+            own = _is_own(home_of(thing))
+            for label, part in given_to(thing):
+                # A function of a package may hold functions of the user. Its numbers are
+                # known from the version of the package.
+                yield _joined(name if own else "", label), part
+            if own:
+                yield from _globals_used(thing)
+            yield from ((name, part) for _, part in held_by(thing))
         case type():
             if _is_own(thing.__module__):
-                yield from _of_class(thing)
+                for label, part in members_of(thing):
+                    yield _joined(_full_name(thing), label), part
         case _ if dataclasses.is_dataclass(thing):
             yield "", type(thing)
             for field in dataclasses.fields(thing):
                 value = getattr(thing, field.name, None)
-                # Without a name it is of the trees, whose plain values are told elsewhere.
-                if name:
-                    yield f"{name}.{field.name}", value
-                elif isinstance(value, np.ndarray):
-                    yield f"{_name(type(thing))}.{field.name}", value
-                else:
-                    yield "", value
-        case _ if hasattr(thing, "__wrapped__"):
-            yield name, thing.__wrapped__
+                holder = name
+                # An object without a name is part of the pytrees. The description of a
+                # campaign has its fields, except for static arrays of numpy.
+                if not name and isinstance(value, np.ndarray):
+                    holder = _full_name(type(thing))
+                yield _joined(holder, field.name), value
+        case _:
+            for label, part in held_by(thing):
+                yield _joined(name, label), part
 
 
-def _of_class(kind: type) -> Iterator[tuple[str, Any]]:
-    for base in kind.__mro__[1:]:
-        yield "", base
-    name = _name(kind)
-    for attribute, value in vars(kind).items():
-        hidden = attribute.startswith("__") and not callable(value)
-        if not hidden and not attribute.startswith("_abc_"):
-            yield f"{name}.{attribute}", getattr(kind, attribute, None)
-
-
-def _used(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
-    """What the code of a function uses: of its module, of those around it, its defaults.
-
-    Of a function of a package what it has been given, which may be the user's own.
-    """
-    home, code = _home(function), function.__code__
-    own = _is_own(home)
-    name = f"{home}.{function.__qualname__}" if own else ""
-    yield name, function.__defaults__
-    yield name, function.__kwdefaults__
-    cells = zip(code.co_freevars, function.__closure__ or (), strict=True)
-    for variable, cell in cells:
-        if is_filled(cell):
-            yield f"{name}.{variable}" if own else "", cell.cell_contents
-    if not own:
-        return
-    names = set(_names(code))
+def _globals_used(function: types.FunctionType) -> Iterator[tuple[str, Any]]:
+    """What the code of a function uses of its module and of other modules of the user."""
+    names = set(_names(function.__code__))
     for used in sorted(names & function.__globals__.keys()):
         value = function.__globals__[used]
         if not isinstance(value, types.ModuleType):
-            yield f"{home}.{used}", value
+            yield f"{home_of(function)}.{used}", value
         elif _is_own(value.__name__):
             for inner in sorted(names & vars(value).keys()):
                 yield f"{value.__name__}.{inner}", vars(value)[inner]
-
-
-def _home(function: types.FunctionType) -> str:
-    """The module where it was written: `functools.wraps` copies all names but this one."""
-    return function.__globals__.get("__name__", "")
 
 
 def _names(code: types.CodeType) -> Iterator[str]:
@@ -158,20 +107,13 @@ def _names(code: types.CodeType) -> Iterator[str]:
             yield from _names(constant)
 
 
-def _name(thing: Any) -> str:
-    return f"{thing.__module__}.{thing.__qualname__}"
+def _is_own(module: str) -> bool:
+    return owner_of(module) is Owner.USER
 
 
-@functools.cache
-def _is_own(module: str | None) -> bool:
-    """Whether a module is no part of Python, of an installed package or of jentry."""
-    if module == MAIN:
-        return True
-    file = getattr(sys.modules.get(module or ""), "__file__", None)
-    if file is None or (module or "").split(".")[0] == _OURS:
-        return False
-    path = Path(file)
-    ours = {sysconfig.get_path(kind) for kind in ("stdlib", "platstdlib")}
-    if any(path.is_relative_to(folder) for folder in ours):
-        return False
-    return not any(part in _PACKAGES for part in path.parts)
+def _full_name(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}"
+
+
+def _joined(name: str, label: str | None) -> str:
+    return f"{name}.{label}" if name and label is not None else name

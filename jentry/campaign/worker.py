@@ -1,4 +1,7 @@
-"""What a worker of a cluster does: it gets ready as the process that asks, and flies."""
+"""A worker of a cluster: it takes over the settings of the client, and flies parts.
+
+The client is the process that uses the cluster.
+"""
 
 import functools
 import hashlib
@@ -14,32 +17,35 @@ import equinox as eqx
 import jax
 from jaxtyping import PyTree
 
-from .._provenance import Untold, code_of_jentry, settings_of_jax
+from .._provenance.modules import MAIN
+from .._provenance.program_keys import (
+    COMPUTING,
+    Unknown,
+    code_of_jentry,
+    settings_of_jax,
+)
 from .._setup import fast_options_are_on, processor, setup
-from .carried import MAIN, SCRIPT, Carried, dumped, loaded, receive
+from .carried import SCRIPT, Carried, dumped, loaded, receive
 from .description import first_difference
 from .errors import ClusterError
 from .users_code import own_code
 
 
-_VERSIONS = "jax", "jaxlib", "numpy", "equinox", "diffrax", "optimistix", "lineax"
-"""Packages by which numbers are made"""
-
 _OF_EACH = "jax_num_cpu_devices", "jax_platform", "jax_default_device", "jax_pjrt"
-"""Beginnings of the settings of JAX that change no number, and that each process has"""
+"""Beginnings of the names of settings of JAX that may differ: they change no number"""
 
 _NO_NUMBER = "device_count", "dump"
-"""In the names of flags of XLA that change no number"""
+"""Words in the names of flags of XLA that change no number"""
 
 
 def terms() -> dict[str, Any]:
-    """What has to be the same in two processes for their numbers to be the same.
+    """Settings, versions and code that must agree for two processes to give equal numbers.
 
-    **Raises:** `ClusterError` where the files of jentry are no longer what was imported.
+    **Raises:** `ClusterError` if files of jentry have changed since they were imported.
     """
     try:
         code = code_of_jentry()
-    except Untold:
+    except Unknown:
         raise ClusterError(
             "files of jentry have changed since this process has imported them: start "
             "it again"
@@ -61,7 +67,7 @@ def terms() -> dict[str, Any]:
 
 @functools.cache
 def _versions() -> dict[str, str]:
-    return {name: importlib.metadata.version(name) for name in _VERSIONS}
+    return {name: importlib.metadata.version(name) for name in COMPUTING}
 
 
 class Flown(NamedTuple):
@@ -70,24 +76,25 @@ class Flown(NamedTuple):
     value: Carried
     worker: str
     processor: str
-    """Digest of what kind it is"""
+    """Digest of the kind of processor"""
 
 
 class Work(NamedTuple):
-    """What all parts have in common."""
+    """What all parts of one call of the batch runner have in common."""
 
     digest: str
     structure: Carried
     numbers: Carried
     code: dict[str, str]
-    """Digests of the user's own code in the structure, as who asks runs it"""
+    """Digests of the user's own code in the structure, as it is in the client"""
 
 
 class Structures:
     """Structures in bytes, each packed once.
 
-    Workers know them again by their digests, with all that is compiled for them: functions
-    that come a second time would be other functions.
+    Workers find structures that they have received before by their digests, with the
+    programs that were compiled for them. A function that is unpickled twice would be
+    compiled twice.
     """
 
     def __init__(self):
@@ -97,7 +104,7 @@ class Structures:
         """Structure and numbers of a pytree."""
         numbers, structure = eqx.partition(tree, eqx.is_array)
         leaves, form = jax.tree.flatten(structure)
-        # Of what is equal, True is not 1 and -0.0 not 0.0: the words for it tell.
+        # Equal values may differ: True is not 1, and -0.0 is not 0.0. Their texts differ.
         known = form, repr(form), tuple(leaves), repr(leaves)
         if known not in self._packed:
             self._packed[known] = dumped(structure), _code_of(structure)
@@ -106,7 +113,7 @@ class Structures:
 
 
 def _code_of(structure: PyTree) -> dict[str, str]:
-    """Digests of the user's own code, with one name for the script here and there."""
+    """Digests of the user's own code. The script has one name in client and worker."""
     return {
         name.replace(f"{SCRIPT}.", f"{MAIN}.", 1): digest
         for name, digest in own_code(structure).items()
@@ -114,7 +121,7 @@ def _code_of(structure: PyTree) -> dict[str, str]:
 
 
 def _refuse_other_code(known: dict[str, str], structure: PyTree) -> None:
-    """Refuse what is another here, as it comes from its file, than with who asks."""
+    """Refuse code that differs between its file, which workers run, and the client."""
     ours = _code_of(structure)
     for name in sorted(known.keys() | ours.keys()):
         if known.get(name) != ours.get(name):
@@ -126,7 +133,7 @@ def _refuse_other_code(known: dict[str, str], structure: PyTree) -> None:
 
 
 class _Call:
-    """A call that is made where it is unpickled."""
+    """A call of a function, which is made when it is unpickled."""
 
     def __init__(self, function: Callable, *given: Any):
         self._made = function, given
@@ -136,22 +143,23 @@ class _Call:
 
 
 def task(known: dict[str, Any], work: Work, part: PyTree) -> bytes:
-    """A part to be flown, by `pickle.loads`: it gives what is `Flown`.
+    """Bytes of the task to fly a part. In a worker `pickle.loads` returns a `Flown`.
 
-    (Dask has its scheduler unpickle what workers call, which need not know jentry.)
+    (The scheduler of Dask unpickles the functions that workers call, and it need not have
+    jentry.)
     """
     return pickle.dumps(_Call(fly_here, known, pickle.dumps((work, dumped(part)))))
 
 
 _ALONE = threading.Lock()
-"""Of the threads of a worker: each part is flown on all of them"""
+"""Lock of the threads of a worker, since each part is flown on all of them"""
 
 _UNPACKED: dict[str, Any] = {}
 _MOST_UNPACKED = 16
 
 
 def fly_here(known: dict[str, Any], given: bytes) -> Flown:
-    """Fly a part, in a worker, where that is on the same terms as who asks."""
+    """Fly a part in a worker, if its terms are those of the client."""
     from distributed import get_worker
 
     worker = get_worker()
@@ -162,7 +170,7 @@ def fly_here(known: dict[str, Any], given: bytes) -> Flown:
 
 
 def am_worker() -> bool:
-    """Whether this process flies for another one."""
+    """Whether this process is a worker that has flown."""
     return bool(_READY)
 
 
@@ -181,16 +189,16 @@ def _value(work: Work, part: Carried) -> Carried:
 
 @functools.cache
 def kind_of_processor() -> str:
-    """Digest of what kind of processor this is."""
+    """Digest of the kind of processor of this machine."""
     return hashlib.sha256(processor().encode()).hexdigest()
 
 
 _READY: dict[str, Any] = {}
-"""The terms on which this worker flies now"""
+"""The present terms of this worker"""
 
 
 def _get_ready(threads: int, known: dict[str, Any], address: str) -> None:
-    """Set this process up as the one that asks. Refuses where it cannot be had."""
+    """Set this process up like the client. Refuses if that is not possible."""
     if known == _READY:
         return
     try:
@@ -208,7 +216,7 @@ def _get_ready(threads: int, known: dict[str, Any], address: str) -> None:
 
 
 def _difference(known: dict[str, Any]) -> str | None:
-    """By what this process differs, once it has the settings of the one that asks."""
+    """The first difference to the client, once this process has its settings."""
     ours = terms()
     for name, value in known["setting"].items():
         if ours["setting"].get(name) != value:

@@ -56,7 +56,7 @@ def command(
     """Fly a mission once, without dispersions."""
     set_up(workers=1)
 
-    from .._programs import kept
+    from .._programs import cached
     from ..campaign.store import write_flight
     from ..campaign.trajectory_files import check_trajectory_file, write_trajectory
     from ..flight.flight import fly
@@ -78,7 +78,7 @@ def command(
     )
     solver = FixedStep(step)
     note_step(scenario, solver, history)
-    flight = kept(fly)(without_zero_departures(scenario), solver, history)
+    flight = cached(fly)(without_zero_departures(scenario), solver, history)
     print_flight(chosen, scenario, flight)
     if out is not None:
         labels = {**chosen.labels, **overrides.choice.labels}

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, PyTree
 
 from .._dependence import Traced
-from .._programs import kept
+from .._programs import cached
 from ..addresses import (
     addresses_of,
     field_metadata,
@@ -208,7 +208,7 @@ class Tangent(eqx.Module):
         return replace_leaves(self.at, {a: moved(a) for a in self.slopes})
 
 
-@kept
+@cached
 def _tangent(parameters: Parameters, free: Free) -> Tangent:
     def moved(free: Free) -> dict[str, Array]:
         leaves = leaves_by_address(parameters.scenario(free))
@@ -228,7 +228,7 @@ def scenario_at(parameters: Parameters, values: dict[str, Any]) -> Scenario:
     return _built(parameters, {a: jnp.asarray(x) for a, x in values.items()})
 
 
-@kept
+@cached
 def _built(parameters: Parameters, values: dict[str, Array]) -> Scenario:
     return parameters.scenario_of(values)
 

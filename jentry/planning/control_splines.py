@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .._programs import kept
+from .._programs import cached
 from .._setup import needs_float64
 from ..flight.closed_loop import first_measurement, guidance_period
 from ..flight.flight import fly
@@ -129,7 +129,7 @@ def _flying(
 _INTERVALS = 2000
 """Intervals into which the flight is divided to find the breakpoints"""
 
-_flown = kept(fly)
+_flown = cached(fly)
 
 
 def _equal_in_time(scenario: Scenario, index: AbstractIndex, count: int) -> np.ndarray:

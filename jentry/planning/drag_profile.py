@@ -17,7 +17,7 @@ import numpy as np
 from .._collocation import interpolate, legendre_gauss_lobatto
 from .._math import derivatives_along
 from .._printed import as_text
-from .._programs import kept
+from .._programs import cached
 from .._setup import needs_float64
 from ..fields import Flag, Scalar, Vector, output, scalar, table
 from ..motion.constraints import AbstractConstraint, Constraints, PathPoint
@@ -201,7 +201,7 @@ def _range_error(problem, inside):
     return jnp.sum(problem["flown"] / _whole(problem, inside))[None] - 1.0
 
 
-@kept
+@cached
 def _limits(
     constraints: Constraints,
     planet: Planet,

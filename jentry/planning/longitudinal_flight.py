@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from .._collocation import legendre_gauss_lobatto
 from .._integrate import runge_kutta
-from .._programs import kept
+from .._programs import cached
 from .._setup import needs_float64
 from ..fields import Scalar, Vector
 from ..flight.closed_loop import Moving, command
@@ -53,7 +53,7 @@ def plan_bank_over_velocity(
     """
     ends = jnp.asarray(ends, float)
     pairs = zip(ends[:-1], ends[1:], strict=True)
-    parts = [kept(_bank_table)(inverse, low, high, intervals) for low, high in pairs]
+    parts = [cached(_bank_table)(inverse, low, high, intervals) for low, high in pairs]
     for (low, high), (nodes, cosine, _) in zip(
         zip(ends[:-1], ends[1:], strict=True), parts, strict=True
     ):
@@ -112,7 +112,7 @@ def fly_longitudinal(
     **Raises:** `ValueError` if the velocity does not fall throughout.
     """
     end_velocity = jnp.asarray(end_velocity, float)
-    reference = kept(_flown)(model, cos_bank, start, end_velocity, parts, degree)
+    reference = cached(_flown)(model, cos_bank, start, end_velocity, parts, degree)
     if not jnp.all(jnp.diff(reference.ends) > 0.0):
         raise ValueError(
             f"the flight from {float(start.velocity):g} m/s does not come down to "

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._printed import in_words
-from .._programs import kept
+from .._programs import cached
 from .._setup import needs_float64
 from .._warnings import ResultWarning
 from ..addresses import replace_leaves
@@ -27,7 +27,7 @@ from ._scaled_limits import ScaledLimits, parted, scaled_limits, what_is_wrong
 from .flight_constraints import AlongPath, Constraint, Quantity
 
 
-_flown = kept(fly)
+_flown = cached(fly)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -261,7 +261,7 @@ class _Seen(NamedTuple):
     """(m,) Which values are after the end of the flight"""
 
 
-@kept
+@cached
 def _seen(problem: _Problem, x: Float[Array, " n"]) -> _Seen:
     def along(direction):
         return jax.jvp(problem.outputs, (x,), (direction,), has_aux=True)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._printed import in_words
-from .._programs import kept
+from .._programs import cached
 from ..motion.corridor import bounding, entry_corridor
 from ..units import at_edge
 from .bands import at_velocity, velocity_grid
@@ -46,7 +46,7 @@ def corridor(data: FigureData) -> "matplotlib.figure.Figure | None":
     (angle,) = at_velocity(
         flown["velocity"].values, flown["angle_of_attack"].values, velocity
     )
-    curves = kept(entry_corridor)(
+    curves = cached(entry_corridor)(
         held,
         scenario.planet,
         scenario.vehicle,

@@ -11,7 +11,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Key
 
-from .._programs import kept
+from .._programs import cached
 from ..addresses import field_metadata, leaves_by_address
 from ..analysis.sensitivities import named
 from ..campaign.batch import LANES
@@ -179,7 +179,7 @@ def _estimate(values: np.ndarray) -> Estimate:
     return Estimate(float(values[0]), float(low), float(high))
 
 
-@kept
+@cached
 def _resampled(pair: tuple[Any, Any], loss: Loss, count: int) -> tuple[Any, Any]:
     """Losses, and statistics by quantity: of the sample first, then of its resamples."""
 

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .._programs import kept
+from .._programs import cached
 from ..analysis.damping import Damping
 from ..analysis.local_derivatives import QUICKLY
 from ..fields import Scalar
@@ -49,7 +49,7 @@ class DampingBelow(eqx.Module):
         return self.weight * lacks * lacks
 
 
-@functools.partial(kept, compiler_options=QUICKLY)
+@functools.partial(cached, compiler_options=QUICKLY)
 def penalty_and_slopes(
     penalty: Penalty, parameters: Parameters, free: Free
 ) -> tuple[Scalar, Free]:

@@ -10,7 +10,7 @@ import dataclasses
 import jax.numpy as jnp
 
 from ..._computed_once import computed_once
-from ..._programs import kept
+from ..._programs import cached
 from ...flight.scenario import Scenario
 from ...flight.termination import Termination, VelocityBelow
 from ...guidance.aim import TargetOfScenario
@@ -42,7 +42,7 @@ def longitudinal_reference() -> LongitudinalReference:
         guidance=BankProfile(reference().cos_bank),
         termination=Termination(ends, time_limit=600.0),
     )
-    return kept(_flown)(flown)
+    return cached(_flown)(flown)
 
 
 def _regulated(**weights) -> Scenario:
@@ -51,7 +51,7 @@ def _regulated(**weights) -> Scenario:
     )  # No coefficient depends on the angle of attack.
     model = LongitudinalModel(OnboardModel(mars(), lander()), level)
     regulator = Regulator(model, longitudinal_reference(), **weights)
-    law = StoredGainTracking(regulator, kept(plan_gains)(regulator))
+    law = StoredGainTracking(regulator, cached(plan_gains)(regulator))
     return dataclasses.replace(entry(), guidance=law)
 
 

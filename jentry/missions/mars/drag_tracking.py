@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..._computed_once import computed_once
-from ..._programs import kept
+from ..._programs import cached
 from ...campaign.dispersions import Dispersion, multiply
 from ...campaign.distributions import Uniform
 from ...flight.scenario import Scenario, Target
@@ -127,7 +127,7 @@ def to_the_place(scenario: Scenario) -> Scenario:
     return dataclasses.replace(scenario, target=target)
 
 
-@kept
+@cached
 def _plan(
     entry: Scenario, index: AbstractIndex, gate: float, curvature: float
 ) -> DragReference:

@@ -9,7 +9,7 @@ import dataclasses
 import equinox as eqx
 
 from ..._computed_once import computed_once
-from ..._programs import kept
+from ..._programs import cached
 from ...flight.scenario import Scenario
 from ...guidance.lateral import CrossrangeCorridor, FixedSide
 from ...guidance.predictor_corrector import PredictorCorrector
@@ -45,7 +45,7 @@ LAST_RANGE = 10.0 * km
 7 km at the end of the reference."""
 
 
-@kept
+@cached
 def _plan(
     start: Scenario, cos_bank: PolynomialProfile
 ) -> tuple[DragReference, QuinticProfile]:

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..._computed_once import computed_once
-from ..._programs import kept
+from ..._programs import cached
 from ...fields import Scalar
 from ...flight.flight import fly
 from ...flight.scenario import Scenario
@@ -201,11 +201,11 @@ def _flown_in_plane(scenario: Scenario) -> LongitudinalReference:
 @computed_once
 def longitudinal_reference() -> LongitudinalReference:
     """The flight `in_plane` from the start to the last velocity."""
-    return kept(_flown_in_plane)(in_plane())
+    return cached(_flown_in_plane)(in_plane())
 
 
 def _regulated(regulator: Regulator) -> Scenario:
-    gains = kept(plan_gains)(regulator)
+    gains = cached(plan_gains)(regulator)
     return _at_planned_angle(StoredGainTracking(regulator, gains, reversals()))
 
 
@@ -305,7 +305,7 @@ def ground_track() -> GroundTrackPlan:
     )
     controls = recorded().controls
     last = controls.start + _INTERVALS * controls.spacing
-    return kept(_planned_track)(flown, track_model(), last)
+    return cached(_planned_track)(flown, track_model(), last)
 
 
 def feedback_linearization() -> Scenario:

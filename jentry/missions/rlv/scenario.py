@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..._computed_once import computed_once
-from ..._programs import kept
+from ..._programs import cached
 from ...flight.scenario import Scenario, Target
 from ...flight.termination import AltitudeBelow, Termination, VelocityBelow
 from ...guidance.angle_of_attack_modulation import (
@@ -74,7 +74,7 @@ _RADIUS = 6371.0 * km
 @computed_once
 def air() -> SmoothedAtmosphere:
     """The US Standard Atmosphere 1976, smoothed over 1.5 km."""
-    return kept(smoothed)(USStandardAtmosphere1976())
+    return cached(smoothed)(USStandardAtmosphere1976())
 
 
 def earth() -> Planet:
@@ -111,7 +111,7 @@ def actual_earth() -> Planet:
 @computed_once
 def plan() -> Reference:
     """The planned reference: constant heating, then a glide near equilibrium."""
-    return kept(plan_glide)(earth(), vehicle(), ScheduledAngleOfAttack())
+    return cached(plan_glide)(earth(), vehicle(), ScheduledAngleOfAttack())
 
 
 def attitude(frequency: float) -> SecondOrderAttitude:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from ..._computed_once import computed_once
 from ..._math import smoothstep
-from ..._programs import kept
+from ..._programs import cached
 from ...fields import Scalar, scalar
 from ...flight.scenario import Scenario, Target
 from ...flight.termination import AltitudeAbove, AltitudeBelow, EnergyBelow, Termination
@@ -246,7 +246,7 @@ def entry() -> Scenario:
     )
 
 
-_plan = kept(plan_ground_track)
+_plan = cached(plan_ground_track)
 
 
 @computed_once

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from ..._computed_once import computed_once
 from ..._integrate import runge_kutta
-from ..._programs import kept
+from ..._programs import cached
 from ...fields import Scalar
 from ...flight.scenario import Scenario
 from ...flight.termination import Termination, VelocityBelow
@@ -108,7 +108,7 @@ def _tabulated(scenario: Scenario, index: AbstractIndex) -> QuinticTable:
 @computed_once
 def table(index: AbstractIndex) -> QuinticTable:
     """The flight of the planned bank over an index."""
-    return kept(_tabulated)(longer(), index)
+    return cached(_tabulated)(longer(), index)
 
 
 def _flown_by(law: AbstractLaw) -> Scenario:
@@ -202,7 +202,7 @@ def ground_track() -> GroundTrackPlan:
     """The reference over the energy, extended at both ends."""
     energies = table(EnergyIndex())
     last = energies.start + _INTERVALS * energies.spacing
-    return kept(plan_ground_track)(longer(), track_model(), last)
+    return cached(plan_ground_track)(longer(), track_model(), last)
 
 
 def feedback_linearization() -> Scenario:

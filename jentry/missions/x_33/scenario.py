@@ -9,7 +9,7 @@ import dataclasses
 import jax.numpy as jnp
 
 from ..._computed_once import computed_once
-from ..._programs import kept
+from ..._programs import cached
 from ...flight.scenario import Scenario, Target
 from ...flight.termination import (
     AbstractEndCondition,
@@ -206,7 +206,7 @@ def entry(law: AbstractLaw, of: LongitudinalReference) -> Scenario:
 
 def tracked(regulated: Regulator) -> Scenario:
     """The flight of a regulator with stored gains."""
-    law = StoredGainTracking(regulated, kept(plan_gains)(regulated))
+    law = StoredGainTracking(regulated, cached(plan_gains)(regulated))
     return entry(law, regulated.reference)
 
 
