@@ -91,7 +91,8 @@ def forgetting(request):
 
 _LONGEST = (
     *("predictor_corrector_missions", "rlv", "cluster", "sx_2", "tuning", "x_33"),
-    *("cav_h", "predictor_corrector", "crossings", "dispersions", "sensitivity"),
+    *("cav_h", "predictor_corrector_flights", "crossings", "declared_dispersions"),
+    *("predictor_corrector", "tuning_gradients", "sensitivity"),
 )
 """Files of slow tests, of which none begins when the others are done"""
 
@@ -135,6 +136,20 @@ def density(tmp_path):
     config = tmp_path / "overrides.toml"
     config.write_text('law = "right"\n[set]\nplanet.density_scale = 1.25')
     return "--config", config
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Writes a file and returns its path."""
+
+    def write(contents):
+        path = tmp_path / "file.txt"
+        if isinstance(contents, str):
+            contents = contents.encode()
+        path.write_bytes(contents)
+        return path
+
+    return write
 
 
 @pytest.fixture(scope="session")

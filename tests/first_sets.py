@@ -1,30 +1,19 @@
-"""The first sets of runs of the populations that the README has the statistics of.
+"""The first sets of runs of the populations that the pages have the statistics of.
 
 To compile a mission takes longer than to fly it, and with little optimization, see
 `compiling`, it takes half as long; but what is flown then should be few flights. So a test
 that flies a set for nothing but its statistics flies the first runs of it alone.
 """
 
-import importlib.util
-from pathlib import Path
 from unittest import mock
 
 import equinox as eqx
 import jax
 import pytest
+from pages import benchmark
 
 from jentry.campaign import batch, monte_carlo
 from jentry.missions import find_mission
-
-
-def benchmark(name):
-    """A program of the folder of benchmarks, as a module."""
-    path = Path(__file__).parents[1] / "benchmarks" / f"{name}.py"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 populations = benchmark("populations")

@@ -4,14 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import (
+from helpers import over
+from worlds import (
     ANGLES,
     MACHS,
     all_aerodynamics,
     drag_of_table,
     lift_of_table,
     on_grid,
-    over,
     tabulated_aerodynamics,
 )
 

@@ -1,4 +1,4 @@
-"""Attitude between command and motion: responses, limits, and what is sensed and flown."""
+"""Attitude responses in flight: forces, sensed controls, limits and the first attitude."""
 
 import dataclasses
 
@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import fly_compiled, free_scenario, with_leaf
+from attitudes import FREE, STEP, Turning, lagging, scenario, swings
+from helpers import fly_compiled, with_leaf
 
-from jentry.fields import Scalar, scalar
+from jentry.fields import Scalar
 from jentry.flight import FixedStep, fly
 from jentry.flight.closed_loop import sense, start
 from jentry.guidance import AbstractContinuousLaw, BankProfile
@@ -17,120 +18,6 @@ from jentry.motion import Controls, IdealAttitude, Response, SecondOrderAttitude
 from jentry.motion.attitude import Swing
 from jentry.onboard import PolynomialProfile
 from jentry.units import degree
-from jentry.world import PolynomialAerodynamics
-
-
-FREE = 1e9
-"""A limit that is none"""
-
-FREQUENCY, DAMPING = 0.6, 0.7
-
-STEP = 0.02
-
-
-def response(rate=FREE, acceleration=FREE, reach=FREE, damping=DAMPING):
-    return Response(FREQUENCY, damping, rate, acceleration, -reach, reach)
-
-
-def swings(given, command, seconds, start=(0.0, 0.0)):
-    """Angle and rate over time, by Runge-Kutta steps; (steps + 1,) each."""
-    command = jnp.asarray(command)
-
-    def step(swing, _):
-        solver = FixedStep(STEP)
-        field = lambda t, s: given.turn(s, command)
-        after = solver.advance(field, jnp.asarray(0.0), jnp.asarray(STEP), swing)
-        return after, after
-
-    first = Swing(*map(jnp.asarray, start))
-    _, path = jax.lax.scan(step, first, length=round(seconds / STEP))
-    return jax.tree.map(lambda a, b: np.append(float(a), b), first, path)
-
-
-def test_a_response_without_limits_is_that_of_the_linear_equation():
-    """1 - exp(-d w t) (cos + d / sqrt(1 - d^2) sin)(w sqrt(1 - d^2) t)."""
-    path = swings(response(), 0.3, 12.0)
-    time = STEP * np.arange(len(path.angle))
-    fall = np.exp(-DAMPING * FREQUENCY * time)
-    turn = np.sqrt(1.0 - DAMPING**2)
-    phase = FREQUENCY * turn * time
-    wave = np.cos(phase) + DAMPING / turn * np.sin(phase)
-    # What Runge-Kutta leaves in a step of 0.012 rad.
-    np.testing.assert_allclose(path.angle, 0.3 * (1.0 - fall * wave), atol=1e-9)
-    rate = 0.3 * FREQUENCY / turn * fall * np.sin(phase)
-    np.testing.assert_allclose(path.rate, rate, atol=1e-9)
-
-
-def test_limits_of_rate_and_acceleration_hold_and_are_used():
-    """A reversal from 60 to -60 degrees: full acceleration, then full rate."""
-    limit, swift = 5.0 * degree, 1.7 * degree
-    given = response(limit, swift, damping=1.0)
-    path = swings(given, -60.0 * degree, 60.0, (60.0 * degree, 0.0))
-    moved = np.abs(np.diff(path.rate)) / STEP
-    assert np.max(np.abs(path.rate)) <= limit * (1.0 + 1e-12) + swift * STEP
-    assert np.max(moved) <= swift * (1.0 + 1e-12)
-    # 5 deg/s after 2.94 s of 1.7 deg/s2, 7.35 deg on; then 5 deg/s.
-    time = STEP * np.arange(len(path.angle))
-    for seconds in (1.0, 2.5):
-        fallen = 60.0 * degree - 0.5 * swift * seconds**2
-        assert np.interp(seconds, time, path.angle) == pytest.approx(fallen, abs=1e-5)
-    for seconds in (4.0, 12.0, 18.0):
-        turned = 60.0 - 0.5 * 5.0**2 / 1.7 - 5.0 * (seconds - 5.0 / 1.7)
-        # The corner where the limit is met lies within a step.
-        found = np.interp(seconds, time, path.angle) / degree
-        assert found == pytest.approx(turned, abs=0.5 * 1.7 * STEP * 5.0)
-    assert path.angle[-1] == pytest.approx(-60.0 * degree, abs=1e-4)
-
-
-def test_an_angle_stays_within_its_limits():
-    """Neither a command nor a swing past it goes beyond."""
-    given = response(reach=0.2, damping=0.1)
-    beyond = swings(given, 0.5, 30.0)
-    # A step may end behind the stop, by what it covers.
-    assert np.max(beyond.angle) <= 0.2 + STEP * np.max(np.abs(beyond.rate))
-    assert beyond.angle[-1] == pytest.approx(0.2, abs=1e-2)
-    assert float(given.within(jnp.asarray(-0.7))) == -0.2
-
-
-class Turning(AbstractContinuousLaw[None]):
-    """A bank and an angle of attack that depends on the sensed drag of the instant."""
-
-    bank_angle: Scalar = scalar(0.9, unit="rad")
-    per_drag: Scalar = scalar(1e-3, unit="rad s2/m")
-
-    def init(self, measurement):
-        return None
-
-    def __call__(self, time, measurement, memory):
-        angle = 0.1 + self.per_drag * measurement.drag
-        return Controls.from_bank(self.bank_angle, angle), None
-
-
-def lagging(frequency=0.5, **limits):
-    axis = lambda reach: Response(
-        frequency,
-        0.9,
-        limits.get("rate", FREE),
-        limits.get("acceleration", FREE),
-        -reach,
-        reach,
-    )
-    return SecondOrderAttitude(axis(0.5), axis(80 * degree))
-
-
-def scenario(law=None, attitude=None):
-    """On Mars, with a lift that grows with the angle of attack."""
-    given = free_scenario()
-    vehicle = dataclasses.replace(
-        given.vehicle,
-        aerodynamics=PolynomialAerodynamics((0.1, 1.0), (1.2, 0.0, 1.5)),
-    )
-    return dataclasses.replace(
-        given,
-        vehicle=vehicle,
-        guidance=Turning() if law is None else law,
-        attitude=lagging() if attitude is None else attitude,
-    )
 
 
 def test_forces_are_sensed_at_the_attitude_that_is_flown():
@@ -275,46 +162,6 @@ def test_a_response_that_is_none_is_refused(name):
     where = lambda s: getattr(s.attitude.bank_response, name)
     with pytest.raises(ValueError, match=f"attitude.bank_response.{name} is 0"):
         fly(with_leaf(scenario(), where, 0.0), FixedStep(1.0))
-
-
-def trapezoid(given: Response, command, seconds, start):
-    """Angle over time by another scheme, in plain numpy: acceleration within its limit,
-    then the rate within its own, then the angle, by the mean of old and new rate."""
-    step = 0.1 * STEP
-    angle, rate = start
-    f, d = float(given.frequency), float(given.damping)
-    fastest, swiftest = float(given.rate_limit), float(given.acceleration_limit)
-    lower, upper = float(given.lower), float(given.upper)
-    wanted = np.clip(command, lower, upper)
-    path = [angle]
-    for _ in range(round(seconds / step)):
-        wish = f * f * (wanted - angle) - 2.0 * d * f * rate
-        after = rate + step * np.clip(wish, -swiftest, swiftest)
-        after = np.clip(after, -fastest, fastest)
-        angle = np.clip(angle + 0.5 * step * (rate + after), lower, upper)
-        rate = after
-        path.append(angle)
-    return np.array(path)[::10]
-
-
-@pytest.mark.parametrize(
-    ("command", "start", "damping"),
-    [
-        (-60.0, 60.0, 1.0),  # a reversal
-        (60.0, -75.0, 0.3),  # past its command
-        (100.0, 0.0, 0.3),  # against the stop, and back into it
-        (-78.0, 30.0, 0.1),  # over the stop and off it
-    ],
-)
-def test_limits_act_on_acceleration_then_rate_then_angle(command, start, damping):
-    """With the numbers of a winged vehicle: 80 deg, 5 deg/s, 1.7 deg/s2."""
-    given = response(5 * degree, 1.7 * degree, 80 * degree, damping)
-    ours = swings(given, command * degree, 90.0, (start * degree, 0.0)).angle
-    flown = np.asarray(jax.vmap(given.within)(jnp.asarray(ours)))
-    other = trapezoid(given, command * degree, 90.0, (start * degree, 0.0))
-    # A limit is met within a step: so much is turned in half of one, at full rate.
-    assert np.max(np.abs(flown - other)) < 0.5 * STEP * 5.0 * degree
-    assert np.max(np.abs(flown)) <= 80 * degree
 
 
 def test_no_step_flies_beyond_the_limits_of_the_angles():

@@ -1,7 +1,4 @@
-"""One decision of the Bézier law: what it infers, commands, holds and adjusts, and when.
-
-Nothing is flown: all of it is said of single guidance cycles, in one compiled function.
-"""
+"""Single decisions of the Bézier law: estimates, commands, cycles and adjustments."""
 
 import dataclasses
 
@@ -10,22 +7,30 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from bezier_laws import (
+    LAW,
+    NOMINAL,
+    PLANET,
+    POLYNOMIAL,
+    POLYNOMIALS,
+    TO_GO,
+    Linear,
+    Unknown,
+    at,
+    cycle,
+    decided,
+    expected_forces,
+    number,
+)
 from helpers import ahead
 
 from jentry._batching import where_due
-from jentry.flight.closed_loop import first_measurement
-from jentry.flight.scenario import check
 from jentry.guidance import (
-    AbstractSampledLaw,
-    AbstractVelocityPredictor,
-    BezierGuidance,
     BezierPath,
     Epochs,
     NetworkPredictor,
     NewtonAdjustment,
     PathPoint,
-    PolynomialAdjustment,
-    ShorteningCycle,
     StoredParameters,
     Subdivision,
 )
@@ -33,92 +38,10 @@ from jentry.guidance.bezier.anchoring import Shape
 from jentry.guidance.bezier.inverse_dynamics import required_acceleration
 from jentry.guidance.bezier.prediction import Inputs, Situation, features
 from jentry.missions import find_mission
-from jentry.missions.cav_h.scenario import constraints, stored
-from jentry.motion import EntryState, air_data
-from jentry.motion.constraints import (
-    Drag,
-    DynamicPressure,
-    HeatRate,
-    LoadFactor,
-    limit_of,
-    usual_constraints,
-)
+from jentry.missions.cav_h.scenario import constraints
 from jentry.onboard import FactorEstimate, Factors, Measurement, Network
-from jentry.units import degree, km
+from jentry.units import degree
 from jentry.world import USStandardAtmosphere1976
-
-
-def number(x):
-    return jnp.asarray(x, dtype=float)
-
-
-class Linear(AbstractVelocityPredictor):
-    """A prediction that is linear in k2 and in the drag: 2600 m/s at 0.717 and 1."""
-
-    def predict(self, glide, situation):
-        by_shape = 1000.0 * (situation.shape.second - 0.717)
-        return 2600.0 + by_shape + 300.0 * (situation.factors.drag - 1.0)
-
-
-class Unknown(AbstractVelocityPredictor):
-    def predict(self, glide, situation):
-        return situation.shape.second * jnp.nan
-
-
-TO_GO = np.array([0.1, 0.9])
-NOMINAL = np.array([2580.0, 2660.0])
-POLYNOMIALS = np.array([[0.70, -0.10, 0.02], [0.72, -0.20, 0.06]])
-
-POLYNOMIAL = PolynomialAdjustment(
-    TO_GO, 0.717, NOMINAL, POLYNOMIALS, Linear(), Epochs(every=25)
-)
-LAW = dataclasses.replace(stored().guidance, velocity_control=POLYNOMIAL)
-PLANET, VEHICLE = LAW.model.planet, LAW.model.vehicle
-
-
-@eqx.filter_jit
-def decided(law, measurement, held):
-    return law.update(number(0.0), measurement, (), held)[1]
-
-
-@eqx.filter_jit
-def expected_forces(state, angle_of_attack):
-    air = air_data(PLANET, VEHICLE, state, angle_of_attack)
-    return air.lift, air.drag
-
-
-def at(along=20.0, velocity=5600.0):
-    """On the track or beside it, not along the curve that is held."""
-    angles = (0.02 * degree, along * degree, -0.3 * degree, 0.1 * degree)
-    longitude, latitude, path, heading = map(number, angles)
-    state = EntryState(41 * km, longitude, latitude, velocity, path, heading)
-    return state
-
-
-def cycle(
-    law=LAW, state=None, lift=1.0, drag=1.0, count=1.0, duration=1.0, second=0.75
-):
-    """Before and after a decision, the forces being so many times those expected."""
-    state = at() if state is None else state
-    angle = number(0.23)
-    _, before = law.init(
-        Measurement(state, number(1.0), number(1.0), *2 * [number(0.0)])
-    )
-    before = eqx.tree_at(
-        lambda d: (
-            d.controls.angle_of_attack,
-            d.count,
-            d.duration,
-            d.shape.second,
-        ),
-        before,
-        (angle, number(count), number(duration), number(second)),
-    )
-    forces = expected_forces(state, angle)
-    measurement = Measurement(
-        state, lift * forces[0], drag * forces[1], *2 * [number(0.0)]
-    )
-    return before, decided(law, measurement, before)
 
 
 # What it infers.
@@ -397,90 +320,3 @@ def test_a_batch_that_is_due_for_some_leaves_the_others():
     np.testing.assert_array_equal(batch(due, values), [1.0, 20.0, 3.0])
     np.testing.assert_array_equal(batch(due & False, values), values)
     np.testing.assert_array_equal(jax.jit(batch)(due | True, values), 10.0 * values)
-
-
-# What it may not exceed.
-
-
-def commanded_below(**kept):
-    """With the forces that the model expects at trim."""
-    state = at()
-    forces = expected_forces(state, VEHICLE.trim_angle_of_attack)
-    told = Measurement(state, *forces, *2 * [number(0.0)], kept)
-    _, before = LAW.init(told)
-    return decided(LAW, told, before).controls
-
-
-@pytest.mark.slow
-def test_it_keeps_the_limits_of_the_scenario():
-    """The least angle of attack at which it would glide below a limit, and the largest
-    that its load factor allows; without a limit there is none.
-    """
-    free = float(commanded_below().angle_of_attack)
-    by_load = commanded_below(load=LoadFactor(0.3), other=LoadFactor(5.0))
-    assert float(by_load.angle_of_attack) < free
-    lift, _ = expected_forces(at(), by_load.angle_of_attack)
-    assert float(lift) == pytest.approx(0.3 * 9.80665, rel=1e-9)
-    gliding = commanded_below(pressure=DynamicPressure(2e3))
-    assert float(gliding.angle_of_attack) > free
-    hot = commanded_below(heat=HeatRate(1e5))
-    assert float(hot.angle_of_attack) > free
-    none = commanded_below(heat=HeatRate(), load=LoadFactor(), glide=Drag(0.1))
-    assert float(none.angle_of_attack) == free
-
-
-def test_the_limits_are_told_to_the_law_in_flight():
-    """A constraint of the scenario is the law's: no other copy of it is anywhere."""
-    scenario = stored()
-    found = first_measurement(scenario).constraints
-    assert found is scenario.constraints
-    assert limit_of(found, HeatRate) == 2e6
-    assert limit_of({"a": HeatRate(3.0), "b": HeatRate(2.0)}, HeatRate) == 2.0
-    assert limit_of({"a": HeatRate(), "b": Drag(1.0)}, HeatRate) is None
-    glide = scenario.guidance.glide(scenario.constraints)
-    assert glide.constraints is scenario.constraints
-
-
-class Wrapped(AbstractSampledLaw):
-    """Forwards everything."""
-
-    law: BezierGuidance
-    cycle: ShorteningCycle
-
-    def init(self, measurement):
-        return self.law.init(measurement)
-
-    def update(self, *sensed):
-        return self.law.update(*sensed)
-
-    def __call__(self, *sensed):
-        return self.law(*sensed)
-
-
-def test_a_scenario_without_limits_is_flown_with_a_warning():
-    """Unless it has none of the constraints, and so nothing that could be kept."""
-    scenario = dataclasses.replace(stored(), constraints=usual_constraints())
-    names = "dynamic_pressure, heat_rate, load_factor"
-    said = f"BezierGuidance keeps the limits of {names}, .* DynamicPressure\\(limit\\)"
-    with pytest.warns(UserWarning, match=said):
-        check(scenario)
-    wrapped = dataclasses.replace(scenario, guidance=Wrapped(LAW, LAW.cycle))
-    with pytest.warns(UserWarning, match="Wrapped keeps the limits"):
-        check(wrapped)
-
-
-@pytest.mark.parametrize(
-    "known",
-    [{}, {"drag": Drag()}, {"heat_rate": HeatRate(1e6), "load_factor": LoadFactor()}],
-    ids=["none", "another", "one with a limit"],
-)
-def test_limits_that_are_given_or_not_meant_are_no_warning(known):
-    """Warnings are errors in the tests."""
-    check(dataclasses.replace(stored(), constraints=known))
-
-
-@pytest.mark.slow
-def test_a_law_that_keeps_no_limits_needs_none():
-    scenario = find_mission("mars-drag-tracking").scenario("time-index")
-    assert all(each.limit is None for each in scenario.constraints.values())
-    check(scenario)

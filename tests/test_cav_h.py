@@ -23,7 +23,7 @@ from helpers import (
     most_by_chance,
     truths,
 )
-from readme import assert_says
+from pages import assert_says
 
 from jentry.addresses import leaves_by_address
 from jentry.campaign.campaign import drawn_inputs, monte_carlo
@@ -113,7 +113,7 @@ def test_continuous_law():
     coarse, fine = velocity
     assert abs(fine - 2624.6) < 0.5
     # The difference to the limit halves with the cycle.
-    assert_says("hold of a cycle, at 2624.6", 2.0 * fine - coarse)
+    assert_says("hold of a cycle, it ends at 2624.6", 2.0 * fine - coarse)
 
 
 @pytest.mark.slow

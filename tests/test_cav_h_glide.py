@@ -1,4 +1,4 @@
-"""CAV-H glide: the toolbox's numbers, its motion by scipy, and what the README says."""
+"""CAV-H glide: the toolbox's numbers, its motion by scipy, and what its page says."""
 
 import dataclasses
 import functools
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from first_sets import populations
 from helpers import ConstantBank, fly_compiled, truths, with_leaf
-from readme import assert_prints, assert_says, rows
+from pages import assert_says
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -241,53 +241,11 @@ def test_the_nominal_flight_glides_as_the_toolbox_has_it():
     assert float(end.altitude) == pytest.approx(glide(60.0 * degree), abs=200.0)
 
 
-# What the README says.
+# What the pages say.
 
 
 def saved(variant, heading, reading="everything"):
     return populations.saved()["cav-h-glide", variant, reading, heading]
-
-
-def test_the_table_of_the_readme():
-    table = rows("| of 16 sets of 50 runs | miss over ground")
-    assert len(table) == len(populations.ROWS["cav-h-glide"])
-    for row, (name, *cells) in zip(populations.ROWS["cav-h-glide"], table, strict=True):
-        assert name == "`{}`, `{}`".format(*row)
-        variant, reading = row
-        read = functools.partial(saved, variant, reading=reading)
-        for cell, what, unit_of in zip(
-            cells,
-            ("miss over ground", "downrange error", "crossrange error"),
-            ("km",) * 3,
-            strict=False,
-        ):
-            median, high, most = (
-                read(f"{what}, {of}, {unit_of}")
-                for of in ("median", "99th percentile", "maximum")
-            )
-            assert_prints(cell, np.mean(median), np.mean(high), np.max(most))
-        for cell, what, unit_of in zip(
-            cells[3:5],
-            ("altitude error", "velocity error"),
-            ("km", "m/s"),
-            strict=True,
-        ):
-            median, most = (
-                read(f"{what}, {of}, {unit_of}") for of in ("median", "maximum")
-            )
-            assert_prints(cell, np.mean(median), np.max(most))
-        for cell, what in zip(
-            cells[5:8],
-            (
-                "load factor, maximum",
-                "heat rate, maximum, MW/m2",
-                "dynamic pressure, maximum, kPa",
-            ),
-            strict=True,
-        ):
-            assert_prints(cell, np.max(read(what)))
-        assert_prints(cells[8], np.mean(read("beyond a limit, %")))
-        assert np.all(read("lost, %") == 0.0)
 
 
 def test_what_is_said_of_the_glide():

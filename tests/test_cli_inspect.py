@@ -90,7 +90,7 @@ def test_one_run_again(command, folder):
     results = open_campaign(folder)
     code, printed, _ = command("inspect", folder, "--run", 7, "--by", "end_time")
     assert code == 0
-    assert "run 7 flown again: every stored number, to the last bit" in printed
+    assert "run 7 flown again: every stored number agrees, to the last bit" in printed
     assert "other steps" not in printed
     table = rows(printed)
     path = folder / "inspect" / "run-000000007.nc"
@@ -143,7 +143,7 @@ def test_another_flight_is_told(command, folder, monkeypatch):
         (("--run", RUNS), f"has the runs 0 to {RUNS - 1}"),
         (("--run", -1), "has the runs 0 to"),
         (("--worst", 0), "--worst is 0"),
-        (("--history", 5), "--history is of the flight of --run"),
+        (("--history", 5), "--history is the interval of"),
         (("--run", 1, "--history", 0), "must be positive"),
     ],
 )

@@ -362,3 +362,16 @@ def test_inputs_of_a_mission_without_dispersions(command, tmp_path, monkeypatch)
     assert code == 0 and "2 of 2 runs" in printed
     assert open_campaign(out)["vehicle.mass"].values.tolist() == [900.0, 950.0]
     assert_refused(command("monte-carlo", "plain"), "has no dispersions")
+
+
+def test_a_number_that_is_set_and_drawn_is_refused(command, tmp_path):
+    """Each run would have the drawn one. What is drawn about a number may be set."""
+    out = "--out", tmp_path / "out"
+    words = "--runs", 2, "--no-figures", "--set"
+    result = monte_carlo(command, *words, "planet.density_scale=1.1", *out)
+    assert_refused(result, "planet.density_scale is set, but every run draws it")
+    variants = "compare", "cheap", "--law", "right", "--law", "steep"
+    result = command(*variants, "--set", "planet.density_scale=1.1", *out)
+    assert_refused(result, "every run draws it from the dispersion 'density'")
+    assert not (tmp_path / "out").exists()
+    assert monte_carlo(command, *words, "vehicle.mass=900", *out)[0] == 0

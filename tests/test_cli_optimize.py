@@ -49,7 +49,7 @@ def test_optimize(command, tmp_path):
     words = ("--maximize", "downrange", "--bank", "50deg:-90deg:90deg")
     words += ("--angle-of-attack", "0deg:-1deg:1deg", "--end", "altitude=8km:40km")
     refused = command("optimize", "cheap", *words, *config, "--nodes", 9)
-    assert_refused(refused, "--nodes and --over are given, and --config has")
+    assert_refused(refused, "--nodes or --over is given, and --config already has")
     code, again, _ = command("optimize", "cheap", *words, *config, "--out", out)
     begun = next(x for x in again.splitlines() if "│ at the start" in x)
     assert float(begun.split("│")[2]) == pytest.approx(best, abs=1e-5)
@@ -135,7 +135,7 @@ def test_footprint(command, tmp_path):
 
 
 REFUSED = {
-    "nothing asked": (("optimize", "cheap"), "has no problem of its own"),
+    "nothing asked": (("optimize", "cheap"), "mission cheap has no problem: give"),
     "both": (
         ("optimize", "cheap", "--maximize", "time", "--minimize", "time"),
         "give --maximize or --minimize",
@@ -166,7 +166,7 @@ REFUSED = {
     ),
     "control": (
         ("optimize", "cheap", "--maximize", "time", "--bank", "50deg"),
-        "--bank 50deg: write where it begins",
+        "--bank 50deg: write its start",
     ),
     "control outside": (
         ("optimize", "cheap", "--maximize", "time", "--bank", "50deg:0deg:40deg"),

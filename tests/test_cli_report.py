@@ -1,4 +1,4 @@
-"""`jentry report`, acceptance and logs: what is asked, written, and how it ends."""
+"""`jentry report`: what it prints, writes and refuses, and how it ends."""
 
 import json
 
@@ -6,30 +6,23 @@ import cheap
 import numpy as np
 import pytest
 import xarray
-from commands import assert_refused, monte_carlo
+from commands import EASY, LONG, assert_refused, monte_carlo, report
 
 import jentry.plots
 from jentry.campaign import CampaignError, open_campaign
 from jentry.campaign.parts import digest_of, read_manifest
-from jentry.cli import progress
 from jentry.cli.figures import store_histories, stored_histories
-from jentry.cli.progress import reported
-from jentry.cli.until_decided import further_runs
 from jentry.missions.stored import (
     is_as_published,
     stored_mission,
     stored_scenario,
     stored_solver,
 )
-from jentry.statistics.acceptance import Requirement, judged
+from jentry.statistics.acceptance import Requirement
 from jentry.statistics.summary import summarize
 
 
-EASY = "peak_drag > 0 m/s2, 70 % at 60 %"
-"""All keep it, and 3 runs are enough: 0.7^3 = 0.34"""
 HARD = "end_time < 1 s, 70 % at 60 %"
-LONG = "peak_drag > 0 m/s2, 99 % at 90 %"
-"""Takes 230 runs"""
 
 
 @pytest.fixture(scope="module")
@@ -37,10 +30,6 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("stored") / "campaign"
     cheap.campaign(out, 5, mission="cheap", law="right")
     return out
-
-
-def report(command, folder, *words):
-    return command("report", folder, "--no-figures", *words)
 
 
 def test_it_says_what_monte_carlo_has_said(command, tmp_path):
@@ -108,9 +97,9 @@ def test_the_exit_code_is_the_decision(command, folder, tmp_path, requirements, 
 @pytest.mark.parametrize(
     "contents, message",
     [
-        ("", "write a list of texts"),
-        ("require = 'x'", "write a list of texts"),
-        ("require = []", "requires nothing"),
+        ("", "write a list of strings"),
+        ("require = 'x'", "write a list of strings"),
+        ("require = []", "has no requirement"),
         ("requires = ['x']", "unknown key 'requires'"),
         ("require = ['x']", "is not understood"),
     ],
@@ -127,12 +116,12 @@ def test_a_file_of_requirements_that_is_none(
     "words, message",
     [
         (("--percentiles", "50,100"), "above 0 and below 100"),
-        (("--percentiles", "many"), "write numbers with commas"),
+        (("--percentiles", "many"), "write numbers separated by commas"),
         (("--format", "gif"), "choose from png, pdf, svg"),
         (("--figures-only",), "give one of them"),
-        (("--figures-only", "--json"), "says nothing: leave out --json"),
-        (("--figures-only", "--percentiles", "50"), "says nothing: leave out"),
-        (("--figures-only", "--require", "reached, 9 % at 9 %"), "says nothing"),
+        (("--figures-only", "--json"), "prints nothing: leave out --json"),
+        (("--figures-only", "--percentiles", "50"), "prints nothing: leave out"),
+        (("--figures-only", "--require", "reached, 9 % at 9 %"), "prints nothing"),
         (("--require", "mass < 3, 9 % at 9 %"), "the results have no mass"),
     ],
 )
@@ -278,105 +267,6 @@ def test_a_campaign_of_python_is_reported_without_its_mission(command, tmp_path)
     assert_refused(result, "names no mission", 3)
 
 
-# Until decided.
-
-
-def runs_of(values):
-    count = len(values)
-    columns = {
-        "peak_drag": ("run", np.asarray(values, float), {"units": "m/s2"}),
-        "outcome": ("run", np.zeros(count, np.int8), {"flag_values": [0]}),
-    }
-    return xarray.Dataset(columns, {"run": np.arange(count)})
-
-
-def test_how_many_runs_are_flown_next():
-    """Twice as many at most, fewer where fewer decide, none beyond the most."""
-    one = [Requirement.of("peak_drag < 1, 99 % at 90 %")]
-    assert further_runs(one, runs_of(np.zeros(100)), 10_000) == 100
-    enough = judged(one[0], runs_of(np.zeros(300)), sequential=True).more_runs
-    assert enough is not None and 0 < enough < 300
-    assert further_runs(one, runs_of(np.zeros(300)), 10_000) == enough
-    assert further_runs(one, runs_of(np.zeros(300)), 310) == 10
-    assert further_runs(one, runs_of(np.zeros(300)), 300) == 0
-    assert further_runs(one, runs_of(np.zeros(300 + enough)), 10_000) == 0
-    failing = [Requirement.of("peak_drag > 1, 99 % at 90 %")]
-    assert further_runs(failing + one, runs_of(np.zeros(100)), 10_000) == 0
-
-
-@pytest.mark.slow
-def test_more_runs_until_it_is_decided(command, tmp_path):
-    out, same = tmp_path / "out", tmp_path / "same"
-    words = ("--runs", 2, "--until-decided", "--require", EASY)
-    code, printed, _ = monte_carlo(command, *words, "--out", out)
-    assert code == 0 and "sequential, at whatever number of runs" in printed
-    count = open_campaign(out).sizes["run"]
-    assert 3 < count < 40
-    verdict = judged(Requirement.of(EASY), open_campaign(out, count), sequential=True)
-    assert verdict.decision.value == "passes"
-    # The same runs as in one go, and what is said of them stays sequential.
-    monte_carlo(command, "--runs", count, "--out", same)
-    xarray.testing.assert_equal(open_campaign(out), open_campaign(same))
-    code, printed, _ = report(command, out)
-    assert code == 0 and "sequential" in printed and f"│ {EASY}" in printed
-    code, printed, _ = report(command, same, "--require", EASY)
-    assert code == 0 and "chosen beforehand" in printed
-    # Merged, it is still one that was added to.
-    command("merge", tmp_path / "merged", out)
-    assert "sequential" in report(command, tmp_path / "merged")[1]
-    (out / "until-decided.json").write_text("{}")
-    assert_refused(report(command, out), "is not as it was written", 3)
-
-
-def test_what_has_decided_belongs_to_its_campaign(command, tmp_path):
-    """A folder without runs is taken over, and what lies there is of nobody."""
-    out = tmp_path / "out"
-    words = ("--runs", 2, "--until-decided", "--require", LONG, "--most-runs", 3)
-    assert monte_carlo(command, *words, "--out", out)[0] == 6
-    for path in out.glob("runs-*"):
-        path.unlink()
-    code, printed, _ = monte_carlo(command, "--runs", 2, "--seed", 9, "--out", out)
-    assert code == 0 and "acceptance" not in printed
-
-
-@pytest.mark.slow
-def test_it_stops_at_the_most(command, tmp_path):
-    words = ("--runs", 2, "--until-decided", "--require", LONG, "--most-runs", 5)
-    code, printed, _ = monte_carlo(command, *words, "--out", tmp_path / "out")
-    assert code == 6 and "5 of 5 runs" in printed and "more runs if none" in printed
-
-
-def test_the_most_runs_are_of_a_campaign_that_is_extended(command, tmp_path):
-    out = "--out", tmp_path / "out"
-    result = monte_carlo(command, "--most-runs", 5, *out)
-    assert_refused(result, "--most-runs is of --until-decided")
-    words = ("--runs", 2, "--until-decided", "--require", LONG, "--most-runs", 1)
-    assert_refused(monte_carlo(command, *words, *out), "--most-runs is 1, and --runs")
-    assert not (tmp_path / "out").exists()
-
-
-def test_a_number_that_is_set_and_drawn_is_refused(command, tmp_path):
-    """Each run would have the drawn one. What is drawn about a number may be set."""
-    out = "--out", tmp_path / "out"
-    words = "--runs", 2, "--no-figures", "--set"
-    result = monte_carlo(command, *words, "planet.density_scale=1.1", *out)
-    assert_refused(result, "planet.density_scale is set, and every run draws it anew")
-    variants = "compare", "cheap", "--law", "right", "--law", "steep"
-    result = command(*variants, "--set", "planet.density_scale=1.1", *out)
-    assert_refused(result, "every run draws it anew by the dispersion 'density'")
-    assert not (tmp_path / "out").exists()
-    assert monte_carlo(command, *words, "vehicle.mass=900", *out)[0] == 0
-
-
-def test_until_decided_needs_a_requirement(command, tmp_path):
-    result = monte_carlo(command, "--until-decided", "--out", tmp_path)
-    assert_refused(result, "needs a requirement")
-    inputs = tmp_path / "inputs.csv"
-    inputs.write_text("vehicle.mass\n900\n")
-    words = ("--until-decided", "--require", EASY, "--inputs", inputs)
-    assert_refused(monte_carlo(command, *words), "has no more")
-
-
 @pytest.mark.parametrize("sampler", ["sobol", "latin-hypercube"])
 def test_runs_that_are_spread_evenly_are_no_independent_ones(
     command, tmp_path, sampler
@@ -391,31 +281,9 @@ def test_runs_that_are_spread_evenly_are_no_independent_ones(
     assert "independent" in told["intervals"]["caution"]
     assert "sampler" in told["campaign"]
     result = monte_carlo(command, *words, "--require", EASY)
-    assert_refused(result, "judged of independent runs")
+    assert_refused(result, "judged from independent runs")
     assert_refused(report(command, out, "--require", EASY), "fly plain draws")
     assert not is_as_published(read_manifest(out), cheap.MISSION)
     code, printed, _ = report(command, out, "--runs", 2)
     cut = "these are 2 of the 4 runs" in " ".join(printed.split())
     assert code == 0 and cut == (sampler == "latin-hypercube")
-
-
-# Progress where nobody looks.
-
-
-def test_a_line_every_so_often(capsys, monkeypatch):
-    now = [100.0]
-    monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    with reported(1000) as told:
-        told(200)  # stored before
-        for seconds, stored in ((4.0, 300), (8.0, 500), (3.0, 600), (10.0, 1000)):
-            now[0] += seconds
-            told(stored)
-    lines = capsys.readouterr().err.splitlines()
-    assert lines == [
-        "500 of 1000 runs, 25 runs/s, 20 s left",
-        "1000 of 1000 runs, 32 runs/s, 0 s left",
-    ]
-    with reported(1000, quiet=True) as told:
-        now[0] += 99.0
-        told(3)
-    assert capsys.readouterr() == ("", "")

@@ -21,7 +21,6 @@ import pytest
 import xarray
 from commands import Arrived, assert_refused, intercepted, monte_carlo
 from dask_cluster import ROOT, DaskCluster, kill, that_kills, wait_for
-from readme import file_of_the_readme
 
 import jentry
 from jentry.campaign import (
@@ -325,7 +324,7 @@ def test_a_value_that_is_lost_is_waited_for(two):
 
 
 def test_changed_files_of_jentry_are_refused(two, monkeypatch):
-    monkeypatch.setattr("jentry._provenance._IMPORTED", 0.0)
+    monkeypatch.setattr("jentry._provenance.program_keys._IMPORTED", 0.0)
     with (
         jentry.Cluster(two.address),
         pytest.raises(jentry.ClusterError, match="changed"),
@@ -619,8 +618,8 @@ def test_a_worker_without_jentry_is_refused(tmp_path, of_its_own):
 
 @pytest.fixture
 def lander(tmp_path):
-    """The mission of the README, with its law in a file beside it."""
-    text = file_of_the_readme()
+    """A mission of one file, with its law in another one beside it."""
+    text = ROOT.joinpath("tests", "lander.py").read_text()
     begin, end = text.index("class LiftAgainstDrag"), text.index("def scenario()")
     (tmp_path / "its_law.py").write_text(text[:end].replace("import functools\n", ""))
     rest = text[:begin] + "import its_law\n\n" + text[end:]
@@ -787,7 +786,7 @@ def test_a_script_that_does_not_look_whether_it_is_the_main_one(lander, alike):
     flown = started("-W", "default", "script.py", alike.address, cwd=lander)
     _, errors = flown.communicate(timeout=300)
     assert flown.returncode == 1
-    assert "ClusterError: a worker runs the script of who asks" in errors
+    assert "ClusterError: a worker runs this script" in errors
 
 
 def _is_there(group: int) -> bool:

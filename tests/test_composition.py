@@ -1,112 +1,41 @@
-"""An angle-of-attack law and a bank law as one: order, increments, cycles, identity."""
-
-import dataclasses
+"""An angle-of-attack law and a bank law as one: order, cycles, derivatives, refusals."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import (
-    ConstantBank,
-    all_laws,
-    fly_compiled,
-    free_scenario,
-    mars_entry,
-    mars_scenario,
-    observer_law,
-    with_leaf,
+from composed_laws import (
+    Asking,
+    at_start,
+    flown,
+    lagging,
+    lifting,
+    modulation,
+    reference,
+    steady,
 )
+from helpers import ConstantBank, fly_compiled, mars_entry, mars_scenario, with_leaf
+from laws import all_laws, observer_law
 
-from jentry.fields import Scalar, scalar
-from jentry.flight import FixedStep, Scenario, fly
+from jentry.fields import Scalar
+from jentry.flight import FixedStep, fly
 from jentry.guidance import (
     AbstractContinuousLaw,
     AbstractSampledLaw,
     AngleOfAttackCommand,
     AngleOfAttackProfile,
     BankLimits,
-    BankProfile,
     FixedCycle,
-    FixedSide,
     Sampled,
     ShorteningCycle,
     TrimAngleOfAttack,
     VelocityReversals,
     compose,
 )
-from jentry.guidance.composition import _banked_more
-from jentry.guidance.law import begun, commanded
-from jentry.motion import Controls, EntryDynamics, Response, SecondOrderAttitude
-from jentry.motion.index import EnergyIndex
-from jentry.onboard import (
-    DragReference,
-    Measurement,
-    PolynomialProfile,
-)
+from jentry.motion import Controls, EntryDynamics
+from jentry.onboard import PolynomialProfile
 from jentry.units import degree
-from jentry.world import PolynomialAerodynamics
-
-
-def reference():
-    drag = PolynomialProfile([20.0, -15.0], -5e6, -8e6)
-    return DragReference(EnergyIndex(), drag, PolynomialProfile([0.5]), gate=4.0)
-
-
-class DragModulation(AbstractContinuousLaw[Scalar]):
-    """A toy: the angle of attack about a schedule, by the error of the sensed drag.
-
-    Memory is the filtered error, m/s2; the bank is to follow the deviation and its rate.
-    """
-
-    schedule: PolynomialProfile
-    drag: Scalar = scalar(unit="m/s2")
-    gain: Scalar = scalar(0.004, unit="rad s2/m")
-    time_constant: Scalar = scalar(4.0, unit="s")
-    bank_gain: Scalar = scalar(4.0)
-    bank_rate_gain: Scalar = scalar(2.0, unit="s")
-    below: Scalar = scalar(6500.0, unit="m/s")
-
-    def init(self, measurement):
-        return 0.0 * measurement.drag
-
-    def __call__(self, time, measurement, memory):
-        active = measurement.state.velocity < self.below
-        error = jnp.where(active, self.drag - measurement.drag, 0.0)
-        rate = (error - memory) / self.time_constant
-        deviation = self.gain * memory
-        increment = self.bank_gain * deviation + self.bank_rate_gain * self.gain * rate
-        angle = self.schedule(measurement.state.velocity) + deviation
-        angle = angle + 0.002 * self.gain * error
-        return AngleOfAttackCommand(angle, increment), rate
-
-
-def modulation(**given):
-    return DragModulation(PolynomialProfile([0.15, 0.1], 500.0, 6000.0), 15.0, **given)
-
-
-def lifting(law, **changes) -> Scenario:
-    """Free flight on Mars, with lift and drag that grow with the angle of attack."""
-    given = free_scenario()
-    aerodynamics = PolynomialAerodynamics((0.1, 1.0), (1.2, 0.0, 1.5))
-    vehicle = dataclasses.replace(given.vehicle, aerodynamics=aerodynamics)
-    return dataclasses.replace(given, vehicle=vehicle, guidance=law, **changes)
-
-
-def lagging():
-    axis = lambda frequency, reach: Response(
-        frequency, 0.9, 5 * degree, 1.7 * degree, -reach, reach
-    )
-    return SecondOrderAttitude(axis(2.0, 0.6), axis(0.6, 80 * degree))
-
-
-def steady(cosine=0.5, **given):
-    return BankProfile(PolynomialProfile([cosine]), **given)
-
-
-def flown(history):
-    there = np.isfinite(history.time)
-    return jax.tree.map(lambda x: np.asarray(x)[there], history)
 
 
 # The identity.
@@ -145,78 +74,6 @@ def test_two_ways_to_one_angle_of_attack():
         jax.tree.leaves(first.state), jax.tree.leaves(second.state), strict=True
     ):
         np.testing.assert_allclose(a, b, rtol=1e-12)
-
-
-# The increment of the bank.
-
-
-@pytest.mark.parametrize("largest", [80.0, 180.0])
-@pytest.mark.parametrize("increment", [-30.0, -1.0, 0.0, 5.0, 30.0])
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_increment_changes_the_magnitude_and_keeps_the_side(side, increment, largest):
-    angles = jnp.asarray([0.0, 1.0, 20.0, 65.0, 90.0, 150.0, 180.0]) * degree
-    limits = jnp.asarray(increment * degree), jnp.asarray(largest * degree)
-    given = jnp.cos(angles), side * jnp.sqrt(1.0 - jnp.cos(angles) ** 2)
-    change = jax.jit(jax.vmap(_banked_more, in_axes=(0, 0, None, None)))
-    cosine, sine = change(*given, *limits)
-    wanted = np.clip(angles + increment * degree, 0.0, largest * degree)
-    # Where the bank is level, an arc cosine has half of the digits.
-    np.testing.assert_allclose(cosine, np.cos(wanted), atol=1e-8)
-    np.testing.assert_allclose(sine, side * np.sin(wanted), atol=1e-8)
-
-
-def test_increment_of_a_shared_reversal_keeps_its_share():
-    cosine, sine = _banked_more(
-        *map(jnp.asarray, (0.5, -0.3 * np.sqrt(0.75), 0.2, np.pi))
-    )
-    np.testing.assert_allclose(cosine, np.cos(np.pi / 3 + 0.2), rtol=1e-14)
-    np.testing.assert_allclose(sine, -0.3 * np.sin(np.pi / 3 + 0.2), rtol=1e-14)
-
-
-class Asking(AbstractContinuousLaw[None]):
-    """A constant angle of attack, and a constant increment of the bank."""
-
-    increment: Scalar = scalar(unit="rad")
-
-    def init(self, measurement):
-        return None
-
-    def __call__(self, time, measurement, memory):
-        return AngleOfAttackCommand(0.1, self.increment), None
-
-
-def at_start(law, **changes) -> Controls:
-    """What a law commands at the entry."""
-    one = jnp.asarray(1.0)
-    measurement = Measurement(mars_entry(), one, one, 0.07 * one, 0.07 * one)
-    for name, value in changes.items():
-        measurement = with_leaf(measurement, lambda m, n=name: getattr(m, n), value)
-    return commanded(law, 0.0 * one, measurement, *begun(law, measurement))[0]
-
-
-@pytest.mark.parametrize("asked", [-40.0, -5.0, 0.0, 7.0, 40.0])
-@pytest.mark.parametrize("left", [False, True])
-def test_increment_is_limited_and_then_the_bank(asked, left):
-    side = -1.0 if left else 1.0
-    bank = steady(np.cos(np.radians(70.0)), lateral=FixedSide(left))
-    limits = BankLimits(12 * degree, 80 * degree)
-    found = at_start(compose(Asking(asked * degree), bank, limits))
-    wanted = min(70.0 + np.clip(asked, -12.0, 12.0), 80.0)
-    assert float(found.bank_angle) / degree == pytest.approx(side * wanted, abs=1e-9)
-    assert float(found.angle_of_attack) == 0.1
-
-
-def test_a_level_bank_is_increased_to_the_side_of_its_law():
-    for left, side in ((False, 1.0), (True, -1.0)):
-        law = compose(Asking(0.2), steady(1.5, lateral=FixedSide(left)))
-        assert float(at_start(law).bank_angle) == pytest.approx(side * 0.2, rel=1e-14)
-
-
-def test_by_default_nothing_limits_the_increment():
-    found = at_start(compose(Asking(2.5), steady(0.0)))
-    assert float(found.bank_angle) == pytest.approx(np.pi)
-    found = at_start(compose(Asking(1.2), steady(0.0)))
-    assert float(found.bank_angle) == pytest.approx(0.5 * np.pi + 1.2, rel=1e-14)
 
 
 # Order, and what each of the two is told.

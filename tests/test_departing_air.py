@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import all_atmospheres, free_scenario, over
+from helpers import free_scenario, over
+from worlds import all_atmospheres
 
 from jentry.campaign import Dispersion, Uniform, monte_carlo
 from jentry.flight import Outcome, fly

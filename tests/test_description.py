@@ -1,11 +1,14 @@
-"""What a campaign is, in plain values: nothing is lost, and every difference is named."""
+"""Campaigns and losses in plain values: nothing is lost, each difference is named."""
 
 import base64
+import functools
 import json
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 from helpers import mars_scenario
 
@@ -19,6 +22,7 @@ from jentry.campaign.description import (
 )
 from jentry.campaign.parts import claim
 from jentry.onboard.profiles import quintic_profile
+from jentry.tuning.record import told
 
 
 LONG = "guidance.cos_bank.coefficients"
@@ -95,3 +99,25 @@ def test_leaves_are_had_back_to_the_last_bit(shape):
         again = leaf_of(plain)
         assert again.shape == leaf.shape
         np.testing.assert_array_equal(again, leaf)
+
+
+class Plain(eqx.Module):
+    function: object = eqx.field(static=True)
+    numbers: jax.Array
+
+
+def some_function():
+    pass
+
+
+def test_what_is_told_of_a_loss():
+    """Functions by their names, modules and what they are made of by their fields."""
+    thing = Plain(functools.partial(some_function, 0.05), jnp.arange(2.0))
+    name = f"{__name__}.some_function"
+    assert told(thing) == {
+        "type": "Plain",
+        "function": [name, [0.05], {}],
+        "numbers": [0.0, 1.0],
+    }
+    assert told(lambda: 0).endswith("<lambda>")
+    assert told(optax.adam(0.1)) == "GradientTransformationExtraArgs"

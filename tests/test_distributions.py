@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from beside_scipy import DISTRIBUTIONS
 from scipy import stats
-from test_dispersions import DISTRIBUTIONS
 
 from jentry.campaign import (
     AbstractDistribution,

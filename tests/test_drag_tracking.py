@@ -7,15 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import (
-    fly_compiled,
-    mars_planet,
-    mars_scenario,
-    mars_vehicle,
-    observer_law,
-    state_feedback,
-    truths,
-)
+from helpers import fly_compiled, mars_planet, mars_scenario, mars_vehicle, truths
+from laws import observer_law, state_feedback
 
 from jentry._math import derivatives_along
 from jentry.flight import FixedStep, Outcome

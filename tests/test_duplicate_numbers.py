@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import assert_refused
-from helpers import choices, mars_entry, mars_planet, mars_scenario, regulator
+from helpers import choices, mars_entry, mars_planet, mars_scenario
+from laws import regulator
 
 from jentry import find_mission
 from jentry.addresses import leaves_by_address, replace_leaves, unit_of
@@ -153,7 +154,7 @@ def test_where_a_law_believes_the_end_and_where_the_flight_ends(lander, name):
     address, believed = f"termination.conditions.{name}.{name}", f"guidance.end.{name}"
     with pytest.raises(ValueError, match=rf"{believed} is .* and {address} is"):
         check(moved_alone(lander, address))
-    with pytest.raises(ValueError, match=f"{address} is moved"):
+    with pytest.raises(ValueError, match=f"{address} is varied"):
         check_dispersions(lander, {"end": multiplied(address)})
 
 
@@ -189,7 +190,9 @@ def test_both_together_are_moved(lander):
     check_dispersions(lander, {"end": multiplied(*three)})
     leaves = leaves_by_address(lander)
     check(replace_leaves(lander, {a: leaves[a] * 1.1 for a in three}))
-    with pytest.raises(ValueError, match=r"target\.velocity, which says the same"):
+    with pytest.raises(
+        ValueError, match=r"target\.velocity, which has the same meaning"
+    ):
         check_dispersions(lander, {"end": multiplied(*three[:2])})
 
 
@@ -201,7 +204,7 @@ def test_a_number_that_differs_already_may_be_moved():
     apart = replace_leaves(given, {"target.velocity": 450.0})
     check(apart)
     require_both(apart, ["target.velocity"])
-    with pytest.raises(ValueError, match="move both"):
+    with pytest.raises(ValueError, match="vary both"):
         require_both(given, ["target.velocity"])
 
 
@@ -214,14 +217,14 @@ def test_a_number_that_differs_already_may_be_moved():
 )
 def test_commands_refuse_one_of_two(command, setting, other):
     result = command("fly", "mars-drag-tracking", "--set", setting)
-    assert_refused(result, f"{other}, which says the same")
+    assert_refused(result, f"{other}, which has the same meaning")
 
 
 def test_inputs_and_tuned_numbers_are_refused_too(lander):
     address = "guidance.end.velocity"
-    with pytest.raises(ValueError, match=f"{address} is moved"):
+    with pytest.raises(ValueError, match=f"{address} is varied"):
         monte_carlo(lander, inputs={address: [503.0, 504.0]})
-    with pytest.raises(ValueError, match=f"{address} is moved"):
+    with pytest.raises(ValueError, match=f"{address} is varied"):
         Parameters.of(lander, lambda s: s.guidance.end.velocity)
     all_of_them = lambda s: (
         s.guidance.end.velocity,

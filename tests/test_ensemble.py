@@ -197,9 +197,9 @@ UNITS = {
     "the same": ("Dens", "kg m-3", ""),
     "none": ("Dens", "", ""),
     "not known": ("Temp", "kelvins of old", ""),
-    "another": ("Dens", "g/m3", "Dens says of itself to be in g/m3; expected kg/m3"),
-    "another kind": ("Temp", "Pa", "Temp says of itself to be in Pa; expected K"),
-    "altitude": ("Height", "m", "Height says of itself to be in m; expected km"),
+    "another": ("Dens", "g/m3", "Dens is in g/m3; expected kg/m3"),
+    "another kind": ("Temp", "Pa", "Temp is in Pa; expected K"),
+    "altitude": ("Height", "m", "Height is in m; expected km"),
 }
 
 

@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
+from laws import all_laws
+from worlds import all_aerodynamics, all_atmospheres, all_gravities, all_winds
 
 import jentry
 from jentry.guidance import (
@@ -48,10 +50,10 @@ def of_the_package(abstract):
 @pytest.mark.parametrize(
     ("abstract", "makers"),
     [
-        (AbstractAtmosphere, helpers.all_atmospheres),
-        (AbstractAerodynamics, helpers.all_aerodynamics),
-        (AbstractWind, helpers.all_winds),
-        (AbstractGravity, helpers.all_gravities),
+        (AbstractAtmosphere, all_atmospheres),
+        (AbstractAerodynamics, all_aerodynamics),
+        (AbstractWind, all_winds),
+        (AbstractGravity, all_gravities),
     ],
 )
 def test_every_model_is_in_the_list_of_its_kind(abstract, makers):
@@ -61,16 +63,16 @@ def test_every_model_is_in_the_list_of_its_kind(abstract, makers):
 
 
 def test_every_law_is_in_the_list(reference):
-    laws = [make(reference) for make in helpers.all_laws.values()]
+    laws = [make(reference) for make in all_laws.values()]
     # Those that choose the angle of attack or the bank alone are parts of others.
     for law in laws:
         laws += [part for part in vars(law).values() if isinstance(part, AbstractLaw)]
     assert {type(law).__name__ for law in laws} == of_the_package(AbstractLaw)
 
 
-@pytest.mark.parametrize("name", helpers.all_gravities)
+@pytest.mark.parametrize("name", all_gravities)
 def test_gravity_is_the_slope_of_its_potential(name):
-    gravity = helpers.all_gravities[name]()
+    gravity = all_gravities[name]()
     radius = jnp.asarray(3.5e6)
     slope = jax.grad(gravity.potential)(radius)
     # Towards the centre is down: rounding of one product.
@@ -138,10 +140,10 @@ def measured(law, state, drag=1.002, lift=0.97):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", helpers.all_laws)
+@pytest.mark.parametrize("name", all_laws)
 def test_what_a_law_says_has_the_derivatives_of_differences(name, planned):
     _, flight, references = planned
-    law = helpers.mars_scenario(helpers.all_laws[name](references["energy"])).law
+    law = helpers.mars_scenario(all_laws[name](references["energy"])).law
     if isinstance(law, BezierGuidance):
         # Its drag has a corner at 10 degrees, which is where it is trimmed.
         trim = lambda law: law.model.vehicle.trim_angle_of_attack

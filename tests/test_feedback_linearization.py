@@ -8,57 +8,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import sx_2_by_hand as hand
+from ground_track_laws import POINTS, as_state, by_hand, law_at
 from sx_2_by_hand import along, differences
 
-from jentry.analysis import FrozenLoop
-from jentry.flight import Flight, Scenario, fly
+from jentry.flight import fly
 from jentry.guidance import (
     AttitudeBand,
     FullLinearization,
-    GroundTrackTracking,
     MeasuredForces,
     ReferencePlaneAngles,
-    ScheduledEigenvalues,
     SmallAngleLinearization,
     TrackErrors,
-    TrackingGains,
 )
 from jentry.guidance.feedback_linearization import along_reference
-from jentry.missions.sx_2.scenario import (
-    band,
-    entry,
-    gains,
-    reference_controls,
-    track_model,
-)
-from jentry.missions.sx_2.tuning import Ends, MissAndZeros, ends, zero_pair
-from jentry.motion import ConstraintValues, EntryState
-from jentry.motion.index import EnergyIndex
+from jentry.missions.sx_2.scenario import entry, reference_controls, track_model
+from jentry.motion import EntryState
 from jentry.onboard import Factors, Measurement, PolynomialProfile, quintic_table
 from jentry.units import degree
-
-
-POINTS = {
-    "early": (0.97, 60.0e3, 0.02, 0.01, -0.5, 3.0),
-    "high": (0.75, 57.0e3, 0.10, 0.02, -1.0, 12.0),
-    "at the reversal": (0.352, 44.0e3, 0.22, 0.03, -1.5, 25.0),
-    "behind it": (0.30, 42.0e3, 0.25, 0.035, 0.7, -20.0),
-    "late": (0.04, 27.0e3, 0.31, 0.045, -6.0, -40.0),
-}
-"""Share of the energy, altitude (m), longitude and latitude (rad), path angle and heading
-from east to the left (deg): none of them on the reference"""
-
-
-def by_hand(name):
-    e, altitude, theta, phi, gamma, chi = POINTS[name]
-    r = hand.R0 + altitude
-    v = np.sqrt(2.0 * (hand.LAST + e * hand.SPAN + hand.MU / r))
-    return np.array([r, theta, phi, v, np.radians(gamma), np.radians(chi)])
-
-
-def as_state(x) -> EntryState:
-    r, theta, phi, v, gamma, chi = x
-    return EntryState(r - hand.R0, theta, phi, v, gamma, 0.5 * np.pi - chi)
 
 
 NOMINAL = Factors(jnp.asarray(1.0), jnp.asarray(1.0))
@@ -146,126 +112,6 @@ def test_reference_controls_are_those_of_the_notes():
     np.testing.assert_allclose(banks, wanted[1], rtol=1e-10)
 
 
-def test_gains_are_the_polynomials_of_their_eigenvalues():
-    gains = TrackingGains.from_eigenvalues((18.0, 8.0, 8.0, 0.1), (30.0, 1.2, 1.2))
-    np.testing.assert_allclose(gains.downrange, [-34.1, 355.4, -1187.2, 115.2])
-    np.testing.assert_allclose(gains.crossrange, [-32.4, 73.44, -43.2])
-    with pytest.raises(ValueError, match="expected 4 gains"):
-        TrackingGains.from_eigenvalues((1.0, 2.0), (30.0, 1.2, 1.2))
-
-
-ENERGIES = np.array([1.0, 3.0, 4.0]) * 1e6
-
-
-def schedule() -> ScheduledEigenvalues:
-    rng = np.random.default_rng(1)
-    return ScheduledEigenvalues(
-        ENERGIES, rng.uniform(0.1, 30.0, (3, 4)), rng.uniform(0.1, 30.0, (3, 3))
-    )
-
-
-@pytest.mark.parametrize("energy", [0.2e6, 1.0e6, 2.2e6, 3.0e6, 3.9e6, 5.0e6])
-def test_scheduled_gains_are_the_polynomials_of_the_eigenvalues_there(energy):
-    gains = schedule()
-    for found, given in zip(
-        gains.at(jnp.asarray(energy)), (gains.downrange, gains.crossrange), strict=True
-    ):
-        there = [np.interp(energy, ENERGIES, column) for column in np.asarray(given).T]
-        np.testing.assert_allclose(found, np.poly(there)[1:], rtol=1e-13)
-
-
-def test_a_schedule_that_stays_has_the_gains_of_its_eigenvalues():
-    down, cross = (18.0, 8.0, 8.0, 0.1), (30.0, 1.2, 1.2)
-    constant = ScheduledEigenvalues(ENERGIES, 3 * [down], 3 * [cross])
-    expected = TrackingGains.from_eigenvalues(down, cross).at(jnp.asarray(0.0))
-    for one, other in zip(constant.at(jnp.asarray(2.5e6)), expected, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-14)
-
-
-def test_a_schedule_of_other_shapes_is_refused():
-    given = schedule()
-    with pytest.raises(ValueError, match=r"downrange has shape \(3, 3\): expected 4"):
-        ScheduledEigenvalues(ENERGIES, given.crossrange, given.crossrange)
-    with pytest.raises(ValueError, match=r"crossrange has shape \(3, 4\): expected 3"):
-        ScheduledEigenvalues(ENERGIES, given.downrange, given.downrange)
-    with pytest.raises(ValueError, match="of which the shape is"):
-        ScheduledEigenvalues(ENERGIES[:2], given.downrange, given.crossrange)
-
-
-def test_the_loss_of_the_schedule():
-    zeros = np.array([5.0, 10.0, 20.0])
-    gains = schedule()
-    both = np.concatenate([gains.downrange, gains.crossrange], axis=1)
-    misses = np.random.default_rng(2).normal(size=(2, 5))
-    every = jax.vmap(Ends)
-    flown = every(*jnp.asarray(misses), jnp.tile(both, (5, 1, 1)))
-    found = MissAndZeros(zeros, 0.8, 0.3)(flown)
-    near = np.maximum(np.log(both / (0.8 * zeros[:, None])), 0.0)
-    expected = np.mean(np.hypot(*misses) ** 4) ** 0.25 + 0.3 * np.mean(near**2)
-    assert float(found) == pytest.approx(expected, rel=1e-14)
-    # Well below the pair there is no penalty.
-    below = every(*jnp.zeros((2, 5)), 0.1 * jnp.ones((5, 3, 7)))
-    assert MissAndZeros(zeros)(below) == 0.0
-
-
-def scheduled_entry() -> Scenario:
-    law = law_at(as_state(by_hand("late")), FullLinearization())
-    law = dataclasses.replace(law, gains=schedule())
-    return dataclasses.replace(entry(), guidance=law)
-
-
-def test_the_ends_of_a_flight_are_in_nautical_miles():
-    """Along the equator and across it, beside the eigenvalues that were flown with."""
-    scenario, given = scheduled_entry(), schedule()
-    nothing, code = jnp.zeros(()), jnp.asarray(0)
-    x = by_hand("late")
-    flight = Flight(
-        nothing, as_state(x), code, code, ConstraintValues({}), {}, {}, None
-    )
-    found = ends(scenario, flight)
-    wanted = hand.R0 * x[1:3] / 1852.0
-    # Arcs from the sines of a frame, whose east is that of a heading of 90 degrees.
-    assert (found.downrange, found.crossrange) == pytest.approx(wanted, rel=1e-9)
-    np.testing.assert_array_equal(found.eigenvalues[:, :4], given.downrange)
-    np.testing.assert_array_equal(found.eigenvalues[:, 4:], given.crossrange)
-
-
-def test_the_zero_pair_is_per_span_at_the_energies_of_the_schedule(monkeypatch):
-    """The smallest that is there at each point: a zero of zero is none of the pair."""
-    per_joule = 1e-7 * np.array(
-        [[-3.0, 3.0, 0.0], [4j, -4j, 9.0], [9.0, -7.0, np.nan], [11j, -11j, np.nan]]
-    )
-    sizes, energies = (
-        np.array([3.0, 4.0, 7.0, 11.0]),
-        1e6 * np.array([4.5, 3.5, 2, 0.5]),
-    )
-    loop = FrozenLoop(
-        *("energy", "J/kg", energies, np.arange(4.0), 2e7, ("altitude",), "velocity"),
-        *((), (), np.zeros((4, 1, 1)), None, np.zeros((4, 1), complex), per_joule),
-        *("", "energy"),
-    )
-    asked = []
-
-    def linearize(*given):
-        asked.append(given)
-        return loop
-
-    monkeypatch.setattr("jentry.missions.sx_2.tuning.linearize", linearize)
-    scenario = scheduled_entry()
-    found = zero_pair(scenario, 4)
-    assert asked == [(scenario, EnergyIndex(), 4)]
-    wanted = np.interp(ENERGIES, energies[::-1], 2.0 * sizes[::-1])
-    np.testing.assert_allclose(found, wanted, rtol=1e-14)
-    loop = dataclasses.replace(loop, zeros=None, without_zeros="nothing is tracked")
-    with pytest.raises(ValueError, match="has no zeros here: nothing is tracked"):
-        zero_pair(scenario)
-
-
-def test_the_zero_pair_is_asked_of_a_schedule():
-    with pytest.raises(ValueError, match="ControlProfiles has no schedule of eigen"):
-        zero_pair(entry())
-
-
 def test_angles_of_a_turned_plane():
     """A great circle elsewhere is the equator of its own frame."""
     model = track_model()
@@ -334,18 +180,6 @@ def test_measured_factors_are_those_of_the_forces():
     other = dynamics(FullLinearization(), model, state, factors)
     ratio = float(other.downrange[1] / one.downrange[1])
     assert ratio == pytest.approx(1.0 / 0.8, rel=1e-12)
-
-
-def law_at(state, linearization, **changes) -> GroundTrackTracking:
-    """The law with a reference that is the state itself, at every energy."""
-    model = track_model()
-    here = along_reference(linearization, model, state)
-    nothing = jnp.zeros(2)
-    columns = {n: (jnp.full(2, x), nothing, nothing) for n, x in here.items()}
-    table = quintic_table(jnp.array([hand.FIRST, hand.LAST]), columns)
-    return GroundTrackTracking(
-        model, table, gains(), band(), linearization=linearization, **changes
-    )
 
 
 def commanded(law, state, memory=None, forces=(5.0, 4.0)):

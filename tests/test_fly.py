@@ -1,8 +1,4 @@
-"""`fly`: solvers, outcomes, history, batches, and what it refuses."""
-
-import subprocess
-import sys
-from pathlib import Path
+"""`fly`: solvers, outcomes, peaks, and flights in batches."""
 
 import cartesian
 import equinox as eqx
@@ -11,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import (
-    all_laws,
     bank_profile,
     fly_batch,
     fly_compiled,
@@ -19,21 +14,12 @@ from helpers import (
     mars_scenario,
     with_leaf,
 )
+from laws import all_laws
 from scipy.integrate import solve_ivp
 
-from jentry.flight import (
-    Adaptive,
-    AltitudeBelow,
-    FixedStep,
-    Outcome,
-    Termination,
-    VelocityBelow,
-    check,
-    fly,
-    has_end,
-)
-from jentry.guidance import AbstractSampledLaw, BankProfile, FixedCycle, Sampled
-from jentry.motion import Controls, EntryState
+from jentry.flight import Adaptive, FixedStep, Outcome, Termination, fly, has_end
+from jentry.guidance import BankProfile, Sampled
+from jentry.motion import EntryState
 from jentry.onboard import PolynomialProfile
 from jentry.units import degree, km
 
@@ -346,99 +332,6 @@ def test_traces_once():
     traced(changed(end_velocity=600.0, lift_scale=0.9, start=entry(6000.0)), coarse)
 
 
-# History.
-
-
-def sampled_scenario():
-    return mars_scenario(Sampled(bank_profile(), 1.0))
-
-
-@pytest.fixture(scope="module")
-def sampled_flight():
-    return fly_compiled(sampled_scenario(), FixedStep(0.25))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("interval", [0.5, 1.0, 4.0])
-def test_history_does_not_change_the_flight(interval, sampled_flight):
-    """Intervals that divide the guidance period, equal it, and are multiples of it."""
-    flight = fly_compiled(sampled_scenario(), FixedStep(0.25), interval)
-    history = flight.history
-    assert flight.outcome == sampled_flight.outcome
-    # The same steps in another program: rounding, grown along the flight.
-    ours, theirs = (
-        jax.tree.leaves((f.time, f.state, f.peaks)) for f in (flight, sampled_flight)
-    )
-    for one, other in zip(ours, theirs, strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-15)
-    # Entries at multiples of the interval while it flew, then nothing.
-    count = int(np.ceil(float(flight.time) / interval))
-    assert history.time.shape == (400 / interval,)
-    for leaf in jax.tree.leaves(history):
-        assert np.all(np.isfinite(leaf[:count]))
-        assert np.all(np.isnan(leaf[count:]))
-    np.testing.assert_allclose(history.time[:count], interval * np.arange(count))
-    assert history.states.velocity[0] == 6750.0
-
-
-@pytest.mark.optimized
-class Counting(AbstractSampledLaw):
-    """A bank that is another one after each decision."""
-
-    cycle: FixedCycle = FixedCycle(2.0)
-
-    def init(self, measurement):
-        return (), 0.0 * measurement.drag
-
-    def update(self, time, measurement, memory, held):
-        return (), held + 1.0
-
-    def __call__(self, time, measurement, memory, held):
-        return Controls.from_bank(0.01 * held, 0.0 * held), ()
-
-
-@pytest.mark.parametrize("interval", [1.0, 2.0, 6.0])
-def test_a_history_decides_when_the_flight_does_and_no_more(interval):
-    scenario = mars_scenario(Counting(), 31.0)
-    flight = fly_compiled(scenario, FixedStep(0.5), interval)
-    times = np.asarray(flight.history.time)
-    there = np.isfinite(times)
-    np.testing.assert_allclose(times[there], interval * np.arange(there.sum()))
-    assert there.sum() == np.ceil(31.0 / interval)
-    # One decision at the start of each cycle, and it counts from there on.
-    decided = np.floor(times[there] / 2.0) + 1.0
-    np.testing.assert_array_equal(flight.history.decisions[there], decided)
-    bank = np.arctan2(
-        flight.history.controls.sin_bank, flight.history.controls.cos_bank
-    )[there]
-    np.testing.assert_allclose(bank, 0.01 * decided, rtol=1e-14)
-    alone = fly_compiled(scenario, FixedStep(0.5))
-    np.testing.assert_allclose(flight.state.altitude, alone.state.altitude, rtol=1e-13)
-
-
-def test_history_shows_what_was_commanded_and_met():
-    flight = fly_compiled(sampled_scenario(), FixedStep(0.25), 0.5)
-    history = flight.history
-    there = np.isfinite(history.time)
-    cosine = history.controls.cos_bank[there]
-    # Held through each cycle of 1 s, from the decision at its start on: two entries of
-    # 0.5 s each, equal to the last bit.
-    pairs = cosine[: len(cosine) // 2 * 2].reshape(-1, 2)
-    assert np.array_equal(pairs[:, 0], pairs[:, 1])
-    assert len(np.unique(pairs[:, 0])) > 0.9 * len(pairs)
-    np.testing.assert_allclose(
-        cosine[0],
-        bank_profile().cos_bank(flight.history.states.velocity[0]),
-        rtol=1e-14,
-    )
-    # Peaks are those of all steps: the history of every second one comes close.
-    for name in ("drag", "dynamic_pressure", "heat_rate", "load_factor"):
-        seen = np.nanmax(getattr(history.constraints, name))
-        peak = getattr(flight.peaks, name)
-        assert seen <= peak * (1 + 1e-12)
-        np.testing.assert_allclose(seen, peak, rtol=1e-3)  # 0.25 s beside the peak
-
-
 def test_history_is_where_direct_flights_end():
     history = fly_compiled(changed(), STEP, 10.0).history
     for entry_number in (9, 13, 20):
@@ -451,107 +344,6 @@ def test_history_is_where_direct_flights_end():
             jax.tree.leaves(flight.state), jax.tree.leaves(history.states), strict=True
         ):
             np.testing.assert_allclose(one, other[entry_number], rtol=1e-10, atol=1e-12)
-
-
-# What is refused.
-
-
-@pytest.mark.parametrize(
-    ("where", "value", "message"),
-    [
-        (lambda s: s.vehicle.mass, 0.0, "vehicle.mass is 0 kg"),
-        (lambda s: s.vehicle.mass, -5.0, "vehicle.mass is -5 kg"),
-        (lambda s: s.planet.density_scale, np.nan, "planet.density_scale is nan"),
-        (lambda s: s.initial_state.velocity, np.inf, "initial_state.velocity is inf"),
-        (lambda s: s.guidance.bank_angle, np.nan, "guidance.bank_angle is nan"),
-        (
-            lambda s: s.termination.conditions["velocity"].velocity,
-            -1.0,
-            "termination.conditions.velocity.velocity is -1 m/s",
-        ),
-    ],
-)
-def test_numbers_that_cannot_be_flown_are_refused(where, value, message):
-    scenario = with_leaf(free_scenario(), where, value)
-    with pytest.raises(ValueError, match=message):
-        check(scenario)
-    with pytest.raises(ValueError, match=message):
-        fly(scenario)
-
-
-def test_a_good_scenario_is_not_refused():
-    check(free_scenario())
-    check(mars_scenario())
-
-
-@pytest.mark.parametrize("law", ["state feedback", "observer", "sampled observer"])
-def test_planned_laws_are_not_refused(law, reference):
-    check(mars_scenario(all_laws[law](reference)))
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: FixedStep(-0.1), "step is -0.1 s"),
-        (lambda: FixedStep(0.0), "step is 0.0 s"),
-        (lambda: Sampled(bank_profile(), 0.0), "period is 0.0 s"),
-        (lambda: Termination({}, -1.0), "time_limit is -1.0 s"),
-        (lambda: fly(mars_scenario(), history=0.0), "history is 0.0 s"),
-        (lambda: fly(mars_scenario(), history=-1.0), "history is -1.0 s"),
-        (
-            lambda: fly(sampled_scenario(), history=0.3),
-            "history is 0.3 s and the guidance period 1.0 s",
-        ),
-        (
-            lambda: fly(sampled_scenario(), history=1.5),
-            "history is 1.5 s and the guidance period 1.0 s",
-        ),
-    ],
-)
-def test_options_that_cannot_be_meant_are_refused(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
-
-
-def test_names_and_outcomes_of_end_conditions_go_together():
-    ends = {"b": VelocityBelow(1.0), "a": AltitudeBelow(2.0, outcome=Outcome.CRASHED)}
-    termination = Termination(ends, 5.0)
-    assert termination.names == ("a", "b", "time_limit")
-    assert termination.outcomes == (
-        Outcome.CRASHED,
-        Outcome.REACHED,
-        Outcome.TIMED_OUT,
-    )
-    assert all(outcome.message for outcome in Outcome)
-
-
-_IN_FLOAT32 = """
-import warnings
-import jax
-from helpers import mars_scenario
-from jentry.flight import fly
-with warnings.catch_warnings(record=True) as caught:
-    warnings.simplefilter("always")
-    jax.eval_shape(fly, mars_scenario())
-assert any("float64 is off" in str(w.message) for w in caught), caught
-"""
-
-
-@pytest.mark.slow
-def test_fly_warns_without_float64():
-    """In a fresh process, where nothing has set it."""
-    here = Path(__file__).parent
-    run = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            f"import sys; sys.path.append({str(here)!r})" + _IN_FLOAT32,
-        ],
-        capture_output=True,
-        text=True,
-        cwd=here.parent,
-    )
-    assert run.returncode == 0, run.stderr
 
 
 @pytest.mark.parametrize("step", [1.0, 0.1])

@@ -10,7 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import all_laws, bank_profile, mars_scenario
+from helpers import bank_profile, mars_scenario
+from laws import all_laws
 
 from jentry.flight import FixedStep, fly
 from jentry.guidance import Sampled

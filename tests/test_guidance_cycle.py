@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import ConstantBank, all_laws, mars_scenario
+from helpers import ConstantBank, mars_scenario
+from laws import all_laws
 
 from jentry.fields import Scalar
 from jentry.flight import FixedStep, fly

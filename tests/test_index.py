@@ -5,17 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import (
-    all_atmospheres,
-    all_gravities,
-    fly_compiled,
-    mars_entry,
-    mars_planet,
-    mars_scenario,
-    mars_vehicle,
-    observer_law,
-    tabulated_aerodynamics,
-)
+from helpers import fly_compiled, mars_entry, mars_planet, mars_scenario, mars_vehicle
+from laws import observer_law
+from worlds import all_atmospheres, all_gravities, tabulated_aerodynamics
 
 from jentry._math import derivatives_along
 from jentry.flight import FixedStep, Outcome

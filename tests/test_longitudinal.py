@@ -10,8 +10,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from drag_profiles import RADIUS, coefficients, drag_of
 from scipy.integrate import solve_ivp
-from test_drag_profile import RADIUS, coefficients, drag_of
 
 from jentry.missions.x_33 import scenario as x_33
 from jentry.onboard import (
@@ -198,7 +198,7 @@ def test_flights_that_there_are_not():
     for drag, words in ((planned, ""), (none, "nan: there is no such flight")):
         wish = dataclasses.replace(inverse, drag=drag)
         with pytest.raises(
-            ValueError, match=f"asks for a cosine of the bank of {words}"
+            ValueError, match=f"requires a cosine of the bank of {words}"
         ):
             plan_bank_over_velocity(wish, ends)
     # It falls faster and faster, or climbs until the velocity no longer falls.

@@ -155,7 +155,7 @@ def test_a_note_of_slices_that_lies_is_refused(tmp_path):
         (("--slice", "4/3"), "such as 3/10"),
         (("--slice", "a/3"), "such as 3/10"),
         (("--slice", "1/6"), "have no 6 parts"),
-        (("--slice", "1/2", "--json"), "flies a part"),
+        (("--slice", "1/2", "--json"), "flies a share of the runs without a summary"),
     ],
 )
 def test_slices_that_there_are_not(command, words, message):

@@ -14,9 +14,9 @@ from helpers import (
     free_scenario,
     mars_entry,
     mars_scenario,
-    predictor_corrector,
     with_leaf,
 )
+from laws import predictor_corrector
 
 from jentry.campaign import Dispersion, monte_carlo
 from jentry.campaign.dispersions import add

@@ -241,11 +241,11 @@ def test_a_limit_that_is_exceeded_between_the_entries():
 
 
 REFUSED = {
-    "nothing to keep": (lambda: Constraint(low), "no value to keep"),
-    "two ways": (lambda: Constraint(low, equals=1.0, at_most=2.0), "to equal 1.0"),
+    "nothing to keep": (lambda: Constraint(low), "a constraint has no value"),
+    "two ways": (lambda: Constraint(low, equals=1.0, at_most=2.0), "must equal 1.0"),
     "turned round": (lambda: Constraint(low, at_least=2.0, at_most=1.0), "the smaller"),
     "not finite": (lambda: Constraint(low, at_most=np.nan), "at_most is nan"),
-    "zero": (lambda: Constraint(low, equals=0.0), "kept at 0"),
+    "zero": (lambda: Constraint(low, equals=0.0), "has the value 0"),
     "scale": (lambda: Constraint(low, equals=1.0, scale=-1.0), "scale is -1.0"),
     "no limit": (lambda: within_limits(cheap.scenario()), "has a limit"),
     "no history": (
@@ -290,7 +290,7 @@ REFUSED = {
             shorter,
             {"end": Constraint(lambda s, f: f.state.altitude, equals=ALTITUDE)},
         ),
-        "end does not depend on what is varied there",
+        "end must equal a value, but does not depend",
     ),
     "not to be met": (
         lambda: optimize(

@@ -88,11 +88,11 @@ def test_it_varies_and_what_it_keeps_does_not():
         duration = (UP + np.sqrt(UP**2 + 2.0 * gravity * HEIGHT)) / gravity
         np.testing.assert_allclose(time, duration, rtol=1e-9)
     with pytest.raises(
-        ValueError, match=r"heading has no effect .* FlatGround keeps it"
+        ValueError, match=r"heading has no effect .* FlatGround holds it"
     ):
         monte_carlo(scenario, inputs={"initial_state.heading": [1.0]})
     with pytest.raises(
-        ValueError, match=r"heading is 2 rad: FlatGround keeps it at 1;"
+        ValueError, match=r"heading is 114.592 deg: FlatGround holds it at 57.2958 deg;"
     ):
         fly(thrown(heading=2.0))
 

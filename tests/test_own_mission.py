@@ -18,13 +18,14 @@ import own_mission
 import pytest
 import xarray
 from helpers import fly_compiled
-from readme import README, file_of_the_readme
+from pages import README, ROOT
 
 import jentry
 from jentry.addresses import leaves_by_address
 from jentry.planning.flight_problem import AtEnd, FlightProblem, FreeControl
 
 
+LANDER = ROOT.joinpath("tests", "lander.py").read_text()
 HERE = Path(__file__).parent
 
 OWN = HERE / "own_mission.py"
@@ -342,19 +343,16 @@ def test_packages_that_do_not_fit_are_named_and_do_not_spoil_the_others(
     assert code == 0 and said.count("\n") == 4 and "mars-drag-tracking" in printed
 
 
-# The file of the README.
+# One file of a user.
 
 
 @pytest.fixture
 def lander(tmp_path):
-    (tmp_path / "my_lander.py").write_text(file_of_the_readme())
+    (tmp_path / "my_lander.py").write_text(LANDER)
     return tmp_path
 
 
-def test_the_law_of_the_readme_has_twenty_lines_and_flies(command, lander):
-    text = file_of_the_readme()
-    law = text[text.index("class ") : text.index("def scenario")].strip().splitlines()
-    assert len(law) <= 20
+def test_one_file_flies(command, lander):
     code, printed, _ = command("fly", "my_lander.py", "--set", "guidance.bank=80deg")
     assert code == 0 and "my-lander: reached the end of guided flight" in printed
     scenario = jentry.find_mission(lander / "my_lander.py").scenario()
@@ -362,15 +360,13 @@ def test_the_law_of_the_readme_has_twenty_lines_and_flies(command, lander):
 
 
 @pytest.mark.slow
-def test_all_commands_of_the_readme_in_processes_of_their_own(lander):
-    section = README[README.index("## A mission of your own") :]
-    lines = re.findall(r"^    (jentry .*my_lander.*)$", section, re.MULTILINE)
-    assert [line.split()[1] for line in lines] == [
-        "show",
-        "fly",
-        "monte-carlo",
-        "tune",
-        "sensitivity",
+def test_commands_in_processes_of_their_own(lander):
+    lines = [
+        "jentry show my_lander.py",
+        "jentry fly my_lander.py --set guidance.bank=80deg",
+        "jentry monte-carlo my_lander.py --runs 200",
+        "jentry tune my_lander.py --of downrange=1km",
+        "jentry sensitivity my_lander.py --wrt guidance",
     ]
     fewer = {
         name: ["--runs", "20", "--step", "1"] for name in ("monte-carlo", "sensitivity")
@@ -396,7 +392,7 @@ def test_all_commands_of_the_readme_in_processes_of_their_own(lander):
 
 @pytest.mark.skipif(shutil.which("pyright") is None, reason="pyright is not installed")
 @pytest.mark.slow
-def test_what_the_readme_prints_passes_pyright(lander):
+def test_the_example_of_the_readme_and_the_file_pass_pyright(lander):
     for number, block in enumerate(re.findall(r"```python\n(.*?)```", README, re.S)):
         if "import jentry\n" in block or "jax, jentry" in block:
             (lander / f"block_{number}.py").write_text(block)

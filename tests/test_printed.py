@@ -185,6 +185,6 @@ def test_covariance_says_of_which_flights_nothing_is_predicted(capsys):
     )
     print_covariance(cheap.scenario(), analysis, 0.1)
     printed = " ".join(capsys.readouterr().out.split())
-    assert "NOTHING is predicted of the flights that end by altitude, 12.5%" in printed
-    assert "NOTHING is predicted of the flights that end by skip_out, 3.0%" in printed
+    assert "NOTHING is predicted for the flights that end by altitude, 12.5%" in printed
+    assert "NOTHING is predicted for the flights that end by skip_out, 3.0%" in printed
     assert "left out" not in printed

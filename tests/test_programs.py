@@ -1,4 +1,4 @@
-"""Programs that are kept: found again by what they are made of, and by nothing less."""
+"""Cached programs: found again by what they are made of, and by nothing less."""
 
 import functools
 import gc
@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry import _math, _programs, _provenance, _setup
+from jentry import _math, _programs, _setup
+from jentry._provenance import program_keys
 
 
 SOURCE = """
@@ -104,11 +105,11 @@ def files(folder):
 X = np.linspace(0.1, 1.0, 7)
 
 
-def test_kept_and_found(folder, ours):
+def test_cached_and_found(folder, ours):
     x = jnp.asarray(X)
-    first = _programs.kept(ours.times)(x)
+    first = _programs.cached(ours.times)(x)
     assert len(files(folder)) == 1 and len(ours.TRACED) == 1
-    again = _programs.kept(ours.times)(x)
+    again = _programs.cached(ours.times)(x)
     assert len(files(folder)) == 1 and len(ours.TRACED) == 1
     for found in (first, again):
         assert list(found) == ["none", "said", "sum", "twice"] or set(found) == set(
@@ -122,17 +123,17 @@ def test_kept_and_found(folder, ours):
 def test_what_is_found_is_run(folder, ours):
     """A sine whose file holds a cosine: proof that the file is what counts."""
     x = jnp.asarray(X)
-    _programs.kept(ours.sine)(x)
+    _programs.cached(ours.sine)(x)
     (sine,) = files(folder)
-    _programs.kept(ours.cosine)(x)
+    _programs.cached(ours.cosine)(x)
     (cosine,) = set(files(folder)) - {sine}
     sine.write_bytes(cosine.read_bytes())
-    np.testing.assert_allclose(_programs.kept(ours.sine)(x), np.cos(X), rtol=1e-14)
+    np.testing.assert_allclose(_programs.cached(ours.sine)(x), np.cos(X), rtol=1e-14)
 
 
 def test_results_are_as_free_as_others(folder, ours):
     """Not tied to a device, nor to what was given: they go into the next program."""
-    out = _programs.kept(ours.times)(jnp.asarray(X))["twice"]
+    out = _programs.cached(ours.times)(jnp.asarray(X))["twice"]
     assert isinstance(out, jax.Array) and not out.committed
 
 
@@ -148,7 +149,7 @@ def test_results_are_as_free_as_others(folder, ours):
     ids=["shape", "dtype", "number", "type", "array"],
 )
 def test_another_program(folder, ours, given):
-    times = _programs.kept(ours.times)
+    times = _programs.cached(ours.times)
     arguments = given()
     times(jnp.asarray(X), *[2.0][: len(arguments) - 1])
     out = times(*arguments)
@@ -160,27 +161,27 @@ def test_another_program(folder, ours, given):
 
 def test_constant_changed_in_memory(folder, ours, monkeypatch):
     x = jnp.asarray(X)
-    np.testing.assert_array_equal(_programs.kept(ours.by_factor)(x), 3.0 * X)
+    np.testing.assert_array_equal(_programs.cached(ours.by_factor)(x), 3.0 * X)
     monkeypatch.setattr(ours, "FACTOR", 4.0)
-    np.testing.assert_array_equal(_programs.kept(ours.by_factor)(x), 4.0 * X)
+    np.testing.assert_array_equal(_programs.cached(ours.by_factor)(x), 4.0 * X)
     assert len(files(folder)) == 2
 
 
 def test_function_replaced_in_memory(folder, ours, monkeypatch):
     x = jnp.asarray(X)
-    _programs.kept(ours.sine)(x)
+    _programs.cached(ours.sine)(x)
     monkeypatch.setattr(_math, "sincos", lambda x: (x, x))
-    np.testing.assert_array_equal(_programs.kept(ours.sine)(x), X)
+    np.testing.assert_array_equal(_programs.cached(ours.sine)(x), X)
     assert len(files(folder)) == 1
 
 
 def test_method_replaced_in_memory(ours, monkeypatch):
-    made = _provenance.provenance("a program")
+    made = program_keys.key_of("a program")
     monkeypatch.setattr(ours.Law, "by", lambda self, x: 2.0 * x)
-    with pytest.raises(_provenance.Untold):
-        _provenance.provenance("a program")
+    with pytest.raises(program_keys.Unknown):
+        program_keys.key_of("a program")
     monkeypatch.undo()
-    assert made != _provenance.provenance("another")
+    assert made != program_keys.key_of("another")
 
 
 def test_a_module_comes_in_from_another_thread(monkeypatch):
@@ -195,11 +196,11 @@ def test_a_module_comes_in_from_another_thread(monkeypatch):
     gc.callbacks.append(imports)
     try:
         gc.set_threshold(1, 1_000_000, 1_000_000)  # the youngest objects alone
-        told = next(_provenance._in_memory())
+        told = next(program_keys._in_memory())
     finally:
         gc.set_threshold(*thresholds)
         gc.callbacks.remove(imports)
-    assert len(sys.modules) > count and told == next(_provenance._in_memory())
+    assert len(sys.modules) > count and told == next(program_keys._in_memory())
 
 
 def doubled(function):
@@ -243,15 +244,15 @@ def doubled(function):
 )
 def test_patches_are_seen(ours, monkeypatch, patch):
     """Another key, or none: never that of what is in the files."""
-    made = _provenance.provenance("a program")
+    made = program_keys.key_of("a program")
     thing, name, value = patch(ours)
     if isinstance(thing, dict):
         monkeypatch.setitem(thing, name, value)
     else:
         monkeypatch.setattr(thing, name, value)
     try:
-        assert _provenance.provenance("a program") != made
-    except _provenance.Untold:
+        assert program_keys.key_of("a program") != made
+    except program_keys.Unknown:
         pass
     monkeypatch.undo()
 
@@ -261,14 +262,14 @@ def test_what_was_patched_once_leaves_no_trace(folder, ours, monkeypatch):
     x = jnp.asarray(X)
     with monkeypatch.context() as patched:
         patched.setattr(_math, "_SINE", tuple(1.5 * c for c in _math._SINE))
-        wrong = _programs.kept(ours.sine)(x)
+        wrong = _programs.cached(ours.sine)(x)
     assert np.max(np.abs(wrong - np.sin(X))) > 1e-3
-    np.testing.assert_allclose(_programs.kept(ours.sine)(x), np.sin(X), rtol=1e-14)
+    np.testing.assert_allclose(_programs.cached(ours.sine)(x), np.sin(X), rtol=1e-14)
     assert len(files(folder)) == 2
 
 
 def test_settings_are_asked_every_time(folder, ours):
-    key, draw = jax.random.key(0), _programs.kept(ours.draw)
+    key, draw = jax.random.key(0), _programs.cached(ours.draw)
     expected = jax.random.uniform(key, (3,))
     np.testing.assert_array_equal(draw(key), expected)
     with jax.threefry_partitionable(not jax.config.jax_threefry_partitionable):
@@ -280,10 +281,10 @@ def test_settings_are_asked_every_time(folder, ours):
 
 def test_keys_and_weak_types_come_back_as_they_were(folder, ours):
     key = jax.random.key(1)
-    split = _programs.kept(ours.split)(key)
+    split = _programs.cached(ours.split)(key)
     assert jnp.all(jax.random.key_data(split) == jax.random.key_data(ours.split(key)))
     for x in (jnp.asarray(2.0), jnp.ones(3), jnp.asarray(1.5, jnp.float32)):
-        weak = _programs.kept(ours.weak)(x)
+        weak = _programs.cached(ours.weak)(x)
         for found, expected in zip(weak, jax.jit(ours.weak)(x), strict=True):
             assert found.weak_type == expected.weak_type
             assert found.dtype == expected.dtype
@@ -291,19 +292,19 @@ def test_keys_and_weak_types_come_back_as_they_were(folder, ours):
 
 
 def test_within_a_trace_without_a_tracer(folder, ours):
-    kept = _programs.kept(ours.by_factor)
+    cached = _programs.cached(ours.by_factor)
     x = jnp.asarray(X)
-    assert jax.eval_shape(lambda: kept(x)).shape == X.shape
-    np.testing.assert_array_equal(jax.jit(lambda: kept(x))(), 3.0 * X)
+    assert jax.eval_shape(lambda: cached(x)).shape == X.shape
+    np.testing.assert_array_equal(jax.jit(lambda: cached(x))(), 3.0 * X)
     assert not files(folder)
 
 
 def test_threads(folder, ours):
     """Many at once: the same result, one file, and warnings as they were."""
     before = list(warnings.filters)
-    kept = _programs.kept(ours.by_factor)
+    cached = _programs.cached(ours.by_factor)
     with ThreadPoolExecutor(8) as pool:
-        found = list(pool.map(lambda _: kept(jnp.asarray(X)), range(16)))
+        found = list(pool.map(lambda _: cached(jnp.asarray(X)), range(16)))
     for each in found:
         np.testing.assert_array_equal(each, 3.0 * X)
     assert len(files(folder)) == 1
@@ -311,62 +312,62 @@ def test_threads(folder, ours):
 
 
 def test_function_of_ours_in_the_place_of_another(ours, monkeypatch):
-    made = _provenance.provenance("a program")
+    made = program_keys.key_of("a program")
     monkeypatch.setattr(ours, "sine", ours.cosine)
-    assert _provenance.provenance("a program") != made
+    assert program_keys.key_of("a program") != made
 
 
 def test_file_changed_since_the_import(folder, ours, monkeypatch):
-    monkeypatch.setattr(_provenance, "_IMPORTED", 0.0)
+    monkeypatch.setattr(program_keys, "_IMPORTED", 0.0)
     np.testing.assert_array_equal(
-        _programs.kept(ours.by_factor)(jnp.asarray(X)), 3.0 * X
+        _programs.cached(ours.by_factor)(jnp.asarray(X)), 3.0 * X
     )
     assert not files(folder)
 
 
 def test_file_put_in_place_with_its_old_date(tmp_path, monkeypatch):
     """As `rsync -t` does: when it was written is long ago, and yet it is another."""
-    monkeypatch.setattr(_provenance, "_HERE", tmp_path)
-    monkeypatch.setattr(_provenance, "_IMPORTED", time.time() - 60.0)
+    monkeypatch.setattr(program_keys, "_HERE", tmp_path)
+    monkeypatch.setattr(program_keys, "_IMPORTED", time.time() - 60.0)
     (tmp_path / "a.py").write_text("x = 1")
     os.utime(tmp_path / "a.py", (0, 0))
-    with pytest.raises(_provenance.Untold):
-        _provenance.code_of_jentry()
+    with pytest.raises(program_keys.Unknown):
+        program_keys.code_of_jentry()
 
 
 def test_what_equinox_does_of_errors_counts(ours, monkeypatch):
-    made = _provenance.provenance("a program")
+    made = program_keys.key_of("a program")
     monkeypatch.setenv("EQX_ON_ERROR", "off")
-    assert made != _provenance.provenance("a program")
+    assert made != program_keys.key_of("a program")
 
 
 def test_source_and_settings_count(ours, monkeypatch):
-    made = _provenance.provenance("a program")
-    assert made == _provenance.provenance("a program")
+    made = program_keys.key_of("a program")
+    assert made == program_keys.key_of("a program")
     with jax.numpy_rank_promotion("allow"):
-        assert made != _provenance.provenance("a program")
-    monkeypatch.setattr(_provenance, "_versions", lambda: "jax 0")
-    assert made != _provenance.provenance("a program")
+        assert made != program_keys.key_of("a program")
+    monkeypatch.setattr(program_keys, "_versions", lambda: "jax 0")
+    assert made != program_keys.key_of("a program")
     monkeypatch.undo()
     with monkeypatch.context() as patched:
         patched.setattr(jax, "devices", lambda: 3 * [None])
-        assert made != _provenance.provenance("a program")
-    monkeypatch.setattr(_provenance, "_digest_of_files", lambda files: "other")
-    assert made != _provenance.provenance("a program")
+        assert made != program_keys.key_of("a program")
+    monkeypatch.setattr(program_keys, "_digest_of_files", lambda files: "other")
+    assert made != program_keys.key_of("a program")
 
 
 def test_every_file_counts(tmp_path, monkeypatch):
     """One more letter in one of them, or another name for it."""
-    monkeypatch.setattr(_provenance, "_HERE", tmp_path)
-    monkeypatch.setattr(_provenance, "_IMPORTED", float("inf"))
+    monkeypatch.setattr(program_keys, "_HERE", tmp_path)
+    monkeypatch.setattr(program_keys, "_IMPORTED", float("inf"))
     digests = set()
     for name, text in [("a.py", "x = 1"), ("a.py", "x = 2"), ("b.py", "x = 2")]:
         for old in tmp_path.iterdir():
             old.unlink()
         (tmp_path / name).write_text(text)
-        _provenance._digest_of_files.cache_clear()
-        digests.add(_provenance.code_of_jentry())
-    _provenance._digest_of_files.cache_clear()
+        program_keys._digest_of_files.cache_clear()
+        digests.add(program_keys.code_of_jentry())
+    program_keys._digest_of_files.cache_clear()
     assert len(digests) == 3
 
 
@@ -381,8 +382,8 @@ def mine(x):
 @pytest.mark.parametrize(
     "of_my_own", [lambda x: 2.0 * x, mine], ids=["lambda", "function"]
 )
-def test_functions_of_the_users_own_are_not_kept(folder, of_my_own):
-    out = _programs.kept(of_my_own)(jnp.asarray(X))
+def test_functions_of_the_users_own_are_not_cached(folder, of_my_own):
+    out = _programs.cached(of_my_own)(jnp.asarray(X))
     np.testing.assert_array_equal(out, 2.0 * X)
     assert not files(folder)
 
@@ -394,18 +395,18 @@ def test_functions_of_the_users_own_are_not_kept(folder, of_my_own):
 )
 def test_what_cannot_be_told(given):
     leaves, structure = jax.tree.flatten(((given,), {}))
-    with pytest.raises(_provenance.Untold):
-        _provenance.made_of(_math.horner, leaves, structure)
+    with pytest.raises(program_keys.Unknown):
+        program_keys.description_of(_math.horner, leaves, structure)
 
 
 def test_arrays_on_a_device_of_their_own(folder, ours):
     x = jax.device_put(jnp.asarray(X), jax.devices()[0])
-    np.testing.assert_array_equal(_programs.kept(ours.by_factor)(x), 3.0 * X)
+    np.testing.assert_array_equal(_programs.cached(ours.by_factor)(x), 3.0 * X)
     assert not files(folder)
 
 
 def test_inside_of_other_functions(folder, ours):
-    sine = _programs.kept(ours.sine)
+    sine = _programs.cached(ours.sine)
     x = jnp.asarray(X)
     np.testing.assert_allclose(jax.jit(sine)(x), np.sin(X), rtol=1e-14)
     np.testing.assert_allclose(
@@ -416,22 +417,22 @@ def test_inside_of_other_functions(folder, ours):
 
 def test_where_jax_looks_on(folder, ours):
     with jax.debug_nans(True), pytest.raises(FloatingPointError):
-        _programs.kept(ours.by_factor)(jnp.asarray([np.nan]))
+        _programs.cached(ours.by_factor)(jnp.asarray([np.nan]))
     with jax.disable_jit():
-        _programs.kept(ours.sine)(jnp.asarray(X))
+        _programs.cached(ours.sine)(jnp.asarray(X))
     assert not files(folder)
 
 
-def test_what_warns_is_not_kept(folder, ours):
+def test_what_warns_is_not_cached(folder, ours):
     """It would be said in the first process, and in no other."""
     with pytest.warns(UserWarning, match="of this"):
-        _programs.kept(ours.warns)(jnp.asarray(X))
+        _programs.cached(ours.warns)(jnp.asarray(X))
     assert not files(folder)
 
 
 def test_errors_are_the_functions_own(folder, ours):
     with pytest.raises(ValueError, match="x is what it is"):
-        _programs.kept(ours.fails)(jnp.asarray(X))
+        _programs.cached(ours.fails)(jnp.asarray(X))
     assert not files(folder)
 
 
@@ -447,38 +448,38 @@ def test_errors_are_the_functions_own(folder, ours):
 )
 def test_damaged_file(folder, ours, harm):
     x = jnp.asarray(X)
-    _programs.kept(ours.by_factor)(x)
+    _programs.cached(ours.by_factor)(x)
     (file,) = files(folder)
     sound = file.read_bytes()
     file.write_bytes(harm(sound))
-    np.testing.assert_array_equal(_programs.kept(ours.by_factor)(x), 3.0 * X)
+    np.testing.assert_array_equal(_programs.cached(ours.by_factor)(x), 3.0 * X)
     assert len(ours.TRACED) == 2
-    np.testing.assert_array_equal(_programs.kept(ours.by_factor)(x), 3.0 * X)
+    np.testing.assert_array_equal(_programs.cached(ours.by_factor)(x), 3.0 * X)
     assert len(ours.TRACED) == 2
 
 
 def test_folder_that_cannot_be(folder, ours):
     folder.write_text("a file in its place")
     np.testing.assert_array_equal(
-        _programs.kept(ours.by_factor)(jnp.asarray(X)), 3.0 * X
+        _programs.cached(ours.by_factor)(jnp.asarray(X)), 3.0 * X
     )
 
 
 def test_what_nobody_asks_for_is_removed(folder, ours):
     x = jnp.asarray(X)
-    _programs.kept(ours.sine)(x)
-    _programs.kept(ours.cosine)(x)
+    _programs.cached(ours.sine)(x)
+    _programs.cached(ours.cosine)(x)
     old, young = sorted(files(folder), key=lambda file: "cosine" in file.name)
     for file in (old, young):
         os.utime(file, (time.time() - 61 * 86400,) * 2)
-    _programs.kept(ours.cosine)(x)  # asked for: young again
-    _programs.kept(ours.times)(x)
+    _programs.cached(ours.cosine)(x)  # asked for: young again
+    _programs.cached(ours.times)(x)
     assert not old.exists() and young.exists() and len(files(folder)) == 2
 
 
 def test_nowhere_before_setup(ours):
     assert _setup.programs_directory() is None
-    _programs.kept(ours.by_factor)(jnp.asarray(X))
+    _programs.cached(ours.by_factor)(jnp.asarray(X))
 
 
 CAMPAIGN = """
@@ -508,8 +509,8 @@ def test_next_process_traces_no_flight(tmp_path):
             command, env=environment, capture_output=True, text=True, check=True
         )
         spent.append(float(done.stdout))
-    kept = [file.name.split("-")[0] for file in files(tmp_path / "cache" / "programs")]
-    assert sorted(kept) == ["mapped", "plan"]
+    names = [file.name.split("-")[0] for file in files(tmp_path / "cache" / "programs")]
+    assert sorted(names) == ["mapped", "plan"]
     first, second = (np.load(tmp_path / f"{run}.npy") for run in range(2))
     np.testing.assert_array_equal(first, second)
     assert spent[1] < 0.2 * spent[0]

@@ -8,17 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import (
-    ANGLES,
-    MACHS,
     ahead,
-    all_gravities,
     fly_compiled,
     free_scenario,
     mars_entry,
     mars_planet,
     mars_vehicle,
-    tabulated_aerodynamics,
 )
+from worlds import ANGLES, MACHS, all_gravities, tabulated_aerodynamics
 
 from jentry.flight import FixedStep, Termination
 from jentry.guidance import BankProfile

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import fly_compiled, mars_scenario, with_leaf
-from readme import assert_says
+from pages import assert_says
 
 from jentry.analysis import linear_covariance, sensitivity
 from jentry.campaign import Constant, Dispersion, Normal, Uniform, add, monte_carlo

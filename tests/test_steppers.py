@@ -198,7 +198,7 @@ def test_a_gradient_of_zero_is_nothing_to_a_descent_with_fresh_draws():
     ],
 )
 def test_a_solver_that_looks_elsewhere_is_refused(optimizer):
-    with pytest.raises(ValueError, match="does not look at one point at a time"):
+    with pytest.raises(ValueError, match="does not evaluate one point at a time"):
         Solver(optimizer).init(START, evaluate(START))
 
 

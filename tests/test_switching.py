@@ -7,15 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import (
-    ConstantBank,
-    error_gains,
-    mars_planet,
-    mars_scenario,
-    mars_vehicle,
-    observer_law,
-    state_feedback,
-)
+from helpers import ConstantBank, mars_planet, mars_scenario, mars_vehicle
+from laws import error_gains, observer_law, state_feedback
 from scipy import integrate, special
 
 from jentry.addresses import field_metadata, leaves_by_address

@@ -1,19 +1,17 @@
 """What a tuning run stores comes back to the last bit, or is refused."""
 
-import functools
 import gc
 import json
 import pickle
 from pathlib import Path
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
 
-from jentry.tuning.record import CourseFile, Entry, restored, told
+from jentry.tuning.record import CourseFile, Entry, restored
 
 
 RNG = np.random.default_rng(20261121)
@@ -115,28 +113,6 @@ def test_random_keys_of_a_state_are_stored(tmp_path):
     read = restored(state(optimizer), read_record(path, DESCRIPTION)[2])
     data = [jax.random.key_data(s.rng_key) for s in (read, after)]
     np.testing.assert_array_equal(*data)
-
-
-class Plain(eqx.Module):
-    function: object = eqx.field(static=True)
-    numbers: jax.Array
-
-
-def some_function():
-    pass
-
-
-def test_what_is_told_of_a_loss():
-    """Functions by their names, modules and what they are made of by their fields."""
-    thing = Plain(functools.partial(some_function, 0.05), jnp.arange(2.0))
-    name = f"{__name__}.some_function"
-    assert told(thing) == {
-        "type": "Plain",
-        "function": [name, [0.05], {}],
-        "numbers": [0.0, 1.0],
-    }
-    assert told(lambda: 0).endswith("<lambda>")
-    assert told(optax.adam(0.1)) == "GradientTransformationExtraArgs"
 
 
 def test_a_state_without_numbers_and_a_single_point(tmp_path):

@@ -18,6 +18,8 @@ from jentry.missions import ALL
 
 
 LAW = """
+import enum
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -33,8 +35,12 @@ NEAR = {"one", "two", "three"}
 OTHER = 7.0
 
 
+class Side(enum.Enum):
+    LEFT = 0.25
+
+
 def bank_of(drag):  # by a helper
-    return GAIN * TABLE[0] * their_helpers.shifted(drag) * len(NEAR)
+    return Side.LEFT.value * GAIN * TABLE[0] * their_helpers.shifted(drag) * len(NEAR)
 
 
 class Base(AbstractContinuousLaw[None]):
@@ -72,6 +78,11 @@ CHANGES = {
     "a number": ("GAIN = 0.1", "GAIN = 0.2", "their_law.GAIN"),
     "an array": ("array([1.0, 2.0])", "array([1.0, 3.0])", "their_law.TABLE"),
     "a set": ('"one", "two"', '"one", "four"', "their_law.NEAR"),
+    "a member of an enumeration": (
+        "LEFT = 0.25",
+        "LEFT = 0.5",
+        "their_law.Side.LEFT",
+    ),
     "a function": ("GAIN * TABLE[0]", "GAIN / TABLE[0]", "their_law.bank_of"),
     "a constant": ("limit = 1.5", "limit = 1.6", "their_law.Law.limit"),
     "a method": ("jnp.minimum", "jnp.maximum", "their_law.Law.__call__"),

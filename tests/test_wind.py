@@ -6,15 +6,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import (
+from helpers import fly_compiled, over
+from scipy.interpolate import PchipInterpolator
+from worlds import (
     EAST_WIND as EAST,
     NORTH_WIND as NORTH,
     WIND_ALTITUDES as ALTITUDES,
     all_winds,
-    fly_compiled,
-    over,
 )
-from scipy.interpolate import PchipInterpolator
 
 from jentry.addresses import replace_leaves
 from jentry.campaign import Dispersion, Uniform, monte_carlo, multiply

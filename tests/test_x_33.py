@@ -15,7 +15,7 @@ import pytest
 from first_sets import small_batches
 from helpers import fly_batch
 from optimistix import LBFGS
-from readme import assert_prints, rows
+from pages import assert_same, published
 
 from jentry import monte_carlo
 from jentry.flight import FixedStep, Outcome, misses
@@ -149,24 +149,29 @@ def test_table_2(variant):
 
 
 @pytest.mark.slow
-def test_readme():
-    """Its table, to the last digit; the paper's beside it."""
+def test_the_published_table():
+    """As it is saved, to the last digit that is printed; the paper's beside it."""
     closed, _, _ = flown("tracking")
     ranged, _, _ = flown("with-range")
     free, _, _ = flown("open-loop")
-    for n, cells in enumerate(rows("| case | altitude")):
-        _, altitude, velocity, path, far, open_loop, fourth = cells
-        k, printed = n + 1, TABLE_2[n]
-        assert_prints(altitude, closed.altitude[k], printed.altitude)
-        assert_prints(velocity, closed.velocity[k], printed.velocity)
-        angles = (
-            closed.flight_path_angle[k] / degree,
-            printed.flight_path_angle / degree,
-        )
-        assert_prints(path, *angles)
-        assert_prints(far, closed.downrange[k] / km, printed.downrange / km)
-        assert_prints(open_loop, free.downrange[k] / km, TABLE_1[n].downrange / km)
-        assert_prints(fourth, ranged.downrange[k] / km)
+    saved = published("x-33 cases")
+    for n, name in enumerate(MISSION.cases):
+        printed, first = TABLE_2[n], TABLE_1[n].downrange
+        for column, value, paper in (
+            ("altitude, m", closed.altitude, printed.altitude),
+            ("velocity, m/s", closed.velocity, printed.velocity),
+            (
+                "path angle, deg",
+                closed.flight_path_angle / degree,
+                printed.flight_path_angle / degree,
+            ),
+            ("range, km", closed.downrange / km, printed.downrange / km),
+            ("range without feedback, km", free.downrange / km, first / km),
+            ("range as a fourth state, km", ranged.downrange / km, None),
+        ):
+            cell = saved[name, column]
+            assert_same(cell, value[n + 1])
+            assert cell.published == (paper and pytest.approx(paper))
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ A part has a label, its name within the object. The label is None where the part
 of its own, as the function of a `functools.partial`.
 """
 
+import enum
 import functools
 import hashlib
 import types
@@ -43,6 +44,8 @@ def held_by(x: Any) -> Parts:
             yield from ((f"{key}", value) for key, value in x.items())
         case list() | tuple() | set() | frozenset():
             yield from ((None, member) for member in x)
+        case enum.Enum():
+            yield None, x.value
         case functools.partial():
             yield from ((None, part) for part in (x.func, x.args, x.keywords))
         case property():

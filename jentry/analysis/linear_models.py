@@ -1,4 +1,4 @@
-"""Linear models of a flight in its draws: from exact derivatives, or from mean differences.
+"""Linear models of a flight in its draws, by exact derivatives or by mean differences.
 
 With a guidance cycle the errors at the end are a sawtooth function of the draws, because
 the phase of the last cycle depends on them. The exact derivative is that of one tooth, and

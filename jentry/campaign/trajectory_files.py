@@ -17,7 +17,7 @@ from ..flight.flight import Flight
 from ..flight.miss import misses
 from ..flight.scenario import Scenario
 from ..motion.state import EntryState
-from ..units import degree
+from ..units import at_edge
 from .campaign import Campaign
 from .outputs import at_end
 from .results import dataset
@@ -161,14 +161,16 @@ def trajectory_table(results: "xarray.Dataset") -> "pandas.DataFrame":
     names = {"run": "run", "time": "time [s]"}
     for name, variable in columns.items():
         unit = variable.attrs["units"]
-        if unit == "rad":
-            whole[name] /= degree
-            unit = "deg"
+        if unit == ANGLE:
+            whole[name], unit = at_edge(whole[name], unit)
         names[name] = f"{name} [{unit}]"
     return whole.rename(columns=names)
 
 
 _BOTH = "run", "time"
+
+ANGLE = units_of(EntryState)["heading"]
+"""SI unit of an angle"""
 
 
 class _Path(NamedTuple):
@@ -178,9 +180,9 @@ class _Path(NamedTuple):
     time: np.ndarray
     """s from its start"""
     longitude: np.ndarray
-    """deg, from -180 to 180"""
+    """Degrees, from -180 to 180"""
     latitude: np.ndarray
-    """deg"""
+    """Degrees"""
     altitude: np.ndarray
     """m"""
 

@@ -1,0 +1,17 @@
+"""Truths and vehicles of the cases of other authors, shared by test files."""
+
+from helpers import truths
+
+from jentry.flight import Target
+from jentry.world import ConstantAerodynamics, Vehicle
+
+
+CLOSED = truths("closed_forms.csv")
+
+NOWHERE = Target(0.0, 1.0, 0.0)
+
+
+def ballistic_vehicle(ballistic_coefficient, lift_to_drag=0.0):
+    """Drag coefficient and area one, so that the mass is the ballistic coefficient."""
+    aerodynamics = ConstantAerodynamics(lift_to_drag, 1.0)
+    return Vehicle(ballistic_coefficient, 1.0, aerodynamics=aerodynamics)

@@ -1,0 +1,123 @@
+"""`fly` refuses numbers and options that cannot be flown."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import bank_profile, free_scenario, mars_scenario, with_leaf
+from laws import all_laws
+
+from jentry.flight import (
+    AltitudeBelow,
+    FixedStep,
+    Outcome,
+    Termination,
+    VelocityBelow,
+    check,
+    fly,
+)
+from jentry.guidance import Sampled
+
+
+def sampled_scenario():
+    return mars_scenario(Sampled(bank_profile(), 1.0))
+
+
+@pytest.mark.parametrize(
+    ("where", "value", "message"),
+    [
+        (lambda s: s.vehicle.mass, 0.0, "vehicle.mass is 0 kg"),
+        (lambda s: s.vehicle.mass, -5.0, "vehicle.mass is -5 kg"),
+        (lambda s: s.planet.density_scale, np.nan, "planet.density_scale is nan"),
+        (lambda s: s.initial_state.velocity, np.inf, "initial_state.velocity is inf"),
+        (lambda s: s.guidance.bank_angle, np.nan, "guidance.bank_angle is nan"),
+        (
+            lambda s: s.termination.conditions["velocity"].velocity,
+            -1.0,
+            "termination.conditions.velocity.velocity is -1 m/s",
+        ),
+    ],
+)
+def test_numbers_that_cannot_be_flown_are_refused(where, value, message):
+    scenario = with_leaf(free_scenario(), where, value)
+    with pytest.raises(ValueError, match=message):
+        check(scenario)
+    with pytest.raises(ValueError, match=message):
+        fly(scenario)
+
+
+def test_a_good_scenario_is_not_refused():
+    check(free_scenario())
+    check(mars_scenario())
+
+
+@pytest.mark.parametrize("law", ["state feedback", "observer", "sampled observer"])
+def test_planned_laws_are_not_refused(law, reference):
+    check(mars_scenario(all_laws[law](reference)))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: FixedStep(-0.1), "step is -0.1 s"),
+        (lambda: FixedStep(0.0), "step is 0.0 s"),
+        (lambda: Sampled(bank_profile(), 0.0), "period is 0.0 s"),
+        (lambda: Termination({}, -1.0), "time_limit is -1.0 s"),
+        (lambda: fly(mars_scenario(), history=0.0), "history is 0.0 s"),
+        (lambda: fly(mars_scenario(), history=-1.0), "history is -1.0 s"),
+        (
+            lambda: fly(sampled_scenario(), history=0.3),
+            "history is 0.3 s and the guidance period 1.0 s",
+        ),
+        (
+            lambda: fly(sampled_scenario(), history=1.5),
+            "history is 1.5 s and the guidance period 1.0 s",
+        ),
+    ],
+)
+def test_options_that_cannot_be_meant_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_names_and_outcomes_of_end_conditions_go_together():
+    ends = {"b": VelocityBelow(1.0), "a": AltitudeBelow(2.0, outcome=Outcome.CRASHED)}
+    termination = Termination(ends, 5.0)
+    assert termination.names == ("a", "b", "time_limit")
+    assert termination.outcomes == (
+        Outcome.CRASHED,
+        Outcome.REACHED,
+        Outcome.TIMED_OUT,
+    )
+    assert all(outcome.message for outcome in Outcome)
+
+
+_IN_FLOAT32 = """
+import warnings
+import jax
+from helpers import mars_scenario
+from jentry.flight import fly
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    jax.eval_shape(fly, mars_scenario())
+assert any("float64 is off" in str(w.message) for w in caught), caught
+"""
+
+
+@pytest.mark.slow
+def test_fly_warns_without_float64():
+    """In a fresh process, where nothing has set it."""
+    here = Path(__file__).parent
+    run = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            f"import sys; sys.path.append({str(here)!r})" + _IN_FLOAT32,
+        ],
+        capture_output=True,
+        text=True,
+        cwd=here.parent,
+    )
+    assert run.returncode == 0, run.stderr
