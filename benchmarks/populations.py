@@ -274,13 +274,13 @@ ROWS = {
         ("predictor-corrector-network", "independent"),
     ),
     "sx-2": tuple(
-        (choice, reading)
-        for reading in ("initial-errors", "air-and-vehicle")
+        (choice, dispersions)
+        for dispersions in ("initial-errors", "air-and-vehicle")
         for choice in ("full", "predictor-corrector")
     ),
     "x-33": tuple(
-        (choice, reading)
-        for reading in ("initial-errors", "air-and-vehicle")
+        (choice, dispersions)
+        for dispersions in ("initial-errors", "air-and-vehicle")
         for choice in (
             "with-range",
             "predictor-corrector",
@@ -401,12 +401,12 @@ def first_runs_of(results):
     return first
 
 
-def flown(mission: str, choice: str, reading: str, runs: int, seed: int, out: Path):
+def flown(mission: str, choice: str, dispersions: str, runs: int, seed: int, out: Path):
     """The stored campaign, of which what is missing is flown."""
     chosen = find_mission(mission)
-    folder = out / f"{mission}-{Choice.of(choice).folder}-{reading}-{seed}"
+    folder = out / f"{mission}-{Choice.of(choice).folder}-{dispersions}-{seed}"
     labels = {"mission": mission, **Choice.of(choice).labels}
-    table = chosen.dispersion_table(reading)
+    table = chosen.dispersion_table(dispersions)
     run_campaign(folder, chosen.scenario_of(choice), table, seed, runs, **labels)
     return open_campaign(folder, runs)
 
@@ -431,25 +431,25 @@ def main() -> None:
     print(f"{mission}: {options.sets} sets, seed {options.seed}; mean over the sets")
     print("± standard deviation of a set; of maxima also median, largest")
     rows, headings, today = {}, None, datetime.date.today().isoformat()
-    for choice, reading in ROWS[mission]:
+    for choice, dispersions in ROWS[mission]:
         if options.only and choice not in options.only:
             continue
         size = runs_of(mission, choice)
         runs = options.sets * size
-        results = flown(mission, choice, reading, runs, options.seed, options.out)
+        results = flown(mission, choice, dispersions, runs, options.seed, options.out)
         cells = {}
         first, sets = first_runs_of(results), sets_of(results, size)
         for heading, statistic in statistics_of(mission, choice).items():
             ours = population(statistic, sets)
             found = Statistic(float(statistic(first)), ours.values, today)
-            rows[choice, reading, heading] = found
+            rows[choice, dispersions, heading] = found
             cells[heading] = f"{ours.mean:.3g} ± {ours.spread:.2g}"
             if "maximum" in heading:
                 middle, largest = np.median(ours.values), np.max(ours.values)
                 cells[heading] += f"; {middle:.3g}, {largest:.3g}"
         cells["reached"] = str(np.sum(results["outcome"].values == Outcome.REACHED))
         cells["left out"] = str(runs - finite_flights(results).sizes["run"])
-        told = {"flown": choice, "dispersions": reading, "runs": str(size)} | cells
+        told = {"flown": choice, "dispersions": dispersions, "runs": str(size)} | cells
         if told.keys() != headings:
             headings = told.keys()
             print("| " + " | ".join(headings) + " |")

@@ -58,8 +58,8 @@ def main() -> None:
         table = mission.dispersion_table()
         scenarios = {choice: mission.scenario_of(choice) for choice in CHOICES[name]}
         for choice, scenario in list(scenarios.items()):
-            if getattr(scenario.guidance, "foresees_limits", False):
-                law = dataclasses.replace(scenario.guidance, foresees_limits=False)
+            if getattr(scenario.guidance, "predicts_limits", False):
+                law = dataclasses.replace(scenario.guidance, predicts_limits=False)
                 blind = dataclasses.replace(scenario, guidance=law)
                 scenarios[f"{choice}, limits not foreseen"] = blind
         programs = {

@@ -235,5 +235,5 @@ from .world import (
     USStandardAtmosphere1976 as USStandardAtmosphere1976,
     Vehicle as Vehicle,
     read_ensemble as read_ensemble,
-    without_zero_departures as without_zero_departures,
+    without_zero_perturbations as without_zero_perturbations,
 )

@@ -11,8 +11,8 @@ from scipy.optimize import lsq_linear
 
 from jentry.guidance import (
     ConstantBankShape,
-    GivenBankShape,
     LinearBankShape,
+    PrescribedBankShape,
     TwoEndedBankShape,
 )
 from jentry.guidance.bounded_step import least_squares_step
@@ -58,7 +58,7 @@ def test_both_ends_of_a_bank_are_free():
     ("share", "cosine"), [(0.0, 0.6), (1.0, 1.0), (0.5, 0.8), (-1.0, -0.2), (-0.5, 0.2)]
 )
 def test_given_bank_is_moved_to_either_side(share, cosine):
-    shape = GivenBankShape(PolynomialProfile([0.6]), lowest=-0.2)
+    shape = PrescribedBankShape(PolynomialProfile([0.6]), lowest=-0.2)
     found = shape.cos_bank(jnp.array([share]), number(1.0), number(0.0))
     assert float(found) == pytest.approx(cosine, abs=1e-15)
 

@@ -30,7 +30,7 @@ from jentry.world import (
     TabulatedAtmosphere,
     TabulatedWind,
     smoothed,
-    without_zero_departures,
+    without_zero_perturbations,
 )
 from jentry.world.tabulated import beyond_edges, tables_in
 
@@ -278,7 +278,7 @@ def test_a_name_does_not_depend_on_whether_air_departs(trend):
     calm = free_scenario().planet.wind
     given = tabulated(air=departs, wind=calm)
     shapes = eqx.filter_eval_shape(
-        fly, without_zero_departures(checked(given)), cheap.SOLVER
+        fly, without_zero_perturbations(checked(given)), cheap.SOLVER
     )
     assert list(shapes.caveats) == caveat_names(given)
     assert AIR in shapes.caveats

@@ -241,7 +241,7 @@ def test_a_step_of_newton_is_exact_for_a_line_and_limited():
     control = NewtonAdjustment(2650.0, Linear())
     assert adjusted(control, situation()) == pytest.approx(0.767, rel=1e-13)
     # Towards less: the prediction is too fast by 250 m/s, a third of the room is 0.225.
-    slower = dataclasses.replace(control, wanted_velocity=2350.0)
+    slower = dataclasses.replace(control, target_velocity=2350.0)
     assert adjusted(slower, situation()) == pytest.approx(0.717 - 0.225, rel=1e-13)
     twice = dataclasses.replace(slower, iterations=2)
     assert adjusted(twice, situation()) == pytest.approx(0.717 - 0.25, rel=1e-13)

@@ -160,7 +160,7 @@ def test_dispersions_of_a_reading_or_of_a_file_alone(command, tmp_path):
     read = ("--dispersions", "mass-only")
     for name, words, least, most in (
         ("file", ("--config", config), 900.0, 901.0),
-        ("reading", read, 0.95 * 992.0, 1.05 * 992.0),
+        ("base", read, 0.95 * 992.0, 1.05 * 992.0),
     ):
         out = tmp_path / name
         assert monte_carlo(command, "--runs", 2, "--out", out, *words)[0] == 0

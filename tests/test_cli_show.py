@@ -36,7 +36,7 @@ def test_show_what_is_dispersed_by_each_reading(command, tmp_path):
     assert "dispersions: mass-only" in printed and "│ density " not in printed
     config = tmp_path / "overrides.toml"
     config.write_text(
-        '[dispersions]\nreading = "mass-only"\n[dispersions.nose]\n'
+        '[dispersions]\nbase = "mass-only"\n[dispersions.nose]\n'
         'address = "vehicle.nose_radius"\ndistribution = "normal"\n'
         "mean = 1\nstandard_deviation = 0.1"
     )

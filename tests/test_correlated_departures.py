@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry.onboard.profile_estimation import Departure
+from jentry.onboard.profile_estimation import FactorPrior
 from jentry.units import km
 
 
@@ -19,7 +19,7 @@ def test_correlation_goes_with_the_distance(length):
     left out of it is 1e-4, and what the turns add at no distance.
     """
     low, high, deviation = 10 * km, 60 * km, 0.04
-    departure = Departure.correlated(length, deviation, low, high, constant=0.0)
+    departure = FactorPrior.correlated(length, deviation, low, high, constant=0.0)
     heights = np.linspace(low, high, 26)
     rows = np.asarray(jax.jit(jax.vmap(departure.basis))(jnp.asarray(heights)))
     found = rows @ rows.T / deviation**2
@@ -40,7 +40,7 @@ def test_correlation_goes_with_the_distance(length):
 
 def test_constant_and_slope_come_beside_the_correlation():
     plain, more = (
-        Departure.correlated(5 * km, 0.04, 10 * km, 60 * km, constant=c, slope=s)
+        FactorPrior.correlated(5 * km, 0.04, 10 * km, 60 * km, constant=c, slope=s)
         for c, s in ((0.0, 0.0), (0.07, 3e-6))
     )
     pair = jnp.array([22 * km, 51 * km])
@@ -54,7 +54,7 @@ def test_constant_and_slope_come_beside_the_correlation():
 @pytest.mark.parametrize("length", [0.0, -3e3, 10.1e3, 50e3, math.inf, math.nan])
 def test_a_length_that_is_none_is_refused(length):
     with pytest.raises(ValueError, match=f"length is {length} m, and the altitudes"):
-        Departure.correlated(length, 0.04, 10e3, 60e3)
+        FactorPrior.correlated(length, 0.04, 10e3, 60e3)
 
 
 @pytest.mark.parametrize(
@@ -68,9 +68,9 @@ def test_a_length_that_is_none_is_refused(length):
 )
 def test_a_correlation_of_no_numbers_is_refused(deviation, high, said):
     with pytest.raises(ValueError, match=said):
-        Departure.correlated(3e3, deviation, 10e3, high)
+        FactorPrior.correlated(3e3, deviation, 10e3, high)
 
 
 def test_waves_without_one_amplitude_each_are_refused():
     with pytest.raises(ValueError, match=r"have the shapes \(2,\) and \(3,\)"):
-        Departure([1e4, 2e4], [0.1, 0.1, 0.1])
+        FactorPrior([1e4, 2e4], [0.1, 0.1, 0.1])

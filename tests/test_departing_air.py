@@ -28,7 +28,7 @@ from jentry.world import (
     USStandardAtmosphere1976,
     Vehicle,
     smoothed,
-    without_zero_departures,
+    without_zero_perturbations,
 )
 
 
@@ -65,13 +65,13 @@ AT_REST = PerturbedAtmosphere(
 
 
 def test_air_whose_departures_are_zero_is_the_undisturbed_one():
-    assert without_zero_departures({"air": AT_REST}) == {"air": AT_REST.undisturbed}
+    assert without_zero_perturbations({"air": AT_REST}) == {"air": AT_REST.undisturbed}
     level = eqx.tree_at(lambda a: (a.share_low, a.share_high), AT_REST, (0.0, 0.0))
     level = eqx.tree_at(lambda a: a.trend, level, jnp.asarray(2.0))
-    assert without_zero_departures(level) == AT_REST.undisturbed
+    assert without_zero_perturbations(level) == AT_REST.undisturbed
     for share in (lambda a: a.share_low, lambda a: a.share_high):
         trend = eqx.tree_at(share, level, jnp.asarray(0.1))
-        assert isinstance(without_zero_departures(trend), PerturbedAtmosphere)
+        assert isinstance(without_zero_perturbations(trend), PerturbedAtmosphere)
 
 
 @pytest.mark.parametrize(
@@ -85,7 +85,7 @@ def test_air_whose_departures_are_zero_is_the_undisturbed_one():
 )
 def test_what_departs_stays(departs, kept):
     air = eqx.tree_at(departs, AT_REST, jnp.asarray(0.02))
-    spared = without_zero_departures(air)
+    spared = without_zero_perturbations(air)
     assert isinstance(spared, PerturbedAtmosphere)
     assert (len(spared.waves), len(spared.ground_waves)) == kept
     for altitude in (10e3, 47e3, 95e3):
@@ -99,14 +99,14 @@ def test_what_is_not_known_yet_or_is_varied_stays():
     @jax.jit
     def look(amplitude):
         air = eqx.tree_at(lambda a: a.waves[1].amplitude, AT_REST, amplitude)
-        seen.append(len(without_zero_departures(air).waves))
+        seen.append(len(without_zero_perturbations(air).waves))
         return amplitude
 
     look(jnp.asarray(0.0))
     assert seen == [2]
     tree = {"air": AT_REST, "aircraft": jnp.asarray(1.0)}
     spared = [
-        without_zero_departures(tree, [address])["air"] is not AT_REST
+        without_zero_perturbations(tree, [address])["air"] is not AT_REST
         for address in ("air.waves.1.phase", "air.undisturbed.scale_height", "aircraft")
     ]
     assert spared == [False, False, True]
@@ -135,18 +135,18 @@ class DenserAir(PerturbedAtmosphere):
 )
 def test_what_departs_by_more_than_its_amplitude_stays(air):
     altitude = jnp.asarray(40e3)
-    spared = without_zero_departures(air)
+    spared = without_zero_perturbations(air)
     ratio = spared.density(altitude) / AT_REST.undisturbed.density(altitude)
     assert float(ratio) == pytest.approx(1.5, rel=1e-12)
 
 
 def test_air_within_air():
     within = dataclasses.replace(AT_REST, undisturbed=AT_REST)
-    assert without_zero_departures(within) == AT_REST.undisturbed
+    assert without_zero_perturbations(within) == AT_REST.undisturbed
     departing = eqx.tree_at(lambda a: a.trend, within, jnp.asarray(0.1))
-    spared = without_zero_departures(departing)
+    spared = without_zero_perturbations(departing)
     assert spared.undisturbed == AT_REST.undisturbed and spared.waves == ()
-    assert without_zero_departures(AT_REST, ["waves.0.amplitude"]) is AT_REST
+    assert without_zero_perturbations(AT_REST, ["waves.0.amplitude"]) is AT_REST
 
 
 def test_air_that_varies_over_the_ground_does_so_within_other_air():

@@ -78,7 +78,9 @@ def test_against_the_continuous_problem(plan):
     at_nodes = true.sol(np.asarray(plan.velocity))[0]
     np.testing.assert_allclose(plan.drag.values, at_nodes, rtol=0.0, atol=1e-6)
     # The multiplier is that of the continuous problem too: the price of range.
-    assert float(plan.price_of_distance) == pytest.approx(-true.p[0] * 1e-6, rel=1e-6)
+    assert float(plan.multiplier_of_distance) == pytest.approx(
+        -true.p[0] * 1e-6, rel=1e-6
+    )
 
 
 def test_range_and_ends(plan, limited):
@@ -108,8 +110,8 @@ def test_load_limit_is_active(limited):
     found = np.asarray(limited.drag.values)
     np.testing.assert_allclose(found[13:19], limit[13:19], rtol=1e-12)
     assert np.all(found <= limit * (1.0 + 1e-12))
-    prices = np.asarray(limited.prices["normal_load_factor"])
-    assert np.all(prices[13:19] < 0.0) and np.all(prices[:13] == 0.0)
+    multipliers = np.asarray(limited.multipliers["normal_load_factor"])
+    assert np.all(multipliers[13:19] < 0.0) and np.all(multipliers[:13] == 0.0)
     np.testing.assert_allclose(limited.limits["normal_load_factor"], limit, rtol=1e-9)
 
 
@@ -139,7 +141,7 @@ def test_prices_are_derivatives(limited):
         planned(first=(FIRST, 1.0), distance=DISTANCE + d) for d in (100.0, -100.0)
     )
     slope = float(ahead.roughness - behind.roughness) / 200.0
-    assert float(limited.price_of_distance) == pytest.approx(slope, rel=1e-5)
+    assert float(limited.multiplier_of_distance) == pytest.approx(slope, rel=1e-5)
 
     def with_limit(n):
         raised = limits() | {"normal_load_factor": NormalLoadFactor(n)}
@@ -150,7 +152,7 @@ def test_prices_are_derivatives(limited):
         float(with_limit(n + 1e-5).roughness - with_limit(n - 1e-5).roughness) / 2e-5
     )
     per_limit = np.asarray(limited.limits["normal_load_factor"]) / n
-    told = float(np.asarray(limited.prices["normal_load_factor"]) @ per_limit)
+    told = float(np.asarray(limited.multipliers["normal_load_factor"]) @ per_limit)
     assert told == pytest.approx(slope, rel=1e-4)
 
 
@@ -166,7 +168,7 @@ def test_lower_limit_binds():
     np.testing.assert_allclose(
         np.asarray(held.drag.values)[nodes], limit[nodes], rtol=1e-12
     )
-    assert np.all(np.asarray(held.prices["equilibrium_glide"])[nodes] > 0.0)
+    assert np.all(np.asarray(held.multipliers["equilibrium_glide"])[nodes] > 0.0)
     assert np.all(np.asarray(held.drag.values) >= limit * (1.0 - 1e-12))
     assert np.any(np.asarray(plain.drag.values) < limit)
     assert float(held.roughness) > float(plain.roughness)
@@ -249,7 +251,9 @@ def test_what_cannot_be_planned(change, words):
 
 def test_closed_corridor_names_both_limits():
     tight = raised(NormalLoadFactor(0.9), "normal_load_factor")
-    with pytest.raises(ValueError, match=r"equilibrium_glide requires.*normal_load_factor"):
+    with pytest.raises(
+        ValueError, match=r"equilibrium_glide requires.*normal_load_factor"
+    ):
         planned(of=tight)
 
 

@@ -102,7 +102,7 @@ def test_farthest_throw():
     assert -best.objective == pytest.approx(farthest_range / km, abs=2e-3)
     assert best.slope_left < 1e-3
     assert best.values == {"initial_state.flight_path_angle": found}
-    assert best.prices == {} and best.active == {} and best.remarks == ()
+    assert best.multipliers == {} and best.active == {} and best.remarks == ()
 
 
 def lob(limit):
@@ -121,9 +121,9 @@ def test_a_limit_and_its_price():
     assert -best.objective == pytest.approx(range_ / km, abs=2e-3)
     step = 1 * km
     slope = (lob(limit + step).objective - lob(limit - step).objective) / (2 * step)
-    assert best.prices["top"] == pytest.approx(slope, rel=1e-4)
+    assert best.multipliers["top"] == pytest.approx(slope, rel=1e-4)
     above = lob(free + 50 * km)
-    assert above.prices["top"] == 0.0
+    assert above.multipliers["top"] == 0.0
     assert above.objective == pytest.approx(farthest().objective, rel=1e-9)
 
 
@@ -138,7 +138,9 @@ def test_a_bound_and_its_price():
     assert best.values[address] == pytest.approx(30 * degree, rel=1e-12)
     assert best.active == {address: [0]}
     slope = -(by_hand(30 * degree + step)[0] - by_hand(30 * degree - step)[0]) / km
-    assert best.bound_prices[address] == pytest.approx(slope / (2 * step), rel=1e-4)
+    assert best.bound_multipliers[address] == pytest.approx(
+        slope / (2 * step), rel=1e-4
+    )
 
 
 @pytest.mark.slow

@@ -61,16 +61,16 @@ def test_a_dispersion_of_an_unknown_address_is_refused(written):
 def test_a_reading_that_is_changed_and_dispersions_of_these_names(written):
     path = written('[dispersions]\nreading = "mass-only"\n' + DISPERSIONS)
     overrides = read(path)
-    assert (overrides.reading, overrides.replaces) == ("mass-only", False)
+    assert (overrides.base, overrides.replaces) == ("mass-only", False)
     assert set(overrides.dispersions) == {"density", "coefficients", "path"}
-    assert overrides.written_with("all")["reading"] == "all"
+    assert overrides.written_with("all")["base"] == "all"
     path = written(uniform(address='"vehicle.mass"').replace("s.x]", "s.replace]"))
     overrides = read(path)
     assert set(overrides.dispersions) == {"replace"} and not overrides.replaces
     path = written("[dispersions]\nreplace = true\n" + DISPERSIONS)
-    assert read(path).replaces and "reading" not in read(path).written_with("all")
+    assert read(path).replaces and "base" not in read(path).written_with("all")
     path = written('[dispersions]\nreading = "mass-only"')
-    assert (read(path).reading, read(path).dispersions) == ("mass-only", None)
+    assert (read(path).base, read(path).dispersions) == ("mass-only", None)
     assert read(path).written_with("all") == "all"
 
 

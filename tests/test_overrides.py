@@ -14,7 +14,7 @@ from jentry.units import degree
 def test_nothing_given_changes_nothing():
     overrides = read_overrides(None)
     assert overrides.choice == Choice()
-    assert overrides.reading is overrides.dispersions is None
+    assert overrides.base is overrides.dispersions is None
     assert overrides.values == {}
 
 
@@ -32,7 +32,7 @@ def test_both_spellings_of_an_address_and_units(written):
         """
     )
     overrides = read(path)
-    assert (overrides.choice.law, overrides.reading) == ("steep", "mass-only")
+    assert (overrides.choice.law, overrides.base) == ("steep", "mass-only")
     assert overrides.values == {
         "initial_state.flight_path_angle": -14.2 * degree,
         "vehicle.mass": 900.0,
@@ -99,13 +99,13 @@ WRONG = {
         "[dispersions]\nreplace = 1",
         "dispersions.replace is 1: it must",
     ),
-    "reading no name": (
+    "base no name": (
         "[dispersions]\nreading = 1",
-        r"`reading` of \[dispersions\] is 1: it must",
+        r"`base` of \[dispersions\] is 1: it must",
     ),
-    "replace and reading": (
+    "replace and base": (
         '[dispersions]\nreplace = true\nreading = "a"\n' + uniform(),
-        r"`reading` of \[dispersions\] is 'a', and `replace` leaves out",
+        r"`base` of \[dispersions\] is 'a', and `replace` leaves out",
     ),
     "replaced by nothing": (
         "[dispersions]\nreplace = true",

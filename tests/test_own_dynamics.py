@@ -21,7 +21,7 @@ class FlatGround(AbstractDynamics):
 
     gravity: Scalar = scalar(unit="m/s2", positive=True)
 
-    kept = {"heading": 1.0}
+    constant = {"heading": 1.0}
     singular_points = (at_rest,)
 
     def rates(self, planet, vehicle, state, controls):

@@ -131,7 +131,7 @@ def within():
         end=GuidedEnd(energy=sx_2.energies()[1]),
         lateral=FixedSide(),
         limits=wish.limits,
-        foresees_limits=True,
+        predicts_limits=True,
         cycle=wish.cycle,
         step=wish.cycle.period,
         steps=1600,
@@ -165,7 +165,7 @@ def within():
 def test_what_is_foreseen_within_the_limits_is_flown(within):
     """The rest of the flight at a bank, whose limits pull it up."""
     law, foreseen, flown = within
-    blind = dataclasses.replace(law, foresees_limits=False)
+    blind = dataclasses.replace(law, predicts_limits=False)
     as_it_is = jnp.array([0.0, 1.0]), jnp.zeros(2)
     ends = np.stack([foreseen(each, *as_it_is)[0] for each in (law, blind)])
     off = np.linalg.norm(ends - np.asarray(flown()), axis=1)

@@ -75,7 +75,7 @@ def test_the_next_reversal_is_where_it_leaves_its_share(factor, rate):
     """Under a constant push to the side; beyond the destination."""
     kept, reversed_now = (error_of(t, rate=rate) for t in (200.0, 0.0))
     assert kept < 0.0 < reversed_now
-    logic = PredictedCrossrange(factor=factor, foresees=True)
+    logic = PredictedCrossrange(factor=factor, predicts_reversals=True)
     side = logic.init(seen(ORIGIN))
     assert np.isinf(logic.reverses_at(side))
     side = logic.update(TIME, seen(ORIGIN), side, towards(kept, reversed_now))
@@ -105,7 +105,7 @@ def test_the_next_reversal_is_where_it_leaves_its_share(factor, rate):
     ],
 )
 def test_no_reversal_is_expected_where_none_will_be(changes, kept, reversed_now):
-    logic = PredictedCrossrange(**changes, foresees=True)
+    logic = PredictedCrossrange(**changes, predicts_reversals=True)
     before = logic.init(seen(ORIGIN))
     side = logic.update(TIME, seen(ORIGIN), before, towards(kept, reversed_now))
     assert float(side.reversals) == 0.0
@@ -114,7 +114,7 @@ def test_no_reversal_is_expected_where_none_will_be(changes, kept, reversed_now)
 
 def test_after_a_reversal_the_next_one_turns_back():
     """The two errors have changed their places."""
-    logic = PredictedCrossrange(factor=3.0, foresees=True)
+    logic = PredictedCrossrange(factor=3.0, predicts_reversals=True)
     side = logic.init(seen(ORIGIN))
     after = logic.update(TIME, seen(ORIGIN), side, towards(-9e3, 2e3))
     assert float(after.sign) == -1.0

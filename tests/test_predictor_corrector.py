@@ -131,7 +131,7 @@ def test_a_flight_has_its_derivatives_where_reversals_are_foreseen():
         in_space().guidance,
         corrections=1,
         turning=BankTurning(10.0 * degree, 5.0 * degree),
-        lateral=PredictedCrossrange(factor=3.0, foresees=True),
+        lateral=PredictedCrossrange(factor=3.0, predicts_reversals=True),
     )
     scenario = dataclasses.replace(in_space(), guidance=law, attitude=attitude)
 
@@ -299,9 +299,9 @@ def test_without_a_prediction_the_numbers_stay_and_it_is_said():
         ({"corrections": 0}, "corrections is 0"),
         ({"step": 0.0}, "steps of 0.0 s"),
         ({"steps": 0}, "0 steps"),
-        ({"foresees_limits": True}, "limits is None"),
+        ({"predicts_limits": True}, "limits is None"),
         (
-            {"foresees_limits": True, "limits": PathLimits(), "step": 3.0},
+            {"predicts_limits": True, "limits": PathLimits(), "step": 3.0},
             "step is 3.0 s and the guidance cycle 2.0 s",
         ),
     ],

@@ -13,7 +13,7 @@ from jentry.guidance.open_loop import vertical_lift_command
 from jentry.motion import EquatorialDynamics
 from jentry.onboard import FactorEstimator, OnboardModel, propagate
 from jentry.onboard.profile_estimation import (
-    Departure,
+    FactorPrior,
     FactorProfile,
     Learnt,
     ProfileEstimator,
@@ -24,7 +24,7 @@ from jentry.world import DensityWave, PerturbedAtmosphere
 
 WAVELENGTHS, AMPLITUDES = np.array([25 * km, 8 * km]), np.array([0.05, 0.02])
 CONSTANT, SLOPE, PIVOT = 0.1, 2e-6, 40 * km
-DEPARTURE = Departure(WAVELENGTHS, AMPLITUDES, CONSTANT, SLOPE, PIVOT)
+DEPARTURE = FactorPrior(WAVELENGTHS, AMPLITUDES, CONSTANT, SLOPE, PIVOT)
 
 SCENARIO = mars_scenario()
 MODEL = OnboardModel(SCENARIO.planet, SCENARIO.vehicle)
@@ -136,7 +136,7 @@ def test_waves_that_are_known_are_predicted_below_the_samples():
     deviation times the norm of w, as P is no more than one.
     """
     sizes, phases, constant = np.array([0.05, 0.02]), np.array([0.7, -1.9]), 0.06
-    departure = Departure(WAVELENGTHS, sizes / np.sqrt(2), CONSTANT, SLOPE, PIVOT)
+    departure = FactorPrior(WAVELENGTHS, sizes / np.sqrt(2), CONSTANT, SLOPE, PIVOT)
     # Each wave has a sine and a cosine, whose squares add up to those of two deviations.
     norm = np.sqrt((constant / CONSTANT) ** 2 + 2.0 * len(sizes))
 
@@ -159,7 +159,7 @@ def test_waves_that_are_known_are_predicted_below_the_samples():
 
 
 def test_deviations_grow_from_the_samples_to_those_of_the_prior():
-    departure = Departure.correlated(5 * km, 0.04, 0.0, 80 * km, constant=0.0)
+    departure = FactorPrior.correlated(5 * km, 0.04, 0.0, 80 * km, constant=0.0)
     altitudes = np.linspace(60 * km, 40 * km, COUNT)
     expected = np.full((COUNT, 2), [2.0, 4.0])
     noise = 1e-3

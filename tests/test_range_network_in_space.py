@@ -200,9 +200,9 @@ def test_of_a_planet_that_turns_a_network_knows_nothing(in_three_dimensions):
         ),
         (
             lambda law: dataclasses.replace(
-                law, lateral=PredictedCrossrange(foresees=True)
+                law, lateral=PredictedCrossrange(predicts_reversals=True)
             ),
-            "where the flight ends and not when.*take foresees=False",
+            "where the flight ends and not when.*predicts_reversals=False",
         ),
         (
             lambda law: dataclasses.replace(law, network=linear()),

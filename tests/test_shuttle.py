@@ -115,6 +115,6 @@ def test_cross_range_with_limited_heating():
     assert np.nanmax(kept) == pytest.approx(70.0, rel=1e-6)
     assert float(best.flight.peaks.wing_heat_rate) / BTU < 70.0 * 1.001
     assert len(best.active["wing_heat_rate"]) > 20
-    assert np.all(best.prices["wing_heat_rate"] <= 0.0)
+    assert np.all(best.multipliers["wing_heat_rate"] <= 0.0)
     assert_as_saved("glide case limited-heating", best.flight)
     assert_same_end(best.flight, *flown_by_hand(best))

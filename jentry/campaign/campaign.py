@@ -27,7 +27,7 @@ from ..flight.miss import Misses, misses
 from ..flight.scenario import Scenario, check_values, checked, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
-from ..world.perturbed_atmosphere import without_zero_departures
+from ..world.perturbed_atmosphere import without_zero_perturbations
 from .batch import filled_up, in_blocks, over_blocks
 from .dispersions import (
     Dispersion,
@@ -337,7 +337,7 @@ def _blocks(scenario, dispersions, key, indices, given, solver, history, sampler
                 inputs = {address: values[runs] for address, values in given.items()}
             yield (place, runs, inputs), inputs
 
-    shared = without_zero_departures(scenario, varied), solver, history
+    shared = without_zero_perturbations(scenario, varied), solver, history
     flown = over_blocks(_fly_one, shared, drawn(), large=history is not None)
     for (place, runs, inputs), found in flown:
         yield place, Campaign(runs, inputs, *found)

@@ -68,15 +68,15 @@ def print_what_is_flown(
     mission: Mission,
     scenario: Scenario,
     overrides: Overrides,
-    reading: str,
+    base: str,
     dispersions: Mapping[str, Dispersion],
 ) -> None:
     """Print the name of the mission's dispersions, or a table if a file changes some."""
     if overrides.dispersions is None:
-        new_console().print(f"dispersions: {reading}, see jentry show")
+        new_console().print(f"dispersions: {base}, see jentry show")
         return
-    before = dispersions_before(mission, overrides, reading)
-    title = f"dispersions: {reading}, changed by --config"
+    before = dispersions_before(mission, overrides, base)
+    title = f"dispersions: {base}, changed by --config"
     if not before:
         title = "dispersions: of --config alone"
     print_dispersions(title, scenario, dispersions, before)

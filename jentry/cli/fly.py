@@ -62,7 +62,7 @@ def command(
     from ..flight.flight import fly
     from ..flight.solver import FixedStep
     from ..plots.campaign import FORMATS, save_figures
-    from ..world.perturbed_atmosphere import without_zero_departures
+    from ..world.perturbed_atmosphere import without_zero_perturbations
     from .mission_report import print_flight
 
     if figure is not None and figure.suffix[1:] not in FORMATS:
@@ -78,7 +78,7 @@ def command(
     )
     solver = FixedStep(step)
     note_step(scenario, solver, history)
-    flight = cached(fly)(without_zero_departures(scenario), solver, history)
+    flight = cached(fly)(without_zero_perturbations(scenario), solver, history)
     print_flight(chosen, scenario, flight)
     if out is not None:
         labels = {**chosen.labels, **overrides.choice.labels}

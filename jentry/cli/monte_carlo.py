@@ -176,9 +176,9 @@ def command(
         )
     if inputs is not None and (dispersions is not None or overrides.disperses):
         raise ValueError("--inputs takes the place of dispersions: give one of them")
-    reading, table = "", {}
+    base, table = "", {}
     if inputs is None:
-        reading, table = dispersion_table(chosen, overrides, dispersions)
+        base, table = dispersion_table(chosen, overrides, dispersions)
         refuse_set_in_vain(scenario, overrides, table)
     part = None if slice_ is None else chosen_slice(slice_)
     if part is not None and (asked or until_decided or json):
@@ -271,7 +271,7 @@ def command(
     )
     if not quiet and not json:
         if given is None:
-            print_what_is_flown(chosen, scenario, overrides, reading, table)
+            print_what_is_flown(chosen, scenario, overrides, base, table)
         as_published = is_as_published(description, chosen)
         print_campaign(chosen, results, as_published, summary)
         typer.echo(f"stored: {folder}")

@@ -265,32 +265,32 @@ def note_step(scenario, solver, history):
         )
 
 
-def dispersion_table(mission, overrides, reading):
+def dispersion_table(mission, overrides, base):
     """Name of the mission's dispersions, and their table with the configuration's changes.
 
     **Raises:** `ValueError` for a name beside a configuration that replaces them all.
     """
-    if overrides.replaces and reading is not None:
+    if overrides.replaces and base is not None:
         raise ValueError(
             "dispersions are given by --dispersions and by --config, whose replace = true "
             "leaves out the dispersions of the mission: give one of them"
         )
     from .stated_correlations import correlated
 
-    reading = first_given(reading, overrides.reading, *mission.dispersions, "")
+    base = first_given(base, overrides.base, *mission.dispersions, "")
     table = {
-        **dispersions_before(mission, overrides, reading),
+        **dispersions_before(mission, overrides, base),
         **(overrides.dispersions or {}),
     }
-    return reading, correlated(table, overrides.correlations)
+    return base, correlated(table, overrides.correlations)
 
 
-def dispersions_before(mission, overrides, reading):
+def dispersions_before(mission, overrides, base):
     """Dispersions of the mission that the configuration changes or adds to."""
-    none = not mission.dispersions and not reading and overrides.dispersions is not None
+    none = not mission.dispersions and not base and overrides.dispersions is not None
     if overrides.replaces or none:
         return {}
-    return mission.dispersion_table(reading)
+    return mission.dispersion_table(base)
 
 
 def refuse_set_in_vain(scenario, overrides, table) -> None:

@@ -13,7 +13,7 @@
     upper = 1.3
 
 A `[dispersions.NAME]` table replaces the mission's dispersion of that name, or is added
-to the mission's dispersions. In `[dispersions]`, `reading = "independent"` names the
+to the mission's dispersions. In `[dispersions]`, `base = "independent"` names the
 mission's dispersions that are changed, and `replace = true` leaves out all of them.
 `dispersions = "independent"` names them and changes nothing. A `normal` dispersion may
 have correlations with others, by name: `correlation = { drag = 0.8 }`.
@@ -105,7 +105,7 @@ class Overrides:
 
     choice: Choice = Choice()
     """Law, case and worlds of the mission"""
-    reading: str | None = None
+    base: str | None = None
     """Name of the mission's dispersions"""
     values: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     """By address: a number, or lists of numbers for a leaf that is a table. Each number is
@@ -126,14 +126,14 @@ class Overrides:
     @property
     def disperses(self) -> bool:
         """Whether the overrides choose or change dispersions."""
-        return self.dispersions is not None or self.reading is not None
+        return self.dispersions is not None or self.base is not None
 
-    def written_with(self, reading: str) -> str | Mapping[str, Any]:
+    def written_with(self, base: str) -> str | Mapping[str, Any]:
         """Entry `dispersions` of a file with these overrides, for the mission's dispersions
         of a name."""
         if self.written is None or self.dispersions is None:
-            return reading
-        return self.written if self.replaces else {**self.written, "reading": reading}
+            return base
+        return self.written if self.replaces else {**self.written, "base": base}
 
 
 def read_overrides(path: Path | None, assignments: Iterable[str] = ()) -> Overrides:
@@ -175,12 +175,12 @@ def _read_overrides(path: Path | None, assignments: Iterable[str]) -> Overrides:
     if dispersed is not None and not isinstance(dispersed, str | Mapping):
         raise ValueError(f"dispersions is {dispersed!r}: it must be a name")
     if isinstance(dispersed, Mapping):
-        table, reading, replaces = _read_dispersions(dispersed)
+        table, base, replaces = _read_dispersions(dispersed)
     else:
-        table, reading, replaces = None, dispersed, False
+        table, base, replaces = None, dispersed, False
     return Overrides(
         choice=choice,
-        reading=reading,
+        base=base,
         values=values | assigned,
         dispersions=table,
         correlations={n: d.correlation for n, d in (table or {}).items()},
@@ -198,30 +198,28 @@ def _read_dispersions(
     settings = {
         key: value
         for key, value in dispersed.items()
-        if key in ("reading", "replace") and not isinstance(value, Mapping)
+        if key in ("base", "replace") and not isinstance(value, Mapping)
     }
     entries = {key: value for key, value in dispersed.items() if key not in settings}
-    reading, replaces = settings.get("reading"), settings.get("replace", False)
+    base, replaces = settings.get("base"), settings.get("replace", False)
     if not isinstance(replaces, bool):
         raise ValueError(
             f"dispersions.replace is {replaces!r}: it must be true or false"
         )
-    if reading is not None and not isinstance(reading, str):
+    if base is not None and not isinstance(base, str):
+        raise ValueError(f"`base` of [dispersions] is {base!r}: it must be a name")
+    if replaces and base is not None:
         raise ValueError(
-            f"`reading` of [dispersions] is {reading!r}: it must be a name"
-        )
-    if replaces and reading is not None:
-        raise ValueError(
-            f"`reading` of [dispersions] is {reading!r}, and `replace` leaves out the "
+            f"`base` of [dispersions] is {base!r}, and `replace` leaves out the "
             "dispersions of the mission: give one of them"
         )
-    if not entries and reading is None:
+    if not entries and base is None:
         raise ValueError(
             "[dispersions] is empty: leave it out for the mission's own, or write "
             "a table for each, [dispersions.NAME]"
         )
     table = {name: _stated(name, entry) for name, entry in entries.items()}
-    return table or None, reading, replaces
+    return table or None, base, replaces
 
 
 def in_si(overrides: Overrides, scenario: Scenario) -> Overrides:

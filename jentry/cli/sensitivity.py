@@ -74,7 +74,7 @@ def command(
     chosen, scenario, overrides = chosen_scenario(
         mission, (law, case, world), config, set_
     )
-    reading, table = dispersion_table(chosen, overrides, dispersions)
+    base, table = dispersion_table(chosen, overrides, dispersions)
     solver = FixedStep(step)
     factors = scale or (0.1, 1.0)
     for factor in factors:
@@ -94,5 +94,5 @@ def command(
             mode="difference" if differences else None,
         )
         if factor is factors[0]:
-            print_what_is_flown(chosen, scenario, overrides, reading, table)
+            print_what_is_flown(chosen, scenario, overrides, base, table)
         print_covariance(scenario, analysis, factor)

@@ -39,10 +39,10 @@ def command(
     )
     print_leaves(scenario)
     if overrides.dispersions is not None:
-        reading, table = dispersion_table(chosen, overrides, dispersions)
-        print_what_is_flown(chosen, scenario, overrides, reading, table)
+        base, table = dispersion_table(chosen, overrides, dispersions)
+        print_what_is_flown(chosen, scenario, overrides, base, table)
         return
-    one = dispersions if dispersions is not None else overrides.reading
-    for reading in chosen.dispersions if one is None else [one]:
-        table = chosen.dispersion_table(reading)
-        print_dispersions(f"dispersions: {reading}", scenario, table)
+    one = dispersions if dispersions is not None else overrides.base
+    for base in chosen.dispersions if one is None else [one]:
+        table = chosen.dispersion_table(base)
+        print_dispersions(f"dispersions: {base}", scenario, table)

@@ -179,7 +179,7 @@ def command(
     chosen, scenario, overrides = chosen_scenario(
         mission, (law, case, world), config, set_
     )
-    reading, table = dispersion_table(chosen, overrides, dispersions)
+    base, table = dispersion_table(chosen, overrides, dispersions)
     refuse_set_in_vain(scenario, overrides, table)
     if loss not in BY_NAME:
         raise ValueError(f"loss is {loss!r}: choose from {', '.join(BY_NAME)}")
@@ -232,7 +232,7 @@ def command(
             budget=Budget(steps, patience),
             record=Record(folder / "tuning.npz", labels, report),
         )
-    print_what_is_flown(chosen, scenario, overrides, reading, table)
+    print_what_is_flown(chosen, scenario, overrides, base, table)
     print_tuned(chosen, scenario, tuned)
     write_course(folder / "course.csv", tuned)
     save_figures({"course": draw_course(tuned, chosen.title)}, folder)
@@ -240,7 +240,7 @@ def command(
     tuned.save(
         folder / "tuned.toml",
         **overrides.choice.labels,
-        dispersions=overrides.written_with(reading),
+        dispersions=overrides.written_with(base),
         values=overrides.values,
         comment=f"{chosen.name} tuned by jentry: {loss} over {runs} draws of seed {seed},"
         f"\n{wanted}, {len(tuned.course)} steps{stepped}. Fly it:\n"

@@ -67,7 +67,7 @@ def stated_twice(scenario: "Scenario") -> list[Twice]:
             angle = "flight_path_angle"
             found.append(Twice(f"{address}.arrival.{angle}", f"target.{angle}"))
     for _, address in nodes(scenario.guidance, NewtonAdjustment, "guidance"):
-        found.append(Twice(f"{address}.wanted_velocity", "target.velocity"))
+        found.append(Twice(f"{address}.target_velocity", "target.velocity"))
     for kind, place, tree in (
         (GroundWave, "planet", scenario.planet),
         (HeadingCorridor, "guidance", scenario.guidance),

@@ -20,7 +20,7 @@ from ..fields import Count, Flag, Scalar
 from ..motion.constraints import ConstraintValues
 from ..motion.state import Controls, EntryState
 from ..units import at_edge
-from ..world.perturbed_atmosphere import without_zero_departures
+from ..world.perturbed_atmosphere import without_zero_perturbations
 from ..world.random_profile import settled
 from ..world.tabulated import unit_of_caveat
 from .closed_loop import Instant, Lane, caveats, command, constrained, start
@@ -115,7 +115,7 @@ def fly(
         flight = fly(scenario)
         gradient = jax.grad(lambda s: fly(s).state.altitude)(scenario)
     """
-    scenario = settled(without_zero_departures(checked(scenario)))
+    scenario = settled(without_zero_perturbations(checked(scenario)))
     plan = Plan.of(scenario, solver, history)
     lane = start(scenario, plan.step)
     if history is None:

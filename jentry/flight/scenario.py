@@ -175,7 +175,7 @@ def checked(scenario: Scenario) -> Scenario:
 
 
 def _check_kept(dynamics: AbstractDynamics, start: EntryState) -> None:
-    for name, wanted in dynamics.kept.items():
+    for name, wanted in dynamics.constant.items():
         value = getattr(start, name)
         if not isinstance(value, Tracer) and abs(np.asarray(value) - wanted) > 1e-12:
             unit = unit_of(start, name)
@@ -312,7 +312,7 @@ def _require_samples(law: AbstractLaw, scenario: Scenario, noise: str) -> None:
 
 def without_effect(scenario: Scenario) -> tuple[str, ...]:
     """Addresses of the numbers that this scenario does not use."""
-    return tuple(f"initial_state.{name}" for name in scenario.dynamics.kept)
+    return tuple(f"initial_state.{name}" for name in scenario.dynamics.constant)
 
 
 def require_effect(scenario: Scenario, address: str) -> None:

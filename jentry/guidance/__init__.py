@@ -14,8 +14,8 @@ from .angle_of_attack_modulation import (
 from .bank_shapes import (
     AbstractBankShape as AbstractBankShape,
     ConstantBankShape as ConstantBankShape,
-    GivenBankShape as GivenBankShape,
     LinearBankShape as LinearBankShape,
+    PrescribedBankShape as PrescribedBankShape,
     TwoEndedBankShape as TwoEndedBankShape,
 )
 from .bezier import (
@@ -120,7 +120,7 @@ from .range_tracking import (
 from .replanning import (
     AdjustedProfile as AdjustedProfile,
     Adjustment as Adjustment,
-    OwnReference as OwnReference,
+    OnboardReference as OnboardReference,
     Replanned as Replanned,
     ReplannedTracking as ReplannedTracking,
 )

@@ -120,7 +120,7 @@ class TwoEndedBankShape(LinearBankShape):
         return self._between(numbers[0], final, index, since)
 
 
-class GivenBankShape(AbstractBankShape):
+class PrescribedBankShape(AbstractBankShape):
     """Prescribed cosine of the bank, shifted towards wings level or the largest bank.
 
     The number 0 gives the prescribed cosine, 1 wings level throughout, and -1 the largest

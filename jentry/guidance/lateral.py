@@ -269,8 +269,8 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
 
         e + (e_r - e) (1 - t / T)^2
 
-    under a constant lateral acceleration. With `foresees` the logic computes from this the
-    time of the next reversal, for a law that predicts the effect of the reversal on the
+    under a constant lateral acceleration. With `predicts_reversals` the logic computes
+    from this the time of the next reversal, for a law that predicts the effect of the reversal on the
     range and that reverses the bank within a guidance cycle.
 
     Source: K. M. Smith, "Predictive Lateral Logic for Numerical Entry Guidance Algorithms",
@@ -285,7 +285,7 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
     """Largest number of reversals"""
     first_sign: Scalar = scalar(1.0)
     """Side of the bank at the start: 1 to the right, -1 to the left"""
-    foresees: bool = eqx.field(default=False, static=True)
+    predicts_reversals: bool = eqx.field(default=False, static=True)
     """Whether the time of the next reversal is computed"""
 
     def __check_init__(self):
@@ -293,7 +293,7 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
 
     def init(self, measurement: Measurement) -> CountedSide:
         nothing = 0.0 * measurement.drag
-        never = nothing + jnp.inf if self.foresees else None
+        never = nothing + jnp.inf if self.predicts_reversals else None
         return CountedSide(self.first_sign + nothing, nothing, never)
 
     def update(
@@ -324,7 +324,7 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
         turns &= side.reversals < self.most
         reversals = side.reversals + jnp.where(turns, 1.0, 0.0)
         sign = jnp.where(turns, -side.sign, side.sign)
-        if not self.foresees:
+        if not self.predicts_reversals:
             return CountedSide(sign, reversals)
         after = jnp.where(turns, reversed_now, kept)
         other = jnp.where(turns, kept, reversed_now)

@@ -176,7 +176,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     """Whether the range is predicted in three dimensions, with the bank on its present side
     to the end, or in the vertical plane. Predictions for the lateral logic are always in
     three dimensions"""
-    foresees_limits: bool = eqx.field(default=False, static=True)
+    predicts_limits: bool = eqx.field(default=False, static=True)
     """Whether the limits also bound the bank in the prediction, at the start of each of its
     steps as in flight at each guidance cycle; `step` must equal the period. If False, the
     prediction has no limits, and where they are active the numbers are corrected for a
@@ -203,13 +203,13 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 "wind is estimated and in_space is False: a prediction in the vertical "
                 "plane knows no wind; take in_space=True, or leave wind at None"
             )
-        if self.foresees_limits and self.limits is None:
+        if self.predicts_limits and self.limits is None:
             raise ValueError(
-                "foresees_limits is True and limits is None: give the limits, such as "
+                "predicts_limits is True and limits is None: give the limits, such as "
                 "PathLimits(), or leave it at False"
             )
         period = self.cycle.period
-        if self.foresees_limits and period != self.step:
+        if self.predicts_limits and period != self.step:
             raise ValueError(
                 f"step is {self.step} s and the guidance cycle {period} s: limits "
                 "that are foreseen bound the bank at the start of each step of the "
@@ -220,14 +220,14 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         plain = isinstance(self.shape, ConstantBankShape)
         by_velocity = self.end.velocity is not None and self.end.energy is None
         plain = plain and self.angle_of_attack is None and self.damping is None
-        plain = plain and self.turning is None and not self.foresees_limits
+        plain = plain and self.turning is None and not self.predicts_limits
         if not (plain and by_velocity):
             raise ValueError(
                 "a network takes the place of the prediction of a constant bank to a "
                 "velocity, at the trim angle of attack and without damping, turning or "
                 f"limits that are foreseen: shape is {type(self.shape).__name__}, "
                 f"angle_of_attack is {self.angle_of_attack}, damping is {self.damping}, "
-                f"turning is {self.turning}, foresees_limits is {self.foresees_limits}, "
+                f"turning is {self.turning}, predicts_limits is {self.predicts_limits}, "
                 f"end is {self.end}"
             )
         if self.wind is not None:
@@ -256,10 +256,13 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 f"model turns by {self.model.planet.rotation_rate} rad/s, with the wind "
                 f"{type(wind).__name__}"
             )
-        if isinstance(self.lateral, PredictedCrossrange) and self.lateral.foresees:
+        if (
+            isinstance(self.lateral, PredictedCrossrange)
+            and self.lateral.predicts_reversals
+        ):
             raise ValueError(
                 "a network tells where the flight ends and not when, and the lateral "
-                "logic foresees the time of a reversal by that: take foresees=False"
+                "logic predicts the time of a reversal by that: take predicts_reversals=False"
             )
 
     @property
@@ -452,7 +455,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             return Controls.from_bank(bank, wanted.angle_of_attack)
 
         command = functools.partial(flown, None)
-        if self.foresees_limits and self.limits is not None:
+        if self.predicts_limits and self.limits is not None:
             limits = self.limits
 
             def within_limits(elapsed: Scalar, state: EntryState) -> Command:
@@ -579,7 +582,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
         def improve(carry, _):
             numbers, _ = carry
             misses, effects, end = _with_effects(
-                missed, numbers, in_turn=self.foresees_limits
+                missed, numbers, in_turn=self.predicts_limits
             )
             missed_by, effect = misses[0], effects[0, 0]
             ends, skips = end

@@ -84,7 +84,7 @@ class Adjustment(eqx.Module):
         )
 
 
-class OwnReference(eqx.Module):
+class OnboardReference(eqx.Module):
     """Reference motion that the law integrates on board during the flight, or its rate."""
 
     state: EntryState
@@ -105,7 +105,7 @@ class Replanned(eqx.Module):
     """Number of decisions without a predicted end, which left the adjustment unchanged"""
 
 
-class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
+class ReplannedTracking(AbstractSampledLaw[OnboardReference, Replanned]):
     """Tracks a reference that is planned again in each guidance cycle.
 
     At the start of a cycle the sensed lift and drag are compared with those of the model at
@@ -174,7 +174,7 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
                 f"{float(reference.start):g} to {last:g} J/kg"
             )
 
-    def init(self, measurement: Measurement) -> tuple[OwnReference, Replanned]:
+    def init(self, measurement: Measurement) -> tuple[OnboardReference, Replanned]:
         nothing = 0.0 * measurement.drag
         adjustment = Adjustment(nothing, nothing, nothing)
         estimate = self.estimator.start(measurement.drag)
@@ -185,9 +185,9 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
         self,
         time: Scalar,
         measurement: Measurement,
-        memory: OwnReference,
+        memory: OnboardReference,
         held: Replanned,
-    ) -> tuple[OwnReference, Replanned]:
+    ) -> tuple[OnboardReference, Replanned]:
         state, angle = measurement.state, measurement.angle_of_attack
         one = jnp.ones_like(measurement.drag)
         expected = self.law.model.forces(state, angle, Factors(one, one))
@@ -209,9 +209,9 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
         self,
         time: Scalar,
         measurement: Measurement,
-        memory: OwnReference,
+        memory: OnboardReference,
         held: Replanned,
-    ) -> tuple[Controls, OwnReference]:
+    ) -> tuple[Controls, OnboardReference]:
         law, factors = self.law, held.estimate.factors
         model = held.adjustment.applied(law.model)
         here = memory.state
@@ -222,7 +222,7 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
         above, right, drag = model.reference_forces(here, factors)
         over_energy = model.over_energy(here, drag, above, right)
         falls = -measurement.state.velocity * measurement.drag / model.energy_span
-        return controls, OwnReference(
+        return controls, OnboardReference(
             jax.tree.map(lambda rate: rate * falls, over_energy), errors
         )
 
@@ -251,8 +251,8 @@ class ReplannedTracking(AbstractSampledLaw[OwnReference, Replanned]):
             factors=factors,
         )
 
-    def _from_here(self, measurement: Measurement) -> OwnReference:
-        return OwnReference(measurement.state, self.law.init(measurement))
+    def _from_here(self, measurement: Measurement) -> OnboardReference:
+        return OnboardReference(measurement.state, self.law.init(measurement))
 
     def _adjusted(
         self, state: EntryState, factors: AbstractFactors, before: Adjustment

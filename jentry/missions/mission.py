@@ -214,12 +214,12 @@ class Mission:
             )
         return made
 
-    def dispersion_table(self, reading: str | None = None) -> Mapping[str, Dispersion]:
+    def dispersion_table(self, name: str | None = None) -> Mapping[str, Dispersion]:
         """The table of dispersions with a name, or the first one.
 
         Raises `ValueError` for an unknown name, and for an entry that is not a dispersion.
         """
-        table = _build(self.dispersions, reading, "dispersions", self.name)
+        table = _build(self.dispersions, name, "dispersions", self.name)
         for name, dispersion in table.items():
             if not isinstance(dispersion, Dispersion):
                 raise ValueError(

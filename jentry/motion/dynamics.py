@@ -35,7 +35,7 @@ class AbstractDynamics(eqx.Module):
     differ.
     """
 
-    kept: ClassVar[Mapping[str, float]] = {}
+    constant: ClassVar[Mapping[str, float]] = {}
     """Components of the state that never change, with the value that each must have at the
     start"""
 
@@ -55,7 +55,7 @@ class AbstractDynamics(eqx.Module):
     @property
     def has_crossrange(self) -> bool:
         """Whether a flight can leave the great circle on which it starts."""
-        return "heading" not in self.kept
+        return "heading" not in self.constant
 
     def is_singular(self, before: EntryState, after: EntryState) -> Flag:
         """Whether a step between two states comes too close to a singular point."""
@@ -82,7 +82,7 @@ class EquatorialDynamics(AbstractDynamics):
     The lateral component of lift is left out. The only singular point is at rest.
     """
 
-    kept = {"latitude": 0.0, "heading": 0.5 * math.pi}
+    constant = {"latitude": 0.0, "heading": 0.5 * math.pi}
     singular_points = (at_rest,)
 
     def rates(

@@ -34,7 +34,7 @@ from .network import (
     save_network as save_network,
 )
 from .profile_estimation import (
-    Departure as Departure,
+    FactorPrior as FactorPrior,
     FactorProfile as FactorProfile,
     ProfileEstimate as ProfileEstimate,
     ProfileEstimator as ProfileEstimator,

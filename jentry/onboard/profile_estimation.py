@@ -33,7 +33,7 @@ _SPECTRUM = 1e-4
 """Share of the variance that the waves for a correlation length leave out"""
 
 
-class Departure(eqx.Module):
+class FactorPrior(eqx.Module):
     """Prior of a factor: one, plus a random departure.
 
     The departure is a constant, a slope and waves over the altitude, with independent
@@ -69,7 +69,7 @@ class Departure(eqx.Module):
         *,
         constant: float = 0.1,
         slope: float = 0.0,
-    ) -> "Departure":
+    ) -> "FactorPrior":
         """A departure that is defined by a correlation length.
 
         Its correlation over a distance d is exp(-d^2 / (2 length^2)), with an error of
@@ -148,7 +148,7 @@ class Learnt(eqx.Module):
 class FactorProfile(AbstractFactors):
     """Factors over the altitude: one, plus a departure with estimated weights."""
 
-    departure: Departure
+    departure: FactorPrior
     lift: Learnt
     drag: Learnt
     caution: Scalar | None
@@ -211,7 +211,7 @@ class ProfileEstimator(AbstractFactorEstimator[ProfileEstimate]):
     samples beyond four standard deviations, `surprising_samples`.
     """
 
-    departure: Departure
+    departure: FactorPrior
     noise: Scalar = scalar(1e-3, unit="m/s2", positive=True)
     """Standard deviation of a sample of lift, or of drag"""
     misfit: Scalar = scalar(2e-3, positive=True)

@@ -74,7 +74,7 @@ class Optimum(NamedTuple):
     iterations: int
     """Number of iterations of SLSQP"""
     slope_left: float
-    """Largest component of the slope that the prices do not balance: zero at a minimum"""
+    """Largest component of the slope that the multipliers do not balance: zero at a minimum"""
 
 
 class NoOptimumError(ValueError):
@@ -165,7 +165,7 @@ _NO_PRICE = 1e-12
 def _priced(
     here: Linearized, x: np.ndarray, limits: Limits, iterations: int
 ) -> Optimum:
-    """The optimum at a point, with the prices that balance the slope best."""
+    """The optimum at a point, with the multipliers that balance the slope best."""
     import scipy.optimize
 
     lower, upper, least, most = limits
@@ -179,15 +179,15 @@ def _priced(
         np.where(at_most, -np.inf, 0.0)[binding],
         np.where(at_least, np.inf, 0.0)[binding],
     )
-    prices, left = np.zeros(len(values)), here.slope
+    multipliers, left = np.zeros(len(values)), here.slope
     if np.any(binding):
         # Not the default method: it does not converge with so many similar rows.
         solved = scipy.optimize.lsq_linear(rows.T, here.slope, signs, method="bvls")
-        prices[binding] = np.where(np.abs(solved.x) > _NO_PRICE, solved.x, 0.0)
+        multipliers[binding] = np.where(np.abs(solved.x) > _NO_PRICE, solved.x, 0.0)
         left = here.slope - rows.T @ solved.x
     count = len(here.constraints)
     slope_left = float(np.max(np.abs(left), initial=0.0))
-    parted = prices[:count], prices[count:]
+    parted = multipliers[:count], multipliers[count:]
     return Optimum(x, float(here.value), *parted, iterations, slope_left)
 
 

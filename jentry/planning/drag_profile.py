@@ -68,12 +68,12 @@ class DragPlan(eqx.Module):
     """J of equation (13), the integral of D'(V)^2"""
     distance: Scalar = output(unit="m")
     """The range by equation (60)"""
-    price_of_distance: Scalar = output(unit="1/s3")
+    multiplier_of_distance: Scalar = output(unit="1/s3")
     """Multiplier of (60): the derivative of J with respect to the range"""
     limits: dict[str, Vector] = eqx.field(default_factory=dict)
     """Drag (m/s2) at which each path constraint binds, at the nodes; NaN where there is no
     such drag"""
-    prices: dict[str, Vector] = eqx.field(default_factory=dict)
+    multipliers: dict[str, Vector] = eqx.field(default_factory=dict)
     """Multipliers of the limits, 1/s: the derivative of J with respect to each limit at
     each node. They are positive where a lower limit binds, negative where an upper limit
     binds, and zero elsewhere"""
@@ -83,7 +83,7 @@ class DragPlan(eqx.Module):
     @property
     def active(self) -> dict[str, list[int]]:
         """The nodes at which limits bind, by the name of the limit."""
-        nodes = {n: np.flatnonzero(np.asarray(x)) for n, x in self.prices.items()}
+        nodes = {n: np.flatnonzero(np.asarray(x)) for n, x in self.multipliers.items()}
         return {name: list(map(int, x)) for name, x in nodes.items() if x.size}
 
 
@@ -173,15 +173,17 @@ def plan_drag_profile(
     binding = np.where(
         price > 0.0, bounds.below, np.where(price < 0.0, bounds.above, "")
     )
-    price_of_distance = optimum.constraints[0] / distance * scale**2 / half
+    multiplier_of_distance = optimum.constraints[0] / distance * scale**2 / half
     return DragPlan(
         drag=CollocatedProfile(jnp.asarray(drag), v0, vf),
         velocity=jnp.asarray(velocity),
         roughness=jnp.asarray(optimum.value * scale**2 / half),
         distance=jnp.asarray(np.sum(shares / drag)),
-        price_of_distance=jnp.asarray(price_of_distance),
+        multiplier_of_distance=jnp.asarray(multiplier_of_distance),
         limits={name: jnp.asarray(x) for name, x in limits.items()},
-        prices={n: jnp.asarray(np.where(binding == n, price, 0.0)) for n in limits},
+        multipliers={
+            n: jnp.asarray(np.where(binding == n, price, 0.0)) for n in limits
+        },
     )
 
 

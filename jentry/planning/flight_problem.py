@@ -157,7 +157,7 @@ def best_flight(
     """The optimal flight of the vehicle of a scenario for a problem.
 
     The optimizer minimises. For a maximum it minimises the negative of the objective, and
-    `Optimized.objective` and the prices belong to this negative.
+    `Optimized.objective` and the multipliers belong to this negative.
 
     **Arguments:**
 

@@ -46,15 +46,15 @@ class Optimized:
     """Values of the parameters, by address"""
     constraints: dict[str, np.ndarray]
     """Values of the constrained quantities; NaN for entries after the end"""
-    prices: dict[str, np.ndarray]
+    multipliers: dict[str, np.ndarray]
     """Prices of the constraints, which are their multipliers: the derivative of the best
     objective with respect to the limit that binds, for each value, in the unit of the
     objective over that of the quantity. They are positive where the least value binds,
     negative where the largest value binds, and zero where no limit binds"""
-    bound_prices: dict[str, np.ndarray]
+    bound_multipliers: dict[str, np.ndarray]
     """Prices of the bounds of the parameters, by address"""
     slope_left: float
-    """Largest slope of the objective that the prices do not balance; zero at an optimum. It
+    """Largest slope of the objective that the multipliers do not balance; zero at an optimum. It
     is a share of the slope at the start, or of a thousandth of the objective if that is
     larger"""
     iterations: int
@@ -66,8 +66,8 @@ class Optimized:
     @property
     def active(self) -> dict[str, list[int]]:
         """Entries of constraints and parameters at which a limit or a bound binds."""
-        prices = {**self.prices, **self.bound_prices}
-        found = {name: np.flatnonzero(x) for name, x in prices.items()}
+        multipliers = {**self.multipliers, **self.bound_multipliers}
+        found = {name: np.flatnonzero(x) for name, x in multipliers.items()}
         return {name: list(map(int, x)) for name, x in found.items() if x.size}
 
 
@@ -180,8 +180,8 @@ def optimize(
         at_start=float(first.value),
         values=jax.tree.map(np.asarray, values),
         constraints=limits.named(np.where(seen.over, np.nan, seen.values)),
-        prices=limits.named(found.constraints * scale / limits.sizes),
-        bound_prices={
+        multipliers=limits.named(found.constraints * scale / limits.sizes),
+        bound_multipliers={
             address: np.asarray(x)
             for address, x in parted(
                 parameters, found.bounds * scale / limits.scales

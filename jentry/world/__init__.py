@@ -27,7 +27,7 @@ from .perturbed_atmosphere import (
     DensityWave as DensityWave,
     GroundWave as GroundWave,
     PerturbedAtmosphere as PerturbedAtmosphere,
-    without_zero_departures as without_zero_departures,
+    without_zero_perturbations as without_zero_perturbations,
 )
 from .planet import Planet as Planet
 from .random_air import RandomAtmosphere as RandomAtmosphere, RandomWind as RandomWind

@@ -118,7 +118,7 @@ class PerturbedAtmosphere(AbstractAtmosphere):
         return self.undisturbed.speed_of_sound(altitude)
 
 
-def without_zero_departures(tree: Tree, varied: Iterable[str] = ()) -> Tree:
+def without_zero_perturbations(tree: Tree, varied: Iterable[str] = ()) -> Tree:
     """The tree without the density perturbations that are zero.
 
     Its flights are equal, and zero perturbations are not computed: with three waves of
@@ -126,7 +126,7 @@ def without_zero_departures(tree: Tree, varied: Iterable[str] = ()) -> Tree:
     `monte_carlo` do this for numbers that are known when they are called. A program that
     you compile does not know its numbers, so call this function before:
 
-        eqx.filter_jit(fly)(without_zero_departures(scenario))
+        eqx.filter_jit(fly)(without_zero_perturbations(scenario))
 
     **Arguments:**
 
@@ -156,7 +156,7 @@ def _spared(air: PerturbedAtmosphere) -> AbstractAtmosphere:
         () if all(_is_at_rest(wave) for wave in waves) else waves
         for waves in (air.waves, air.ground_waves)
     ]
-    undisturbed = without_zero_departures(air.undisturbed)
+    undisturbed = without_zero_perturbations(air.undisturbed)
     level = _is_zero(air.trend) or _is_zero(air.share_low) and _is_zero(air.share_high)
     if level and not moving and not along:
         return undisturbed

@@ -86,7 +86,7 @@ def caveat_of(address: str, quantity: str) -> str:
     """Name of the caveat that is the share of time of a flight beyond a table.
 
     The name does not depend on whether the table is the `undisturbed` part of another
-    atmosphere or stands alone, as it does after `without_zero_departures`.
+    atmosphere or stands alone, as it does after `without_zero_perturbations`.
     """
     steps = [step for step in address.split(".") if step != "undisturbed"]
     return f"time_beyond_{quantity}_of_{'_'.join(steps)}"

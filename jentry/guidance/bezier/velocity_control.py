@@ -168,7 +168,7 @@ class NewtonAdjustment(AbstractVelocityControl):
     angle off.
     """
 
-    wanted_velocity: Scalar = scalar(unit="m/s", positive=True)
+    target_velocity: Scalar = scalar(unit="m/s", positive=True)
     predictor: AbstractVelocityPredictor = FlownModel()
     epochs: Epochs = Epochs()
     iterations: int = eqx.field(default=1, static=True)
@@ -189,7 +189,7 @@ class NewtonAdjustment(AbstractVelocityControl):
             def miss(second: Scalar) -> Scalar:
                 moved = Shape(shape.first, second)
                 moved = eqx.tree_at(lambda s: s.shape, situation, moved)
-                return self.predictor.predict(glide, moved) - self.wanted_velocity
+                return self.predictor.predict(glide, moved) - self.target_velocity
 
             found = newton(
                 by_jvp(miss),

@@ -41,7 +41,7 @@ from ...motion.constraints import (
 from ...motion.state import EntryState
 from ...onboard.model import OnboardModel
 from ...onboard.navigation import Accelerometers
-from ...onboard.profile_estimation import Departure, ProfileEstimator
+from ...onboard.profile_estimation import FactorPrior, ProfileEstimator
 from ...onboard.track import Track
 from ...planning.bezier_curve import k2_polynomials
 from ...units import degree, km, standard_gravity
@@ -262,7 +262,7 @@ def newton() -> Scenario:
     return subdivided(NewtonAdjustment(FINAL_VELOCITY, FlownModel(16)))
 
 
-def _learning(departure: Departure, caution: float | None = None) -> Scenario:
+def _learning(departure: FactorPrior, caution: float | None = None) -> Scenario:
     estimator = ProfileEstimator(departure, caution=caution)
     return eqx.tree_at(lambda s: s.guidance.estimator, newton(), estimator)
 
@@ -283,7 +283,7 @@ def learning() -> Scenario:
     constant, slope = _constant_and_slope()
     amplitudes = jnp.array(AMPLITUDES) / math.sqrt(2.0)
     return _learning(
-        Departure(jnp.array(WAVELENGTHS), amplitudes, constant, slope, PIVOT)
+        FactorPrior(jnp.array(WAVELENGTHS), amplitudes, constant, slope, PIVOT)
     )
 
 
@@ -299,7 +299,7 @@ def learning_correlated() -> Scenario:
     variance = np.sum(variances)
     length = math.sqrt(variance / np.sum(variances * numbers**2))
     constant, slope = _constant_and_slope()
-    departure = Departure.correlated(
+    departure = FactorPrior.correlated(
         length,
         math.sqrt(variance),
         PIVOT - 17.5 * km,

@@ -42,7 +42,7 @@ def guided() -> Scenario:
             end=END_VELOCITY, final=45.0 * degree, largest=LARGEST_BANK
         ),
         end=GuidedEnd(velocity=END_VELOCITY, ceiling=130.0 * km),
-        lateral=PredictedCrossrange(factor=10.0, foresees=True),
+        lateral=PredictedCrossrange(factor=10.0, predicts_reversals=True),
         angle_of_attack=table.profile("angle_of_attack"),
         turning=BankTurning(TURN_RATE, TURN_ACCELERATION),
         index=VelocityIndex(),

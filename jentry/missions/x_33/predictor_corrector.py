@@ -40,7 +40,7 @@ def _guided(
         lateral=FixedSide(),
         angle_of_attack=ScheduledAngleOfAttack(),
         limits=limits,
-        foresees_limits=limits is not None,
+        predicts_limits=limits is not None,
         index=VelocityIndex(),
         cycle=FixedCycle(CYCLE),
         in_space=False,
