@@ -312,7 +312,7 @@ def test_what_looking_as_often_as_one_likes_costs():
                 passes = lambda n, k=k, q=1 - share: _SEQUENTIAL.passes(k, n, q, 0.1)
                 first = next(n for n in range(needed[k], 2 * needed[k]) if passes(n))
                 assert round(first / needed[k], 1) in (1.4, 1.5, 1.6)
-    assert_says("it takes 1.4 to 1.6 times as many", 1.4, 1.6)
+    assert_says("It takes 1.4 to 1.6 times as many", 1.4, 1.6)
 
 
 def test_the_sequential_test_takes_more_runs():

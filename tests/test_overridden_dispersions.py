@@ -59,7 +59,7 @@ def test_a_dispersion_of_an_unknown_address_is_refused(written):
 
 
 def test_a_reading_that_is_changed_and_dispersions_of_these_names(written):
-    path = written('[dispersions]\nreading = "mass-only"\n' + DISPERSIONS)
+    path = written('[dispersions]\nbase = "mass-only"\n' + DISPERSIONS)
     overrides = read(path)
     assert (overrides.base, overrides.replaces) == ("mass-only", False)
     assert set(overrides.dispersions) == {"density", "coefficients", "path"}
@@ -69,7 +69,7 @@ def test_a_reading_that_is_changed_and_dispersions_of_these_names(written):
     assert set(overrides.dispersions) == {"replace"} and not overrides.replaces
     path = written("[dispersions]\nreplace = true\n" + DISPERSIONS)
     assert read(path).replaces and "base" not in read(path).written_with("all")
-    path = written('[dispersions]\nreading = "mass-only"')
+    path = written('[dispersions]\nbase = "mass-only"')
     assert (read(path).base, read(path).dispersions) == ("mass-only", None)
     assert read(path).written_with("all") == "all"
 

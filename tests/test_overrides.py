@@ -100,11 +100,11 @@ WRONG = {
         "dispersions.replace is 1: it must",
     ),
     "base no name": (
-        "[dispersions]\nreading = 1",
+        "[dispersions]\nbase = 1",
         r"`base` of \[dispersions\] is 1: it must",
     ),
     "replace and base": (
-        '[dispersions]\nreplace = true\nreading = "a"\n' + uniform(),
+        '[dispersions]\nreplace = true\nbase = "a"\n' + uniform(),
         r"`base` of \[dispersions\] is 'a', and `replace` leaves out",
     ),
     "replaced by nothing": (

@@ -147,13 +147,14 @@ def test_what_is_saved_of_a_mission_is_read_and_takes_the_place_of_what_was(
     monkeypatch.setattr(populations, "SAVED", tmp_path / "saved.csv")
     row, other = ("newton", "normal", "median"), ("stored", "normal", "median")
     for value in (1.0, 2.0):
-        saved = populations.Statistic(value / 3.0, np.array([value, 7.0]))
+        saved = populations.Statistic(value / 3.0, np.array([value, 7.0]), "2026-11-28")
         populations.save("cav-h", {row: saved})
         populations.save("rlv", {other: saved})
     read = populations.statistics()
     assert list(read) == [("cav-h", *row), ("rlv", *other)]
     for found in read.values():
         assert found.first_runs == pytest.approx(2.0 / 3.0, rel=1e-9)
+        assert found.date == "2026-11-28"
         assert found.sets.tolist() == [2.0, 7.0]
     assert {key: sets.tolist() for key, sets in populations.saved().items()} == {
         key: found.sets.tolist() for key, found in read.items()

@@ -48,7 +48,7 @@ def test_what_is_saved_is_read_to_the_last_bit(tuned, tmp_path):
     tuned.save(path)
     overrides, scenario = read_back(path, cheap.scenario())
     assert overrides.choice == Choice()
-    assert overrides.reading is overrides.dispersions is None
+    assert overrides.base is overrides.dispersions is None
     assert set(overrides.values) == set(tuned.values) == set(tuned.moved)
     found, expected = map(leaves_by_address, (scenario, tuned.scenario))
     for address, value in expected.items():
@@ -99,7 +99,7 @@ def test_variant_dispersions_further_values_and_comment(tuned, tmp_path):
     )
     overrides, scenario = read_back(path, cheap.scenario())
     assert overrides.choice.law == 'the "right" \N{ROCKET}\x7f one'
-    assert overrides.reading == "mass-only"
+    assert overrides.base == "mass-only"
     assert float(scenario.vehicle.mass) == 900.0
     # What was tuned is not what was set before.
     assert float(scenario.guidance.bank_angle) == float(tuned.values[bank])

@@ -72,7 +72,7 @@ def test_a_written_file_names_variant_and_dispersions(tmp_path):
     write_overrides(path, "Two\n[lines]", 'the "right" one', {}, "mass-only")
     overrides = read_overrides(path)
     assert overrides.choice.law == 'the "right" one'
-    assert overrides.reading == "mass-only"
+    assert overrides.base == "mass-only"
     assert overrides.dispersions is None and overrides.values == {}
     assert path.read_text().startswith("# Two\n# [lines]\n")
 
@@ -97,7 +97,7 @@ def test_a_written_table_of_dispersions_is_the_same(written, tmp_path, contents)
     values = {"vehicle.mass": 900.0}
     write_overrides(path, "Again", "right", values, first.written)
     again = read(path)
-    assert again.reading is None
+    assert again.base is None
     assert again.values == values
     assert again.written == first.written == tomllib.loads(contents)["dispersions"]
     assert list(again.dispersions) == list(first.dispersions)

@@ -160,11 +160,11 @@ def updated(expected: list[str], printed: str) -> list[str]:
             found.append(line)
             continue
         rest = range(place, len(actual))
-        score = lambda i: difflib.SequenceMatcher(
-            None, words, _words(actual[i])[0]
-        ).ratio()
-        exact = [i for i in rest if _words(actual[i])[0] == words]
-        best = exact[0] if exact else max(rest, key=score, default=None)
+        like = [
+            difflib.SequenceMatcher(None, words, _words(actual[i])[0]) for i in rest
+        ]
+        ratios = [each.ratio() for each in like]
+        best = rest[ratios.index(max(ratios))] if ratios else None
         found.append(line if best is None else actual[best])
         place = place if best is None else best + 1
     return found

@@ -270,8 +270,8 @@ class PredictedCrossrange(AbstractLateralLogic[CountedSide]):
         e + (e_r - e) (1 - t / T)^2
 
     under a constant lateral acceleration. With `predicts_reversals` the logic computes
-    from this the time of the next reversal, for a law that predicts the effect of the reversal on the
-    range and that reverses the bank within a guidance cycle.
+    from this the time of the next reversal, for a law that predicts the effect of the
+    reversal on the range and that reverses the bank within a guidance cycle.
 
     Source: K. M. Smith, "Predictive Lateral Logic for Numerical Entry Guidance Algorithms",
     AAS/AIAA Space Flight Mechanics Meeting, 2016. The law must predict in three dimensions.

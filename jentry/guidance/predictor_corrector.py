@@ -256,13 +256,12 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 f"model turns by {self.model.planet.rotation_rate} rad/s, with the wind "
                 f"{type(wind).__name__}"
             )
-        if (
-            isinstance(self.lateral, PredictedCrossrange)
-            and self.lateral.predicts_reversals
-        ):
+        lateral = self.lateral
+        if isinstance(lateral, PredictedCrossrange) and lateral.predicts_reversals:
             raise ValueError(
-                "a network tells where the flight ends and not when, and the lateral "
-                "logic predicts the time of a reversal by that: take predicts_reversals=False"
+                "a network predicts where the flight ends and not when, and the lateral "
+                "logic needs the time of the end for that of a reversal: take "
+                "predicts_reversals=False"
             )
 
     @property

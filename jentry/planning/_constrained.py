@@ -74,7 +74,8 @@ class Optimum(NamedTuple):
     iterations: int
     """Number of iterations of SLSQP"""
     slope_left: float
-    """Largest component of the slope that the multipliers do not balance: zero at a minimum"""
+    """Largest component of the slope that the multipliers do not balance; zero at a
+    minimum"""
 
 
 class NoOptimumError(ValueError):

@@ -54,8 +54,8 @@ class Optimized:
     bound_multipliers: dict[str, np.ndarray]
     """Prices of the bounds of the parameters, by address"""
     slope_left: float
-    """Largest slope of the objective that the multipliers do not balance; zero at an optimum. It
-    is a share of the slope at the start, or of a thousandth of the objective if that is
+    """Largest slope of the objective that the multipliers do not balance; zero at an
+    optimum. It is a share of the slope at the start, or of a thousandth of the objective if that is
     larger"""
     iterations: int
     flights: int

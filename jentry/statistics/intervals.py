@@ -136,7 +136,7 @@ def percentile_interval(
     )
 
 
-def share_bound(count: float, runs: int, missed: float) -> float:
+def share_bound(count: int | float, runs: int, missed: float) -> float:
     """Clopper and Pearson's upper bound of a share, from `count` of `runs`.
 
     The probability that the share of the population exceeds the bound is at most `missed`.
