@@ -55,8 +55,8 @@ class Optimized:
     """Prices of the bounds of the parameters, by address"""
     slope_left: float
     """Largest slope of the objective that the multipliers do not balance; zero at an
-    optimum. It is a share of the slope at the start, or of a thousandth of the objective if that is
-    larger"""
+    optimum. It is a share of the slope at the start, or of a thousandth of the objective if
+    that is larger"""
     iterations: int
     flights: int
     """Number of flights that were flown with derivatives"""
