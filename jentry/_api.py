@@ -83,6 +83,7 @@ from .guidance import (
     AbstractLaw as AbstractLaw,
     AbstractSampledLaw as AbstractSampledLaw,
     AbstractTimedDecision as AbstractTimedDecision,
+    Aim as Aim,
     AngleOfAttackCommand as AngleOfAttackCommand,
     AngleOfAttackProfile as AngleOfAttackProfile,
     BankProfile as BankProfile,
@@ -94,6 +95,7 @@ from .guidance import (
     HeadingCorridor as HeadingCorridor,
     Sampled as Sampled,
     ShorteningCycle as ShorteningCycle,
+    TargetOfScenario as TargetOfScenario,
     Tracked as Tracked,
     TrimAngleOfAttack as TrimAngleOfAttack,
     VelocityReversals as VelocityReversals,
@@ -106,6 +108,7 @@ from .missions import (
 )
 from .motion import (
     AbstractAttitude as AbstractAttitude,
+    AbstractConstraint as AbstractConstraint,
     AbstractDynamics as AbstractDynamics,
     AbstractIndex as AbstractIndex,
     AltitudeIndex as AltitudeIndex,
@@ -116,6 +119,8 @@ from .motion import (
     EntryState as EntryState,
     EquatorialDynamics as EquatorialDynamics,
     IdealAttitude as IdealAttitude,
+    LoadFactor as LoadFactor,
+    PathPoint as PathPoint,
     Response as Response,
     SecondOrderAttitude as SecondOrderAttitude,
     TimeIndex as TimeIndex,

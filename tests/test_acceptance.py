@@ -68,38 +68,38 @@ def require(text="|downrange_error| < 1 km, 99 % at 90 %"):
 )
 def test_bounds_on_the_probability_of_failure(failures, runs, bound):
     """Hanson and Beard's, to the digits that they have."""
-    verdict = judged(require(), failing(failures, runs))
+    verdict = judged(failing(failures, runs), require())
     assert verdict.bound == pytest.approx(bound, abs=5e-9)
     assert (verdict.failures, verdict.runs) == (failures, runs)
 
 
 def test_the_number_of_runs_decides():
     """230 of 230 pass; of 229 one more is missing, and with one failure 388 less 229."""
-    assert judged(require(), failing(0, 230)).decision is Decision.PASSES
-    verdict = judged(require(), failing(0, 229))
+    assert judged(failing(0, 230), require()).decision is Decision.PASSES
+    verdict = judged(failing(0, 229), require())
     assert verdict.decision is Decision.NOT_ENOUGH_RUNS
     assert (verdict.more_runs, verdict.more_runs_at_this_rate) == (1, 1)
-    verdict = judged(require(), failing(1, 229))
+    verdict = judged(failing(1, 229), require())
     assert verdict.more_runs == 388 - 229
     # At a failure in 229, between 531 runs, of which 2 may fail, and 667, of which 3 may.
     more = np.arange(1, 1000)
     k, n = (229 + more) / 229, 229 + more
     first = more[np.argmax(stats.beta.sf(0.01, k + 1, n - k) <= 0.1)]
     assert verdict.more_runs_at_this_rate == first and 531 < 229 + first < 667
-    passed = judged(require(), failing(0, 300))
+    passed = judged(failing(0, 300), require())
     assert passed.more_runs is passed.more_runs_at_this_rate is None
 
 
 def test_too_many_failures_fail():
     """P(X >= 3 of 100) at 1 % is 7.9 %, and P(X >= 2) is 26 %."""
-    assert judged(require(), failing(3, 100)).decision is Decision.FAILS
-    verdict = judged(require(), failing(2, 100))
+    assert judged(failing(3, 100), require()).decision is Decision.FAILS
+    verdict = judged(failing(2, 100), require())
     assert verdict.decision is Decision.NOT_ENOUGH_RUNS
     assert verdict.more_runs == 531 - 100 and verdict.more_runs_at_this_rate is None
 
 
 def test_all_that_fail_have_a_bound_of_one():
-    verdict = judged(require(), failing(4, 4))
+    verdict = judged(failing(4, 4), require())
     assert verdict.bound == 1.0 and verdict.decision is Decision.FAILS
 
 
@@ -119,32 +119,32 @@ def test_all_that_fail_have_a_bound_of_one():
     ],
 )
 def test_what_is_kept(text, kept):
-    verdict = judged(require(text), results([-2e3, 500.0, 1e3, 3e3]))
+    verdict = judged(results([-2e3, 500.0, 1e3, 3e3]), require(text))
     assert verdict.failures == 4 - sum(kept)
 
 
 def test_runs_without_an_end_fail():
     """Whatever their numbers are; one that skips out or times out has numbers."""
     outcomes = [0, Outcome.NOT_FINITE, Outcome.SINGULAR, Outcome.SKIPPED_OUT, 0]
-    verdict = judged(require(), results([0.0, 0.0, 0.0, 0.0, np.nan], outcomes))
+    verdict = judged(results([0.0, 0.0, 0.0, 0.0, np.nan], outcomes), require())
     assert (verdict.failures, verdict.without_end) == (3, 3)
     larger = require("downrange_error > -1 km, 99 % at 90 %")
-    assert judged(larger, results([0.0, np.nan, 0.0, np.inf])).failures == 2
+    assert judged(results([0.0, np.nan, 0.0, np.inf]), larger).failures == 2
 
 
 def test_the_outcome_itself():
     outcomes = [0, Outcome.SKIPPED_OUT, Outcome.NOT_FINITE, Outcome.TIMED_OUT]
-    verdict = judged(require("reached, 99 % at 90 %"), results(np.zeros(4), outcomes))
+    verdict = judged(results(np.zeros(4), outcomes), require("reached, 99 % at 90 %"))
     assert (verdict.failures, verdict.without_end) == (3, 1)
 
 
 def test_a_number_in_the_unit_in_which_it_is_shown():
     """A load factor is a plain number that tables call g; a gram is no load factor."""
     loads = results([1.0, 3.0], unit="1", name="peak_load_factor", shown_units="g")
-    verdict = judged(require("peak_load_factor < 2 g, 50 % at 60 %"), loads)
+    verdict = judged(loads, require("peak_load_factor < 2 g, 50 % at 60 %"))
     assert verdict.failures == 1
     with pytest.raises(ValueError, match="expected a plain number"):
-        judged(require("peak_load_factor < 2 km, 50 % at 60 %"), loads)
+        judged(loads, require("peak_load_factor < 2 km, 50 % at 60 %"))
 
 
 def test_it_is_written_as_it_is_read():
@@ -198,7 +198,7 @@ def test_what_is_no_requirement_is_refused(text, message):
 )
 def test_what_cannot_be_judged_is_refused(text, message):
     with pytest.raises(ValueError, match=message):
-        judged(Requirement.of(text), failing(0, 3))
+        judged(failing(0, 3), Requirement.of(text))
 
 
 def test_a_requirement_without_an_output_is_refused_before_the_first_flight():
@@ -220,17 +220,17 @@ def test_a_requirement_without_an_output_is_refused_before_the_first_flight():
 
 def test_no_runs_cannot_be_judged():
     with pytest.raises(ValueError, match="no runs to judge"):
-        judged(require(), results([]))
+        judged(results([]), require())
 
 
 def test_an_angle_that_was_meant_in_degrees_is_refused():
     with pytest.raises(ValueError, match="did you mean 10deg"):
-        judged(require("downrange_error < 10, 9 % at 9 %"), results([0.0], unit="rad"))
+        judged(results([0.0], unit="rad"), require("downrange_error < 10, 9 % at 9 %"))
 
 
 def test_several_requirements():
     passes, fails, few = (
-        judged(require(), failing(*counts)) for counts in ((0, 230), (9, 100), (0, 9))
+        judged(failing(*counts), require()) for counts in ((0, 230), (9, 100), (0, 9))
     )
     assert overall([]) is overall([passes]) is Decision.PASSES
     assert overall([few, passes]) is Decision.NOT_ENOUGH_RUNS
@@ -318,11 +318,11 @@ def test_what_looking_as_often_as_one_likes_costs():
 def test_the_sequential_test_takes_more_runs():
     """And its bound is where it would pass."""
     text = "|downrange_error| < 1 km, 99 % at 90 %"
-    verdict = judged(require(text), failing(0, 230), sequential=True)
+    verdict = judged(failing(0, 230), require(text), sequential=True)
     assert verdict.decision is Decision.NOT_ENOUGH_RUNS and verdict.sequential
     assert verdict.more_runs is not None
     enough = 230 + verdict.more_runs
-    assert judged(require(text), failing(0, enough), sequential=True).decision is (
+    assert judged(failing(0, enough), require(text), sequential=True).decision is (
         Decision.PASSES
     )
     assert not _SEQUENTIAL.passes(0, enough - 1, 0.01, 0.1)

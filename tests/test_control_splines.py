@@ -10,9 +10,16 @@ import pytest
 from helpers import bank_profile, fly_compiled
 
 from jentry.addresses import addresses_of
-from jentry.flight import fly
-from jentry.guidance import AngleOfAttackProfile, Sampled, TrimAngleOfAttack, compose
+from jentry.flight import FixedStep, fly
+from jentry.guidance import (
+    AngleOfAttackProfile,
+    Sampled,
+    TargetOfScenario,
+    TrimAngleOfAttack,
+    compose,
+)
 from jentry.guidance.open_loop import ControlProfiles
+from jentry.missions import find_mission
 from jentry.motion.index import AltitudeIndex, EnergyIndex, TimeIndex, VelocityIndex
 from jentry.motion.quantities import energy
 from jentry.onboard.profiles import PolynomialProfile
@@ -163,3 +170,12 @@ def test_the_energy_is_what_they_are_over():
     assert isinstance(
         free_part(free_controls(cheap.at_trim(), BANK)).index, EnergyIndex
     )
+
+
+def test_beside_a_law_that_flies_to_the_target_of_its_scenario():
+    """The law knows its target in the scenario alone."""
+    scenario = find_mission("mars-range-tracking").scenario()
+    assert isinstance(scenario.guidance.aim, TargetOfScenario)
+    free = free_controls(scenario, bank=60 * degree, nodes=4)
+    flight = fly_compiled(free, FixedStep(1.0))
+    assert np.isfinite(float(flight.state.altitude))

@@ -10,8 +10,10 @@ import pytest
 from jentry.addresses import leaves_by_address, unit_of
 from jentry.analysis.covariance import Effect, LinearCovariance, LinearModel, Spread
 from jentry.analysis.sensitivities import Sensitivity
+from jentry.cli import campaign_report
 from jentry.cli.analysis_report import print_covariance, print_sensitivity
 from jentry.cli.mission_report import print_flight, print_leaves
+from jentry.cli.tables import in_digits
 from jentry.flight import Flight, Outcome, Target, misses
 from jentry.missions.cav_h.scenario import stored
 from jentry.motion import ConstraintValues, EntryState
@@ -188,3 +190,17 @@ def test_covariance_says_of_which_flights_nothing_is_predicted(capsys):
     assert "NOTHING is predicted for the flights that end by altitude, 12.5%" in printed
     assert "NOTHING is predicted for the flights that end by skip_out, 3.0%" in printed
     assert "left out" not in printed
+
+
+@pytest.mark.parametrize(
+    ("number", "whole", "short"),
+    [
+        (-4.3e-11, "0.0000", "0"),  # the crossrange of a planar flight, km
+        (2e-9, "2.0e-09", "2.0e-09"),
+        (-0.5, "-0.5000", "-0.5"),
+        (np.nan, "-", "-"),
+    ],
+)
+def test_rounding_errors_are_printed_as_zero(number, whole, short):
+    assert in_digits(number) == whole
+    assert campaign_report._short(number) == short

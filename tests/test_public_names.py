@@ -32,6 +32,7 @@ NEEDED = """
     TargetPassed Outcome has_end MeanSquare mean_square conditional_value_at_risk
     km deg Mission PublishedValue find_mission fly misses monte_carlo tune sensitivity
     linear_covariance run_campaign open_campaign Dispersion Normal Uniform add multiply
+    Aim TargetOfScenario AbstractConstraint LoadFactor PathPoint write_trajectory
 """
 
 

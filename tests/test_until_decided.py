@@ -23,7 +23,7 @@ def test_how_many_runs_are_flown_next():
     """Twice as many at most, fewer where fewer decide, none beyond the most."""
     one = [Requirement.of("peak_drag < 1, 99 % at 90 %")]
     assert further_runs(one, runs_of(np.zeros(100)), 10_000) == 100
-    enough = judged(one[0], runs_of(np.zeros(300)), sequential=True).more_runs
+    enough = judged(runs_of(np.zeros(300)), one[0], sequential=True).more_runs
     assert enough is not None and 0 < enough < 300
     assert further_runs(one, runs_of(np.zeros(300)), 10_000) == enough
     assert further_runs(one, runs_of(np.zeros(300)), 310) == 10
@@ -41,7 +41,7 @@ def test_more_runs_until_it_is_decided(command, tmp_path):
     assert code == 0 and "sequential, valid at whatever number of runs" in printed
     count = open_campaign(out).sizes["run"]
     assert 3 < count < 40
-    verdict = judged(Requirement.of(EASY), open_campaign(out, count), sequential=True)
+    verdict = judged(open_campaign(out, count), Requirement.of(EASY), sequential=True)
     assert verdict.decision.value == "passes"
     # The same runs as in one go, and what is said of them stays sequential.
     monte_carlo(command, "--runs", count, "--out", same)

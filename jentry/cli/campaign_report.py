@@ -18,7 +18,14 @@ from ..statistics.intervals import CONFIDENCE, Interval
 from ..statistics.miss_ellipse import MissEllipse
 from ..statistics.summary import PERCENTILES, Statistics, Summary, summarize
 from ..units import at_edge, degree, edge_unit
-from .tables import in_digits, new_console, new_table, print_in_pieces, print_under
+from .tables import (
+    ROUNDING,
+    in_digits,
+    new_console,
+    new_table,
+    print_in_pieces,
+    print_under,
+)
 
 
 SETS = 16
@@ -186,7 +193,9 @@ def _short(number: float) -> str:
     size = abs(number)
     if np.isnan(number):
         return "-"
-    if 0.0 < size < 1e-3:
+    if size < ROUNDING:
+        return "0"
+    if size < 1e-3:
         return f"{number:.1e}"
     if size >= 1e4:
         return f"{number:.0f}"

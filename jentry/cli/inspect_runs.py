@@ -78,15 +78,16 @@ def command(
     name = ordered_by(results) if by is None else by.strip().strip("|")
     name = name.replace(" ", "_").replace("-", "_")
     require_output(results, name)
+    if run is not None or gradient:
+        chosen = stored_mission(description, mission)
+        scenario = stored_scenario(description, chosen)
+        solver = stored_solver(description)
     bad = worst_runs(results, name, worst, smallest=smallest)
     print_worst(results, name, bad, count)
     asked = f"|{name}|" if is_error(name) else name
     print_correlations(results, asked, *rank_correlations(results, asked))
     if run is None and not gradient:
         return
-    chosen = stored_mission(description, mission)
-    scenario = stored_scenario(description, chosen)
-    solver = stored_solver(description)
     which = bad[0].run if run is None else run
     if run is not None:
         fly_again(folder, chosen, scenario, results, run, solver, description, history)

@@ -70,10 +70,17 @@ def print_in_pieces(
         title = "further columns"
 
 
+ROUNDING = 1e-9
+"""Smallest magnitude that is printed, in the unit of a table: smaller numbers are rounding
+errors, such as the crossrange of a planar flight, and are printed as 0"""
+
+
 def in_digits(number: float, sign: str = "") -> str:
     """Text of a number: four decimals, fewer digits if it is small; - for NaN."""
     if np.isnan(number):
         return "-"
+    if abs(number) < ROUNDING:
+        number = 0.0
     if 0.0 < abs(number) < 5e-5:
         return f"{number:{sign}.1e}"
     few = 0.0 < abs(number) < 0.01

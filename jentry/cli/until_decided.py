@@ -28,7 +28,7 @@ def further_runs(
     - `most`: runs in all.
     """
     runs = results.sizes["run"]
-    verdicts = [judged(r, results, sequential=True) for r in requirements]
+    verdicts = [judged(results, r, sequential=True) for r in requirements]
     if any(verdict.decision is Decision.FAILS for verdict in verdicts):
         return 0
     open_ = [v for v in verdicts if v.decision is Decision.NOT_ENOUGH_RUNS]

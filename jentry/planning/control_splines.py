@@ -113,7 +113,7 @@ def _flying(
         law = ControlProfiles(index, scenario.planet, profile(angle_of_attack), bank)
     else:
         law = ControlProfiles(index, scenario.planet, None, bank)
-        before = scenario.guidance
+        before = scenario.law
         if isinstance(before, ContinuousComposition | SampledComposition):
             law = compose(before.angle_of_attack, law, before.limits)
         else:

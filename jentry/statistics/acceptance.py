@@ -212,7 +212,7 @@ def require_outputs(
 
 
 def judged(
-    requirement: Requirement, results: "xarray.Dataset", *, sequential: bool = False
+    results: "xarray.Dataset", requirement: Requirement, *, sequential: bool = False
 ) -> Verdict:
     """Test a requirement on the runs of a campaign.
 

@@ -236,7 +236,7 @@ def summarize(
         },
         statistics=_statistics(flown, percentiles),
         ellipse=ellipse_of(flown, RADII),
-        verdicts=[judged(r, results, sequential=sequential) for r in requirements],
+        verdicts=[judged(results, r, sequential=sequential) for r in requirements],
         counted_from=_counted_from(results),
     )
 
