@@ -63,7 +63,9 @@ def addresses_of(tree: PyTree, where: Callable[[Any], Any]) -> list[str]:
 def nearest(name: str, known: Iterable[str]) -> str:
     """Text with the existing names that are most similar to a wrong name."""
     known = list(known)
-    close = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    close = [k for k in known if name and k.startswith(name)]
+    alike = difflib.get_close_matches(name, known, n=3, cutoff=0.5)
+    close += [k for k in alike if k not in close]
     last = name.rsplit(".", 1)[-1]
     close += [k for k in known if k.rsplit(".", 1)[-1] == last and k not in close]
     if not close:

@@ -7,6 +7,7 @@ import pytest
 import xarray
 from commands import assert_refused
 from helpers import fly_compiled, free_scenario
+from pages import ROOT
 
 from jentry.addresses import replace_leaves
 from jentry.units import degree
@@ -55,3 +56,20 @@ def test_a_flight_is_drawn(command, tmp_path):
         assert path.read_bytes().startswith(begin)
     result = command("fly", "cheap", "--figure", tmp_path / "flight.gif")
     assert_refused(result, "ends in .png, .pdf, .svg")
+
+
+def test_a_branch_of_a_law_on_a_number_of_the_flight_names_its_line(command, tmp_path):
+    text = ROOT.joinpath("tests", "lander.py").read_text()
+    law = "bank = jnp.clip(self.bank - self.gain * measurement.drag, 0.0, jnp.pi)"
+    assert law in text
+    branch = "bank = self.bank if measurement.drag > 5.0 else 0.0 * self.bank"
+    path = tmp_path / "branching.py"
+    path.write_text(text.replace(law, branch))
+    code, _, said = command("fly", str(path))
+    assert code == 2 and f"{path}, line " in said
+    assert "measurement.drag > 5.0" in said and "write jnp.where(" in said
+
+
+def test_the_nearest_missions_begin_with_what_was_written(command):
+    code, _, said = command("fly", "mars")
+    assert code == 2 and "nearest: mars-drag-tracking, mars-range-tracking" in said

@@ -6,6 +6,7 @@ import cheap
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from helpers import fly_compiled
 
 from jentry.addresses import leaves_by_address, unit_of
 from jentry.analysis.covariance import Effect, LinearCovariance, LinearModel, Spread
@@ -204,3 +205,28 @@ def test_covariance_says_of_which_flights_nothing_is_predicted(capsys):
 def test_rounding_errors_are_printed_as_zero(number, whole, short):
     assert in_digits(number) == whole
     assert campaign_report._short(number) == short
+
+
+def test_a_limit_that_is_exceeded_is_marked(capsys):
+    scenario = cheap.scenario()
+    peaks = fly_compiled(scenario, cheap.SOLVER).peaks
+    for factor, marked in ((0.9, True), (1.1, False)):
+        limit = factor * float(peaks["load_factor"])
+        constraint = dataclasses.replace(
+            scenario.constraints["load_factor"], limit=jnp.asarray(limit)
+        )
+        limited = dataclasses.replace(
+            scenario, constraints={**scenario.constraints, "load_factor": constraint}
+        )
+        print_flight(cheap.MISSION, limited, fly_compiled(scenario, cheap.SOLVER))
+        printed = capsys.readouterr().out
+        assert ("limit of the peak load factor, exceeded" in printed) == marked
+
+
+def test_a_flight_without_an_end_has_no_errors(capsys):
+    flight = fly_compiled(cheap.scenario(), cheap.SOLVER)
+    lost = dataclasses.replace(flight, outcome=jnp.asarray(int(Outcome.NOT_FINITE)))
+    print_flight(cheap.MISSION, cheap.scenario(), lost)
+    printed = capsys.readouterr().out
+    assert "stopped where its numbers" in printed and "altitude" in printed
+    assert "error" not in printed and "peak" not in printed

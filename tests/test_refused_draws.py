@@ -21,6 +21,7 @@ from jentry.campaign import (
 )
 from jentry.campaign.batch import LANES
 from jentry.campaign.campaign import fly_in_blocks
+from jentry.campaign.dispersions import check_dispersions
 from jentry.campaign.distributions import Constant
 from jentry.tuning import Budget, Draws
 from jentry.tuning.draws import held_out
@@ -166,3 +167,27 @@ def test_linear_covariance_looks_at_its_draws_first(key, nothing_flies):
         linear_covariance(
             cheap.scenario(), table, key=key, runs=len(FEW), solver=cheap.SOLVER
         )
+
+
+@pytest.mark.parametrize(
+    ("distribution", "refused"),
+    [(Normal(1.0, 0.1), True), (Uniform(0.9, 1.1), True), (Normal(990.0, 9.0), False)],
+)
+def test_a_factor_that_would_replace_a_mass_is_refused(distribution, refused):
+    table = {"mass": Dispersion(lambda s: s.vehicle.mass, distribution)}
+    if not refused:
+        check_dispersions(cheap.scenario(), table)
+        return
+    said = (
+        r"'mass' replaces vehicle.mass, which is 992 kg, by draws about 1 kg.*multiply"
+    )
+    with pytest.raises(ValueError, match=said):
+        check_dispersions(cheap.scenario(), table)
+
+
+def test_the_number_of_a_seed_is_a_key():
+    table = cheap.mass_only()
+    runs = [
+        monte_carlo(cheap.scenario(), table, key, 3) for key in (7, jax.random.key(7))
+    ]
+    np.testing.assert_array_equal(*(run.inputs["vehicle.mass"] for run in runs))

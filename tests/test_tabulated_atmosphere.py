@@ -133,6 +133,10 @@ def test_csv_is_read(tmp_path):
             "# top\naltitude_m,density_kg_m3\n0,1\n5,.5\n5,.4\n",
             "line 5: altitude_m is 5 after 5; expected increasing values",
         ),
+        (
+            "altitude_m,density_kg_m3\n0,1\n150,1e-9\n",
+            "the highest altitude is 150 m, .* are its altitudes in km?",
+        ),
     ],
 )
 def test_csv_errors_name_file_line_and_expectation(tmp_path, text, message):

@@ -35,6 +35,7 @@ from .dispersions import (
     check_runs,
     dispersed_inputs,
     inputs_of_shares,
+    key_of,
     numbers_of_streams,
 )
 from .outputs import is_output, shown
@@ -110,7 +111,7 @@ class Campaign(eqx.Module):
 def monte_carlo(
     scenario: Scenario,
     dispersions: Mapping[str, Dispersion] | None = None,
-    key: Key[Array, ""] | None = None,
+    key: Key[Array, ""] | int | None = None,
     runs: Runs | None = None,
     *,
     inputs: Mapping[str, Any] | None = None,
@@ -128,6 +129,7 @@ def monte_carlo(
 
     - `scenario`: the nominal scenario.
     - `dispersions`: what is drawn, by name. They need a `key`.
+    - `key`: key of the draws, or the number of its seed.
     - `runs`: the number of runs, or the indices of single runs. By default 1000, or all
       runs of the inputs.
     - `inputs`: values by address instead of dispersions, each of shape (runs,).
@@ -147,7 +149,7 @@ def monte_carlo(
     blocks = fly_in_blocks(
         scenario,
         dispersions,
-        key,
+        key_of(key) if isinstance(key, int) else key,
         runs,
         inputs=inputs,
         solver=solver,

@@ -277,6 +277,11 @@ def check_dispersions(
                 )
         if isinstance(distribution, TruncatedNormal):
             _refuse_empty_interval(name, distribution)
+        if dispersion.apply is replace:
+            for address in addresses:
+                _refuse_replacing_factor(
+                    name, address, leaves[address], unit, distribution
+                )
     require_felt(scenario, moved)
     require_both(scenario, moved)
     for sensors, unit in (("accelerometers", " m/s2"), ("flow_sensors", "")):
@@ -298,6 +303,27 @@ def _refuse_factor_on_zero(name: str, address: str, leaf: Array) -> None:
         raise ValueError(
             f"dispersion {name!r} has no effect: it is a factor on {address}, which is "
             "zero. Use add or replace"
+        )
+
+
+_FACTORS = 0.5, 2.0
+"""Means of draws that are probably meant as factors"""
+
+_NO_FACTOR = 100.0
+"""Nominal value, in the SI unit, above which draws about one do not replace it"""
+
+
+def _refuse_replacing_factor(
+    name: str, address: str, leaf: Array, unit: str, distribution: AbstractDistribution
+) -> None:
+    """Refuse a mass of about 1 kg in place of one of tonnes: a forgotten `apply`."""
+    if unit == "1" or isinstance(leaf, Tracer) or np.ndim(leaf):
+        return
+    mean, least, most = float(distribution.moments()[0]), *_FACTORS
+    if least <= mean <= most and abs(float(leaf)) > _NO_FACTOR:
+        raise ValueError(
+            f"dispersion {name!r} replaces {address}, which is {float(leaf):g} {unit}, by "
+            f"draws about {mean:g} {unit}. For a factor use apply=multiply"
         )
 
 

@@ -109,7 +109,7 @@ def claim(
     if different and parts:
         raise CampaignError(
             f"{out} holds another campaign: {different}. Give another folder, or the "
-            "same options as before"
+            "same options and files as before"
         )
     agreed = ours if known is None or different else known
     campaign = digest_of(agreed)

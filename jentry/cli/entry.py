@@ -3,8 +3,10 @@
 import errno
 import gc
 import sys
+import traceback
 import warnings
 from importlib.metadata import version
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -81,6 +83,22 @@ def _run() -> None:
         fail(message, code)
 
 
+def _branch_of_a_law(error: Exception) -> str:
+    """Message for a Python `if` on a number of a flight; raises the error if it is ours."""
+    frames = traceback.extract_tb(error.__traceback__)
+    package = str(Path(__file__).parents[1])
+    own = [f for f in frames if not f.filename.startswith((package, sys.prefix))]
+    own = [f for f in own if f.line and "jentry" not in Path(f.filename).parts]
+    if not own:
+        raise error
+    last = own[-1]
+    return (
+        f"{last.filename}, line {last.lineno}: {last.line}\nA number of a flight has no "
+        "value when the flight is compiled, so that Python cannot branch on it: write "
+        "jnp.where(condition, one, other)"
+    )
+
+
 def _explained(error: Exception) -> tuple[int, str]:
     """Exit code and message of an error that a user can act on; raises others again."""
     less = "there is not enough memory: fly fewer runs, or store less of each"
@@ -97,8 +115,12 @@ def _explained(error: Exception) -> tuple[int, str]:
             return 4, str(error)
         case RuntimeError() if "RESOURCE_EXHAUSTED" in str(error):
             return 4, less
+    from jax.errors import TracerBoolConversionError
+
     from ..campaign.errors import CampaignError, ClusterError
 
+    if isinstance(error, TracerBoolConversionError):
+        return 2, _branch_of_a_law(error)
     if isinstance(error, CampaignError):
         return 3, str(error)
     if isinstance(error, ClusterError):

@@ -62,7 +62,7 @@ def print_leaves(scenario: Scenario) -> None:
     console.print(f"downrange and crossrange: {scenario.target.counted_from}")
     idle = unfelt(scenario)
     if idle:
-        console.print(f"without effect in this scenario: {', '.join(idle)}")
+        console.print(f"without effect on the flight: {', '.join(idle)}")
 
 
 def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
@@ -76,23 +76,24 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     table.add_section()
     for name, unit in units_of(EntryState).items():
         _add_number(table, in_words(name), getattr(flight.state, name), unit)
-    table.add_section()
-    missed = misses(scenario, flight)
-    for name, unit in units_of(Misses).items():
-        value = getattr(missed, name)
-        if value is not None:
-            _add_number(table, in_words(error_of(name)), value, unit)
-    table.add_section()
-    for name, peak in flight.peaks.items():
-        _add_peak(table, name, scenario.constraints[name], peak)
-    for name, there in flight.at_peaks.items():
+    if has_end(outcome):
         table.add_section()
-        words = f"at {in_words(peak_of(name))}"
-        unit = units_of(Instant)["time"]
-        table.add_row(f"time {words}", f"{float(there.time):.4f}", unit)
-        for component, unit in units_of(EntryState).items():
-            value = getattr(there.state, component)
-            _add_number(table, f"{in_words(component)} {words}", value, unit)
+        missed = misses(scenario, flight)
+        for name, unit in units_of(Misses).items():
+            value = getattr(missed, name)
+            if value is not None:
+                _add_number(table, in_words(error_of(name)), value, unit)
+        table.add_section()
+        for name, peak in flight.peaks.items():
+            _add_peak(table, name, scenario.constraints[name], peak)
+        for name, there in flight.at_peaks.items():
+            table.add_section()
+            words = f"at {in_words(peak_of(name))}"
+            unit = units_of(Instant)["time"]
+            table.add_row(f"time {words}", f"{float(there.time):.4f}", unit)
+            for component, unit in units_of(EntryState).items():
+                value = getattr(there.state, component)
+                _add_number(table, f"{in_words(component)} {words}", value, unit)
     title = f"{mission.name}: {outcome.message}" + (f" ({ended_by})" if met else "")
     console = new_console()
     print_under(console, title, table)
@@ -117,4 +118,7 @@ def _add_peak(
     unit = constraint.shown_unit or constraint.unit
     _add_number(table, words, peak, unit)
     if constraint.limit is not None:
-        _add_number(table, f"limit of the {words}", constraint.limit, unit)
+        limit = f"limit of the {words}"
+        if float(peak) > float(constraint.limit):
+            limit += ", exceeded"
+        _add_number(table, limit, constraint.limit, unit)

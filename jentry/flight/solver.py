@@ -96,7 +96,8 @@ class Adaptive(AbstractSolver):
 
     It is the reference against which `FixedStep` is checked. It stops at every guidance
     cycle and finds the end with a root finder. A flight that needs more than `max_steps`
-    in a cycle stops there, with `Outcome.NOT_FINITE`.
+    in a cycle stops there, with `Outcome.NOT_FINITE`: so may one whose law has a memory
+    with a derivative that jumps, as an integral that stops at a limit.
     """
 
     tolerance: float = eqx.field(default=1e-10, static=True)

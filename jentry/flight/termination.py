@@ -38,7 +38,10 @@ _MESSAGES = {
     Outcome.SKIPPED_OUT: "skipped out of the atmosphere",
     Outcome.CRASHED: "met the surface",
     Outcome.TIMED_OUT: "was still flying at the time limit",
-    Outcome.NOT_FINITE: "stopped where its numbers were no longer finite",
+    Outcome.NOT_FINITE: (
+        "stopped where its numbers were no longer finite, or where the adaptive solver did "
+        "not meet its tolerance"
+    ),
     Outcome.BEGAN_BEYOND_END: "began where an end condition was met already",
     Outcome.SINGULAR: (
         "stopped where its steps were too long for the equations of motion, which are "

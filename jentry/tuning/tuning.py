@@ -251,7 +251,7 @@ def _contradiction(entry: Entry) -> str:
         f"difference of the loss along it, of {100.0 * COARSE_STEP:g} % to both sides, "
         f"is {entry.difference:.3g} +- {entry.difference_error:.2g}: flights jump there "
         "(a bank reversal or an end one guidance cycle later), which their derivatives do "
-        "not contain; use gradient=CentralDifferences(), or "
+        "not contain; use gradient=CentralDifferences() (`jentry tune --differences`), or "
         "gradient=AutomaticDifferentiation(surrogate=...) of a smoother law, such as "
         "smooth_reversals"
     )

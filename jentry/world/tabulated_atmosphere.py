@@ -16,6 +16,10 @@ from .atmosphere import AbstractAtmosphere
 from .tabulated import AbstractTabulated, Edges
 
 
+LOWEST_TOP = 1e3
+"""m; a file whose highest altitude is lower is refused, since its altitudes may be in km"""
+
+
 def _as_float_array_or_none(value: Any) -> Array | None:
     return None if value is None else as_float_array(value)
 
@@ -80,6 +84,12 @@ class TabulatedAtmosphere(AbstractAtmosphere, AbstractTabulated):
             increasing="altitude_m",
             positive=("density_kg_m3", "temperature_K"),
         )
+        highest = columns["altitude_m"][-1]
+        if highest < LOWEST_TOP:
+            raise ValueError(
+                f"{path}: the highest altitude is {highest:g} m, which is not that of an "
+                "entry; are its altitudes in km?"
+            )
         return cls(
             jnp.asarray(columns["altitude_m"]),
             jnp.asarray(columns["density_kg_m3"]),
