@@ -90,6 +90,7 @@ def forgetting(request):
 
 
 _LONGEST = (
+    "tutorials",
     *("predictor_corrector_missions", "rlv", "cluster", "sx_2", "tuning", "x_33"),
     *("cav_h", "predictor_corrector_flights", "crossings", "declared_dispersions"),
     *("predictor_corrector", "tuning_gradients", "sensitivity"),
