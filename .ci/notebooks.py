@@ -38,7 +38,7 @@ def execute(path: Path, out: Path | None) -> None:
     notebook = nbformat.read(path, as_version=4)
     notebook.cells.insert(0, nbformat.v4.new_code_cell(BATCHES))
     with tempfile.TemporaryDirectory() as sockets:
-            # A client ends the kernel that it has started itself.
+        # A client ends the kernel that it has started itself.
         NotebookClient(
             notebook,
             config=Config(
