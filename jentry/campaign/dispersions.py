@@ -250,6 +250,7 @@ def check_dispersions(
     _codes(numbers_of_streams(dispersions))
     leaves = leaves_by_address(scenario)
     moved: set[str] = set()
+    replacing = []
     for name, dispersion in dispersions.items():
         addresses = addresses_of_dispersion(scenario, name, dispersion)
         unit = unit_of_draw(scenario, name, addresses, dispersion.apply)
@@ -278,12 +279,11 @@ def check_dispersions(
         if isinstance(distribution, TruncatedNormal):
             _refuse_empty_interval(name, distribution)
         if dispersion.apply is replace:
-            for address in addresses:
-                _refuse_replacing_factor(
-                    name, address, leaves[address], unit, distribution
-                )
+            replacing += [(name, a, leaves[a], unit, distribution) for a in addresses]
     require_felt(scenario, moved)
     require_both(scenario, moved)
+    for each in replacing:
+        _refuse_replacing_factor(*each)
     for sensors, unit in (("accelerometers", " m/s2"), ("flow_sensors", "")):
         noise = leaves.get(f"{sensors}.noise", 0.0)
         size = f"{float(noise):g}{unit}"
