@@ -436,6 +436,7 @@ def assert_says_the_same(cluster, folder, *command_words):
 
 
 TUNING = """
+import dataclasses
 import sys
 import equinox as eqx
 import jax
@@ -447,10 +448,10 @@ LOSS = jentry.MeanSquare(lambda misses: misses.downrange / jentry.km)
 
 
 def tuned(flights):
-    mission = jentry.find_mission("mars-drag-tracking")
+    mission = jentry.find_mission("my_lander.py")
     tuned = jentry.tune(
-        mission.scenario(),
-        lambda s: (s.guidance.gains, s.guidance.observer),
+        dataclasses.replace(mission.scenario(), step=1.0),
+        lambda s: (s.guidance.bank, s.guidance.gain),
         LOSS,
         optax.adam(0.1),
         jentry.Draws(
@@ -477,10 +478,10 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-def test_tuning_takes_the_same_course(tmp_path, alike):
+def test_tuning_takes_the_same_course(lander, alike):
     """Of flights that are several batches."""
-    (tmp_path / "script.py").write_text(TUNING)
-    flown = started("script.py", alike.address, cwd=tmp_path)
+    (lander / "script.py").write_text(TUNING)
+    flown = started("script.py", alike.address, cwd=lander)
     printed, errors = flown.communicate(timeout=600)
     assert flown.returncode == 0 and not errors, errors
     assert int(printed) > 10

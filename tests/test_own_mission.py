@@ -359,37 +359,6 @@ def test_one_file_flies(command, lander):
     assert leaves_by_address(scenario)["guidance.gain"] == 0.01
 
 
-@pytest.mark.slow
-def test_commands_in_processes_of_their_own(lander):
-    lines = [
-        "jentry show my_lander.py",
-        "jentry fly my_lander.py --set guidance.bank=80deg",
-        "jentry monte-carlo my_lander.py --runs 200",
-        "jentry tune my_lander.py --of downrange=1km",
-        "jentry sensitivity my_lander.py --wrt guidance",
-    ]
-    fewer = {
-        name: ["--runs", "20", "--step", "1"] for name in ("monte-carlo", "sensitivity")
-    }
-    fewer["tune"] = ["--runs", "8", "--steps", "6", "--held-out", "200", "--step", "1"]
-    for line in lines:
-        _, name, *words = line.split()
-        run = subprocess.run(
-            [sys.executable, "-W", "error", "-m", "jentry", name, *words]
-            + fewer.get(name, []),
-            capture_output=True,
-            text=True,
-            cwd=lander,
-            env={**os.environ, "PYTHONPATH": str(HERE.parent)},
-        )
-        assert run.returncode == 0, run.stderr
-        if name == "tune":
-            # Two numbers of a law make the downrange what is asked for.
-            assert re.search(r"loss .*lower", run.stdout), run.stdout
-    assert (lander / "results/my-lander/figures/overview.png").exists()
-    assert (lander / "results/my-lander-tuned/tuned.toml").exists()
-
-
 @pytest.mark.skipif(shutil.which("pyright") is None, reason="pyright is not installed")
 @pytest.mark.slow
 def test_the_example_of_the_readme_and_the_file_pass_pyright(lander):

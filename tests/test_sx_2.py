@@ -166,7 +166,7 @@ def miss_of(scenario, inputs):
 
 @pytest.mark.parametrize(
     "table, runs",
-    [("air-and-vehicle", RUNS), ("initial-errors", BLOCK), ("everything", BLOCK)],
+    [("air-and-vehicle", 2 * BLOCK), ("initial-errors", BLOCK), ("everything", BLOCK)],
 )
 def test_replanned_flights_all_arrive(table, runs):
     """Without an exception."""
