@@ -125,6 +125,8 @@ def of_populations(
 
     def cell(row: dict[str, Any], column: dict[str, Any]) -> str:
         keys = {"mission": mission, "digits": digits, **row, **column}
+        if twice := (row.keys() & column.keys()) - {"title"}:
+            raise ValueError(f"a row and a column both have the keys {sorted(twice)}")
         if unknown := keys.keys() - _KEYS:
             raise ValueError(f"unknown keys {sorted(unknown)} of a row or a column")
         return ", ".join(number({**keys, **one}) for one in keys.get("cells", [{}]))

@@ -71,6 +71,7 @@ def test_a_table_of_populations():
     [
         ("populations.csv", "nothing.csv", "source is 'nothing.csv': choose from"),
         ("corner =", "korner =", r"unknown keys \['korner'\]"),
+        ('{title = "ours",', '{title = "ours", show = "mean",', "both have the keys"),
         ('show = "largest"', 'shows = "largest"', "unknown keys|show"),
         ('choice = "table-3"', 'choice = "table-4"', "table-4"),
         ('show = "published", published = "NAME"', 'show = "published"', "published"),
