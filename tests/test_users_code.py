@@ -19,6 +19,7 @@ from jentry.missions import ALL
 
 LAW = """
 import enum
+import functools
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -39,8 +40,15 @@ class Side(enum.Enum):
     LEFT = 0.25
 
 
+class Tail:
+    @functools.cached_property
+    def size(self):
+        return 3.25
+
+
 def bank_of(drag):  # by a helper
-    return Side.LEFT.value * GAIN * TABLE[0] * their_helpers.shifted(drag) * len(NEAR)
+    known = Tail().size * Side.LEFT.value * len(NEAR)
+    return known * GAIN * TABLE[0] * their_helpers.shifted(drag)
 
 
 class Base(AbstractContinuousLaw[None]):
@@ -78,6 +86,7 @@ CHANGES = {
     "a number": ("GAIN = 0.1", "GAIN = 0.2", "their_law.GAIN"),
     "an array": ("array([1.0, 2.0])", "array([1.0, 3.0])", "their_law.TABLE"),
     "a set": ('"one", "two"', '"one", "four"', "their_law.NEAR"),
+    "a cached property": ("return 3.25", "return 3.5", "their_law.Tail.size"),
     "a member of an enumeration": (
         "LEFT = 0.25",
         "LEFT = 0.5",
