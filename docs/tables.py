@@ -171,11 +171,11 @@ def _of_records(path: Path, name: str, command: str) -> tuple[list[str], Rows, s
     return ["", *columns], body, f"`{command}`, {found.date}{where}."
 
 
-def of_published(table: str, note: bool = True) -> tuple[list[str], Rows, str]:
+def of_published(table: str) -> tuple[list[str], Rows, str]:
     heading, rows, caption = _of_records(
         records.PUBLISHED, table, f'python benchmarks/published.py "{table}"'
     )
-    return heading, rows, f"In brackets: the paper. {caption}" if note else caption
+    return heading, rows, f"In brackets: the paper. {caption}"
 
 
 def of_timings(table: str) -> tuple[list[str], Rows, str]:
@@ -271,7 +271,7 @@ SOURCES: dict[str, tuple[set[str], Callable[..., tuple[list[str], Rows, str]]]] 
         {"rows", "columns", "mission", "corner", "digits"},
         of_populations,
     ),
-    "published.csv": ({"table", "note"}, of_published),
+    "published.csv": ({"table"}, of_published),
     "timings.csv": ({"table"}, of_timings),
     "sampling.csv": (set(), of_sampling),
     "wind.csv": (set(), of_wind),

@@ -86,9 +86,12 @@ def _run() -> None:
 def _branch_of_a_law(error: Exception) -> str:
     """Message for a Python `if` on a number of a flight; raises the error if it is ours."""
     frames = traceback.extract_tb(error.__traceback__)
-    package = str(Path(__file__).parents[1])
-    own = [f for f in frames if not f.filename.startswith((package, sys.prefix))]
-    own = [f for f in own if f.line and "jentry" not in Path(f.filename).parts]
+    installed = Path(__file__).parents[1], Path(sys.prefix), Path(sys.base_prefix)
+    own = [
+        f
+        for f in frames
+        if f.line and not any(map(Path(f.filename).is_relative_to, installed))
+    ]
     if not own:
         raise error
     last = own[-1]
