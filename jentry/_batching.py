@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool, PyTree
@@ -17,15 +18,31 @@ from .fields import Flag
 T = TypeVar("T", bound=PyTree)
 
 
-@jax.custom_batching.custom_vmap
-def any_lane(condition: Bool[Array, "..."]) -> Bool[Array, "..."]:
+def any_lane(condition: Bool[Array, "..."] | Flag) -> Bool[Array, "..."]:
     """Whether a condition holds for any flight of a batch: one value for all in `vmap`."""
-    return condition
+    return _any.bind(jnp.asarray(condition))
 
 
-@any_lane.def_vmap
-def _(axis_size, in_batched, condition):
-    return any_lane(jnp.any(condition)), False
+_any = Primitive("any_lane")
+"""Returns its operand, and of a batch whether it holds for any"""
+_any.def_impl(lambda condition: condition)
+_any.def_abstract_eval(lambda condition: condition)
+mlir.register_lowering(_any, lambda context, condition: [condition])
+
+
+def _any_of_batch(conditions: Sequence[Any], axes: Sequence[int]):
+    return any_lane(jnp.any(conditions[0], axes[0])), None
+
+
+batching.primitive_batchers[_any] = _any_of_batch
+
+
+def _without_derivative(primals: Sequence[Any], tangents: Sequence[Any]):
+    out = _any.bind(*primals)
+    return out, ad.Zero(ShapedArray(out.shape, jax.dtypes.float0))
+
+
+ad.primitive_jvps[_any] = _without_derivative
 
 
 def where_due(due: Flag, act: Callable[[T], T], otherwise: T) -> T:

@@ -26,6 +26,7 @@ from jax._src.core import trace_state_clean  # jax.core has it no longer
 from jax.core import Tracer
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
+from ._devices import cores
 from ._files import write_whole
 from ._provenance.program_keys import Unknown, description_of, key_of, settings
 from ._setup import programs_directory
@@ -136,7 +137,7 @@ class _Program:
                 (count,),
                 ("devices",),
                 axis_types=(AxisType.Auto,),
-                devices=jax.devices()[:count],
+                devices=cores()[:count],
             )
             options = {**options, "in_shardings": NamedSharding(mesh, PartitionSpec())}
         self._run = jax.jit(exported.call, **options)
@@ -183,7 +184,9 @@ def _traced(function: Callable, leaves: list[Any], structure: Any) -> bytes | No
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            exported = export.export(jax.jit(of_arrays))(*filter(eqx.is_array, leaves))
+            exported = export.export(jax.jit(of_arrays), platforms=["cpu"])(
+                *filter(eqx.is_array, leaves)
+            )
             contents = pickle.dumps((bytes(exported.serialize()), forms[-1]))
         except Exception:  # the function itself raises it with a better traceback
             contents = None

@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import ParamSpec, TypeVar
+from typing import Literal, ParamSpec, TypeVar
 
 
 P = ParamSpec("P")
@@ -79,7 +79,11 @@ def available_cores() -> int:
 
 
 def setup(
-    workers: int | None = None, *, fast: bool = False, cache: bool = True
+    workers: int | None = None,
+    *,
+    fast: bool = False,
+    cache: bool = True,
+    device: Literal["cpu", "gpu"] | None = None,
 ) -> None:
     """Set how jentry computes. Call it first, before any array is made.
 
@@ -100,8 +104,12 @@ def setup(
     - `cache`: cache compiled and traced programs in `cache_directory()`: the next process
       neither compiles nor traces them again. Every process traces programs that contain a
       law, an atmosphere or a function of your own.
+    - `device`: "cpu" or "gpu" flies all batches of runs there. By default a GPU flies
+      batches of 16 384 runs and more, where there is one. Single flights and planning run
+      on the CPU. A GPU needs `jentry[cuda]`.
 
-    **Raises:** `RuntimeError` if JAX has been used before with other settings.
+    **Raises:** `RuntimeError` if JAX has been used before with other settings, and for a
+    GPU where JAX finds none.
     """
     if workers is not None and workers < 1:
         raise ValueError(f"workers is {workers}: it must be at least 1")
@@ -128,6 +136,12 @@ def setup(
         jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)
     global _PROGRAMS
     _PROGRAMS = cache_directory() / "programs" if cache else None
+    from ._devices import choose, has_plugin
+
+    if has_plugin():
+        # A GPU would be the default, for single flights and planning as well.
+        jax.config.update("jax_default_device", "cpu")
+    choose(device)
 
 
 _PROGRAMS: Path | None = None

@@ -20,6 +20,7 @@ from typing import Any
 
 import jax
 
+from .._devices import cores
 from .modules import Owner, find, home_of, owner_of, package_of
 from .parts import (
     digest,
@@ -64,7 +65,7 @@ def description_of(function: Callable, leaves: list[Any], structure: Any) -> str
 
 def settings() -> str:
     """The present settings of JAX, its devices, and what Equinox does on errors."""
-    devices = f"{jax.default_backend()} {len(jax.devices())}"
+    devices = f"cpu {len(cores())}"
     return f"{devices} {os.environ.get('EQX_ON_ERROR')} {settings_of_jax()}"
 
 

@@ -1,9 +1,10 @@
-"""The batch runner: flies many runs side by side, in small batches, on all devices.
+"""The batch runner: flies many runs side by side, in small batches, on all cores.
 
 All code that flies many runs calls one of three functions. `over_runs` returns the values
 of all runs, `over_blocks` returns them block by block, and `sum_over_runs` adds them up.
 Each fills the runs up to whole batches and removes the fill from the results. Within
-`flying_on(machines)` other processes fly instead, see `cluster`.
+`flying_on(machines)` other processes fly instead, see `cluster`. On a GPU the batches are
+large, see `on_gpu`.
 """
 
 import abc
@@ -22,7 +23,9 @@ from jax import lax
 from jax.sharding import AxisType, PartitionSpec
 from jaxtyping import PyTree
 
+from .._devices import Kind, cores, gpu, kind_for
 from .._programs import cached
+from . import on_gpu
 
 
 LANES = 64
@@ -81,11 +84,18 @@ def flying_on(machines: AbstractMachines) -> Iterator[None]:
         _MACHINES.reset(token)
 
 
-def in_blocks(runs: np.ndarray) -> Iterator[np.ndarray]:
+def device_of(runs: int) -> Kind:
+    """The device that flies a number of runs. Other machines fly on their processors."""
+    return "cpu" if _MACHINES.get() is not None else kind_for(runs)
+
+
+def in_blocks(runs: np.ndarray, device: Kind = "cpu") -> Iterator[np.ndarray]:
     """Indices of runs in blocks of constant memory. The host reports after each block."""
     machines = _MACHINES.get()
-    if machines is None:
-        most = LANES * _CHUNKS * len(jax.devices())
+    if device == "gpu":
+        most = on_gpu.BLOCK
+    elif machines is None:
+        most = LANES * _CHUNKS * len(cores())
     else:
         most = LANES * _CHUNKS * _BLOCKS * machines.cores
     for begin in range(0, len(runs), most):
@@ -114,6 +124,8 @@ def over_runs(
     """
     machines = _MACHINES.get()
     given = function, shared, one_device, large
+    if not (one_device or large) and device_of(_count(runs)) == "gpu":
+        return on_gpu.by_xla(_gpu(), function, shared, runs)
     if machines is None:
         return _fly(given, runs)
     parts = (part for part, _ in _parts(machines, runs))
@@ -159,13 +171,15 @@ def sum_over_runs(
 
     **Arguments:**
 
-    - `function`: takes runs of shape (`LANES`, ...) and bools of shape (`LANES`,) that are
-      true for the runs that count. The other runs are fill and must add nothing. Define it
-      at module level.
+    - `function`: takes the runs of a batch, of shape (n, ...), and bools of shape (n,) that
+      are true for the runs that count. The other runs are fill and must add nothing. Define
+      it at module level. n is `LANES`, and larger on a GPU.
     - `shared`, `runs`: as for `over_runs`.
     """
     machines = _MACHINES.get()
     given = function, shared
+    if device_of(_count(runs)) == "gpu":
+        return on_gpu.sum_by_xla(_gpu(), function, shared, runs)
     if machines is None:
         values = iter([_fly_batches(given, (runs, _count(runs)))])
     else:
@@ -174,6 +188,19 @@ def sum_over_runs(
     batches = (batch for value in values for batch in _apart(value))
     total = functools.reduce(lambda *both: jax.tree.map(np.add, *both), batches)
     return jax.tree.map(jnp.asarray, total)
+
+
+def flier(
+    function: Callable[[Any, Any], Any], shared: PyTree, large: bool = False
+) -> on_gpu.Flier:
+    """What flies the runs of a campaign on the GPU."""
+    return on_gpu.Flier(_gpu(), function, shared, large)
+
+
+def _gpu():
+    found = gpu()
+    assert found is not None  # by `kind_for`
+    return found
 
 
 def _parts(machines: AbstractMachines, runs: PyTree) -> Iterator[tuple[PyTree, int]]:
@@ -211,7 +238,7 @@ def _apart(values: PyTree) -> Iterator[PyTree]:
 def _fly(given: tuple[Callable, PyTree, bool, bool], runs: PyTree) -> Any:
     """Values of `over_runs`, computed by this process."""
     function, shared, one_device, large = given
-    devices = 1 if one_device else len(jax.devices())
+    devices = 1 if one_device else len(cores())
     most = _CHUNKS_OF_HISTORIES if large else _CHUNKS
     flown = _called(_mapped, function, shared, runs, devices, most)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[: _count(runs)], flown)
@@ -225,7 +252,7 @@ def _fly_batches(given: tuple[Callable, PyTree], part: tuple[PyTree, int]) -> An
     runs, counted = part
     size = _up(counted, LANES)
     batches = _around(runs, 0, size), np.arange(size) < counted
-    return _called(_batches, *given, batches, len(jax.devices()), _CHUNKS)
+    return _called(_batches, *given, batches, len(cores()), _CHUNKS)
 
 
 def _called(
@@ -265,7 +292,7 @@ def _at(places: np.ndarray, runs: PyTree) -> PyTree:
 
 def filled_up(runs: np.ndarray) -> np.ndarray:
     """Indices of runs, followed by the first of them again up to whole blocks."""
-    size = LANES * _CHUNKS * len(jax.devices())
+    size = LANES * _CHUNKS * len(cores())
     return _around(runs, 0, _up(len(runs), size))
 
 
@@ -334,7 +361,12 @@ def _on_devices(function, shared, batches, count, devices: int):
 
     if devices == 1:
         return on_one_device(numbers, batches, count)
-    mesh = jax.make_mesh((devices,), ("flights",), axis_types=(AxisType.Auto,))
+    mesh = jax.make_mesh(
+        (devices,),
+        ("flights",),
+        axis_types=(AxisType.Auto,),
+        devices=cores()[:devices],
+    )
     split = PartitionSpec("flights")
     on_all = jax.shard_map(
         on_one_device,

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
+from .._devices import Kind
 from .._printed import in_words
 from .._setup import needs_float64
 from ..addresses import (
@@ -28,7 +29,7 @@ from ..flight.scenario import Scenario, check_values, checked, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
 from ..world.perturbed_atmosphere import without_zero_perturbations
-from .batch import filled_up, in_blocks, over_blocks
+from .batch import device_of, filled_up, flier, in_blocks, over_blocks
 from .dispersions import (
     Dispersion,
     check_dispersions,
@@ -60,6 +61,8 @@ class Campaign(eqx.Module):
     """Values of the dispersed leaves, by address"""
     flights: Flight
     misses: Misses
+    flown_on: str = eqx.field(default="", static=True)
+    """The GPU, and what flew on it; empty for the processor"""
 
     def to_xarray(
         self, scenario: Scenario, history: float | None = None
@@ -137,6 +140,9 @@ def monte_carlo(
     - `sampler`: spreads the draws evenly, `LatinHypercube(runs)` or `Sobol()`. By default
       the draws are independent of each other.
 
+    On a GPU (see `jentry.setup`) each flight is one kernel, or XLA flies where a kernel
+    does not know an operation of it: `Campaign.flown_on` says so.
+
     **Raises:** `ValueError` for an empty batch, a dispersion or an address that reaches no
     leaf, inputs of unequal length, and inputs that cannot be flown. All draws are checked
     before the first flight.
@@ -172,6 +178,7 @@ def fly_in_blocks(
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
     sampler: AbstractSampler | None = None,
+    device: Kind | None = None,
 ) -> Iterator[tuple[int, Campaign]]:
     """Fly a campaign as `monte_carlo` does, in blocks, each with its index.
 
@@ -211,9 +218,13 @@ def fly_in_blocks(
         check_sampler(sampler, numbers_of_streams(dispersions), count)
     if given is not None and indices.max() >= count:
         raise ValueError(f"run {indices.max()} was asked for, of {count} given")
+    if device is None:
+        device = device_of(indices.size)
     if dispersions and key is not None:
-        check_draws(scenario, dispersions, key, indices, sampler)
-    return _blocks(scenario, dispersions, key, indices, given, solver, history, sampler)
+        check_draws(scenario, dispersions, key, indices, sampler, device)
+    return _blocks(
+        scenario, dispersions, key, indices, given, solver, history, sampler, device
+    )
 
 
 def _check_inputs(
@@ -284,13 +295,14 @@ def check_draws(
     key: Key[Array, ""],
     runs: np.ndarray,
     sampler: AbstractSampler | None = None,
+    device: Kind = "cpu",
 ) -> None:
     """Refuse runs if the draw of any of them cannot be flown, before the first flight.
 
     The runs are drawn in the same blocks as in flight. This takes constant memory, and
     compiles nothing that the flights do not need.
     """
-    for block in in_blocks(runs):
+    for block in in_blocks(runs, device):
         drawn_inputs(scenario, dispersions, key, block, sampler)
 
 
@@ -324,7 +336,9 @@ def _check_runs(
     raise ValueError(f"{source}, run {runs[first]}: {why}")
 
 
-def _blocks(scenario, dispersions, key, indices, given, solver, history, sampler):
+def _blocks(
+    scenario, dispersions, key, indices, given, solver, history, sampler, device
+):
     if given is None:
         moved = (addresses_of(scenario, each.where) for each in dispersions.values())
         varied = itertools.chain.from_iterable(moved)
@@ -332,7 +346,7 @@ def _blocks(scenario, dispersions, key, indices, given, solver, history, sampler
         varied = given
 
     def drawn():
-        for place, runs in enumerate(in_blocks(indices)):
+        for place, runs in enumerate(in_blocks(indices, device)):
             if given is None:
                 inputs = _drawn(scenario, dispersions, key, runs, sampler)
             else:
@@ -340,6 +354,11 @@ def _blocks(scenario, dispersions, key, indices, given, solver, history, sampler
             yield (place, runs, inputs), inputs
 
     shared = without_zero_perturbations(scenario, varied), solver, history
+    if device == "gpu":
+        fly = flier(_fly_one, shared, large=history is not None)
+        for (place, runs, inputs), found in fly.over_blocks(drawn()):
+            yield place, Campaign(runs, inputs, *found, flown_on=fly.how)
+        return
     flown = over_blocks(_fly_one, shared, drawn(), large=history is not None)
     for (place, runs, inputs), found in flown:
         yield place, Campaign(runs, inputs, *found)

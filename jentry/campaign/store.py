@@ -22,6 +22,7 @@ from ..flight.flight import Flight
 from ..flight.miss import misses
 from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
+from .batch import device_of
 from .campaign import Campaign, fly_in_blocks
 from .description import describe, scalars_of
 from .dispersions import Dispersion, key_of, numbers_of_streams
@@ -87,6 +88,9 @@ def run_campaign(
     scenario = checked(scenario)
     key = None if inputs is not None else key_of(seed)
 
+    # One device flies all runs, also those that are missing after an interruption.
+    device = device_of(int(runs))
+
     def blocks_of(runs: int | np.ndarray) -> Iterator[tuple[int, Campaign]]:
         return fly_in_blocks(
             scenario,
@@ -97,6 +101,7 @@ def run_campaign(
             solver=solver,
             history=history,
             sampler=sampler,
+            device=device,
         )
 
     # This refuses inputs that cannot be flown, and flies nothing yet.
@@ -104,6 +109,8 @@ def run_campaign(
         check_sampler(sampler, numbers_of_streams(dispersions), runs)
     blocks_of(runs if part is None else runs_of_part(runs, part))
     mine = runs_of_part(runs, part)
+    if device == "gpu":
+        labels["device"] = device
     description = describe(
         scenario, dispersions, seed, solver, history, inputs, sampler, **labels
     )
@@ -111,6 +118,7 @@ def run_campaign(
         raise CampaignError(f"{out} is a file: give a folder for the campaign")
     out.mkdir(parents=True, exist_ok=True)
     with alone_in(out):
+        _check_device(out, device)
         description, parts = claim(out, description)
         for pattern in (MANIFEST, "runs-*"):
             remove_unfinished(out, pattern)
@@ -125,6 +133,20 @@ def run_campaign(
                 _write_part(out, scenario, block, description, campaign)
                 done += len(block.runs)
                 report(done)
+
+
+def _check_device(out: Path, device: str) -> None:
+    """Refuse to continue on another device: its flights differ by rounding."""
+    if not (out / MANIFEST).exists() or not parts_of(out):
+        return
+    known = read_manifest(out).get("device", "cpu")
+    if known != device:
+        named = {"cpu": "the processor", "gpu": "a GPU"}
+        raise CampaignError(
+            f"{out} was flown on {named[known]}, and {named[device]} would fly the rest, "
+            f"which rounds otherwise: give --device {known}, or "
+            f'jentry.setup(device="{known}"), or another folder'
+        )
 
 
 def runs_of_part(runs: int, part: tuple[int, int] | None) -> np.ndarray:
@@ -266,6 +288,8 @@ def _write_part(
         part.attrs[name] = json.dumps(description[name])
     part.attrs["scenario"] = json.dumps(scalars_of(description))
     part.attrs["campaign_digest"] = campaign
+    if block.flown_on:
+        part.attrs["flown_on"] = block.flown_on
     contents = _netcdf(part)
     first, last = int(block.runs[0]), int(block.runs[-1])
     write_whole(out / name_of_part(campaign, first, last, contents), contents)

@@ -9,6 +9,7 @@ from .ending import rounding_off
 from .options import (
     Case,
     ClusterAt,
+    Device,
     Dispersions,
     Fast,
     Json,
@@ -97,6 +98,7 @@ def command(
     json: Json = False,
     quiet: Quiet = False,
     workers: Workers = None,
+    device: Device = None,
     cluster: ClusterAt = None,
     fast: Fast = False,
 ) -> None:
@@ -104,7 +106,7 @@ def command(
 
     One table has a row for each campaign; the differences are those from the first.
     """
-    set_up(workers, fast)
+    set_up(workers, fast, device)
     import_meanwhile("scipy.stats")
     from ..campaign.store import open_campaign
     from ..statistics.alternatives import PERCENTILES, alternatives_of

@@ -11,6 +11,7 @@ from .options import (
     Case,
     ClusterAt,
     Config,
+    Device,
     Dispersions,
     Fast,
     Formats,
@@ -57,6 +58,7 @@ def command(
         ),
     ] = None,
     workers: Workers = None,
+    device: Device = None,
     cluster: ClusterAt = None,
     law: Law = None,
     case: Case = None,
@@ -114,7 +116,7 @@ def command(
     quiet: Quiet = False,
 ) -> None:
     """Fly dispersed runs, store them, print their statistics and draw figures."""
-    set_up(workers, fast)
+    set_up(workers, fast, device)
     drawing = (
         ("matplotlib.figure", "matplotlib.backends.backend_agg") if figures else ()
     )

@@ -112,6 +112,22 @@ ClusterAt = Annotated[
         "this machine.",
     ),
 ]
+
+
+class OnDevice(enum.StrEnum):
+    """Where batches of runs fly."""
+
+    CPU = "cpu"
+    GPU = "gpu"
+
+
+Device = Annotated[
+    OnDevice | None,
+    typer.Option(
+        help="Fly all batches there. If not given, a GPU flies batches of 16 384 runs and "
+        "more, where there is one."
+    ),
+]
 Addresses = Annotated[
     list[str] | None,
     typer.Option(
@@ -190,12 +206,14 @@ _MOST_WORKERS = 1024
 """Each worker takes memory before it computes anything."""
 
 
-def set_up(workers: int | None = None, fast: bool = False) -> None:
+def set_up(
+    workers: int | None = None, fast: bool = False, device: OnDevice | None = None
+) -> None:
     from .._setup import setup
 
     if workers is not None and workers > _MOST_WORKERS:
         raise ValueError(f"workers is {workers}: it must be {_MOST_WORKERS} at most")
-    setup(workers, fast=fast)
+    setup(workers, fast=fast, device=None if device is None else device.value)
 
 
 def flying_at(cluster: str | None):

@@ -9,6 +9,7 @@ from .options import (
     Addresses,
     Case,
     Config,
+    Device,
     Dispersions,
     Law,
     MissionName,
@@ -52,6 +53,7 @@ def command(
     ] = False,
     seed: Seed = 0,
     workers: Workers = None,
+    device: Device = None,
     law: Law = None,
     case: Case = None,
     world: World = None,
@@ -61,7 +63,7 @@ def command(
     step: Step = None,
 ) -> None:
     """Find derivatives of the misses, and predict their spread from one flight."""
-    set_up(workers)
+    set_up(workers, device=device)
 
     from ..analysis.covariance import linear_covariance
     from ..analysis.sensitivities import sensitivity

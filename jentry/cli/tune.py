@@ -13,6 +13,7 @@ from .options import (
     Case,
     ClusterAt,
     Config,
+    Device,
     Dispersions,
     Fast,
     Law,
@@ -137,6 +138,7 @@ def command(
     held_out: Annotated[int, typer.Option(help="Further draws to judge by.")] = 5000,
     seed: Seed = 0,
     workers: Workers = None,
+    device: Device = None,
     cluster: ClusterAt = None,
     law: Law = None,
     case: Case = None,
@@ -148,7 +150,7 @@ def command(
     fast: Fast = False,
 ) -> None:
     """Tune gains, or any numbers, by gradients through a Monte Carlo."""
-    set_up(workers, fast)
+    set_up(workers, fast, device)
     import optax
     import optimistix
 

@@ -6,9 +6,10 @@ mode. `lax.scan` has both modes, but always runs to its full length. This loop s
 with its transpose. Since the system itself is defined too, derivatives of any order follow.
 """
 
+import contextlib
 import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -45,6 +46,21 @@ def _add(a: PyTree, b: PyTree) -> PyTree:
     return jax.tree.map(jnp.add, a, b)
 
 
+_FORWARD_ONLY = jax.make_user_context(False)
+"""Whether loops keep the forward mode of `lax.while_loop`, as part of what JAX finds its
+traces by"""
+
+
+@contextlib.contextmanager
+def forward_mode_only() -> Iterator[None]:
+    """Context in which `while_running` stores nothing and has no reverse mode.
+
+    Tangents are then carried along with the flight, in the same loop.
+    """
+    with _FORWARD_ONLY(True):
+        yield
+
+
 def while_running(
     cycle: Callable[[Parameters, Carry], Carry],
     running: Callable[[Carry], Any],
@@ -58,7 +74,8 @@ def while_running(
     continues until no flight of the batch runs. Reverse mode stores one carry per cycle;
     the intermediate values of a cycle are computed again.
     """
-    return _loop(parameters, carry, None, cycle, running, max_cycles, 0, True)[0]
+    loop = _run if _FORWARD_ONLY.value else _loop
+    return loop(parameters, carry, None, cycle, running, max_cycles, 0, True)[0]
 
 
 def while_running_with_history(

@@ -1,0 +1,161 @@
+"""Batches of flights on a GPU: whole flights as kernels, or large batches by XLA.
+
+A kernel flies a campaign at many times the speed of XLA. Where it does not know an
+operation of a flight, XLA flies in its place, and the campaign says so.
+"""
+
+import functools
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PyTree
+
+from .._devices import Gpu
+from .._integrate import stages_written_out
+from ..kernel import NotInKernel, kernel_of
+
+
+BLOCK = 131_072
+"""Runs in one call, after which the host reports"""
+
+_LEAST = 64
+"""Runs in one call that a GPU must have memory for"""
+
+Block = TypeVar("Block")
+
+
+class Flier:
+    """Flies the runs of a campaign on a GPU."""
+
+    def __init__(
+        self,
+        gpu: Gpu,
+        function: Callable[[Any, Any], Any],
+        shared: PyTree,
+        large: bool,
+    ):
+        self._gpu = gpu
+        self._large = large
+        self._function = function
+        self._shared = shared
+        self._fly: Callable[[PyTree], Any] | None = None
+        self.how = ""
+        """What flies, in words, after the first call"""
+
+    def __call__(self, runs: PyTree) -> Any:
+        """Values of the function for all runs, as numpy arrays."""
+        if self._fly is None:
+            self._fly = self._made(runs)
+        return self._fly(runs)
+
+    def over_blocks(
+        self, blocks: Iterable[tuple[Block, PyTree]]
+    ) -> Iterator[tuple[Block, Any]]:
+        """The label of each block of runs, with its values."""
+        for block, runs in blocks:
+            yield block, self(runs)
+
+    def _made(self, runs: PyTree) -> Callable[[PyTree], Any]:
+        one = jax.tree.map(lambda x: jnp.asarray(x[0]), runs)
+        try:
+            if self._large:
+                raise NotInKernel("has a history, which a kernel does not store")
+            kernel = kernel_of(
+                functools.partial(self._function, self._shared),
+                one,
+                form=self._gpu.form,
+            )
+        except NotInKernel as error:
+            self.how = f"{self._gpu.name}, by XLA, since a flight {error}"
+            return functools.partial(by_xla, self._gpu, self._function, self._shared)
+        self.how = f"{self._gpu.name}, each flight in one kernel"
+
+        def fly(runs: PyTree) -> Any:
+            there = jax.device_put(runs, self._gpu.device)
+            return jax.tree.map(np.asarray, kernel(there))
+
+        return fly
+
+
+_FITS: dict[Any, int] = {}
+"""Runs in one call for which a GPU had memory, by function"""
+
+
+def by_xla(
+    gpu: Gpu, function: Callable[[Any, Any], Any], shared: PyTree, runs: PyTree
+) -> Any:
+    """Values of `function(shared, run)` for all runs, in the largest batches that fit."""
+    count = len(jax.tree.leaves(runs)[0])
+    flown, begin = [], 0
+    while begin < count:
+        size = _FITS.get(function, min(BLOCK, _power_of_two(count)))
+        places = np.arange(begin, begin + size) % count
+        part = jax.tree.map(lambda x, at=places: np.asarray(x)[at], runs)
+        try:
+            values = _fly(gpu, function, shared, part)
+        except jax.errors.JaxRuntimeError as error:
+            if "RESOURCE_EXHAUSTED" not in str(error) or size <= _LEAST:
+                raise
+            _FITS[function] = size // 2
+            continue
+        kept = min(size, count - begin)
+        flown.append(jax.tree.map(lambda x, n=kept: np.asarray(x)[:n], values))
+        begin += size
+    return jax.tree.map(lambda *parts: np.concatenate(parts), *flown)
+
+
+def sum_by_xla(
+    gpu: Gpu, function: Callable[[Any, Any, Any], Any], shared: PyTree, runs: PyTree
+) -> Any:
+    """Sum of `function(shared, runs, counts)` over batches, as `sum_over_runs`."""
+    count = len(jax.tree.leaves(runs)[0])
+    total, begin = None, 0
+    while begin < count:
+        size = _FITS.get(function, min(BLOCK, _power_of_two(count)))
+        places = np.arange(begin, begin + size)
+        part = jax.tree.map(lambda x, at=places % count: np.asarray(x)[at], runs)
+        try:
+            values = _sum(gpu, function, shared, part, places < count)
+        except jax.errors.JaxRuntimeError as error:
+            if "RESOURCE_EXHAUSTED" not in str(error) or size <= _LEAST:
+                raise
+            _FITS[function] = size // 2
+            continue
+        values = jax.tree.map(np.asarray, values)
+        total = values if total is None else jax.tree.map(np.add, total, values)
+        begin += size
+    return jax.tree.map(jnp.asarray, total)
+
+
+def _power_of_two(count: int) -> int:
+    """The smallest power of two that is not less: few programs serve all counts."""
+    return max(1 << (count - 1).bit_length(), _LEAST)
+
+
+def _fly(gpu: Gpu, function, shared, runs):
+    numbers, structure = eqx.partition(shared, eqx.is_array)
+    there = jax.device_put((numbers, runs), gpu.device)
+    with stages_written_out():
+        return _mapped(function, structure, *there)
+
+
+def _sum(gpu: Gpu, function, shared, runs, counts):
+    numbers, structure = eqx.partition(shared, eqx.is_array)
+    there = jax.device_put((numbers, runs, counts), gpu.device)
+    with stages_written_out():
+        return _summed(function, structure, *there)
+
+
+@eqx.filter_jit
+def _mapped(function, structure, numbers, runs):
+    shared = eqx.combine(numbers, structure)
+    return jax.vmap(lambda run: function(shared, run))(runs)
+
+
+@eqx.filter_jit
+def _summed(function, structure, numbers, runs, counts):
+    return function(eqx.combine(numbers, structure), runs, counts)
