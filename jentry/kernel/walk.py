@@ -37,7 +37,12 @@ from .varying import Analysis, Varies, asks_all_flights, called
 
 
 WRITTEN_OUT = 4
-"""Loops of at most so many iterations, without a loop inside, are written out"""
+"""Loops of at most so many iterations, without a loop inside, are written out, such as the
+stages of a Runge-Kutta step"""
+
+MOST_OPERATIONS = 3200
+"""Largest number of operations that such a loop is written out as: the kernel compiles
+longer the more it has"""
 
 MOST_WRITTEN_OUT = 64
 """Largest number of iterations of a loop that has to be written out, since it stacks"""
@@ -220,8 +225,7 @@ class Walk:
         order = range(length)[::-1] if params["reverse"] else range(length)
         stacks = len(body.jaxpr.outvars) > carries
         must = stacks or not all(map(is_known, rows))
-        short = length <= WRITTEN_OUT and not _has_loop(body.jaxpr)
-        if short or must:
+        if must or self._is_short(length, body.jaxpr):
             if length > MOST_WRITTEN_OUT:
                 raise NotInKernel(
                     f"has a loop of {length} iterations with an array of a flight for "
@@ -243,6 +247,11 @@ class Walk:
             lambda loop: lax.lt(loop[0], np.int32(length)), one, loop
         )
         return carry.arrays(out)
+
+    def _is_short(self, length: int, body: Jaxpr) -> bool:
+        if length > WRITTEN_OUT or _has_loop(body):
+            return False
+        return length * _size(body) <= MOST_OPERATIONS
 
     def _row(self, array: np.ndarray, index: Any) -> np.ndarray:
         """The row of a known array at an index that counts in the kernel."""
@@ -565,6 +574,12 @@ def _has_loop(jaxpr: Jaxpr) -> bool:
         if any(_has_loop(b.jaxpr) for b in equation.params.get("branches", ())):
             return True
     return False
+
+
+def _size(jaxpr: Jaxpr) -> int:
+    """Number of operations, with those of the functions that are called."""
+    inner = (called(equation) for equation in jaxpr.eqns)
+    return len(jaxpr.eqns) + sum(_size(x.jaxpr) for x in inner if x is not None)
 
 
 def _last_uses(jaxpr: Jaxpr) -> dict[int, list[Any]]:
