@@ -23,7 +23,8 @@ from jax import lax
 from jax.sharding import AxisType, PartitionSpec
 from jaxtyping import PyTree
 
-from .._devices import Kind, cores, gpu, kind_for
+from .. import _devices
+from .._devices import Kind, cores, kind_for
 from .._programs import cached
 from . import on_gpu
 
@@ -197,8 +198,8 @@ def flier(
     return on_gpu.Flier(_gpu(), function, shared, large)
 
 
-def _gpu():
-    found = gpu()
+def _gpu() -> _devices.Gpu:
+    found = _devices.gpu()
     assert found is not None  # by `kind_for`
     return found
 

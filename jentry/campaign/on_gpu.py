@@ -60,25 +60,49 @@ class Flier:
             yield block, self(runs)
 
     def _made(self, runs: PyTree) -> Callable[[PyTree], Any]:
-        one = jax.tree.map(lambda x: jnp.asarray(x[0]), runs)
         try:
-            if self._large:
-                raise NotInKernel("has a history, which a kernel does not store")
-            kernel = kernel_of(
-                functools.partial(self._function, self._shared),
-                one,
-                form=self._gpu.form,
-            )
+            fly = self._of_kernel(runs)
         except NotInKernel as error:
-            self.how = f"{self._gpu.name}, by XLA, since a flight {error}"
-            return functools.partial(by_xla, self._gpu, self._function, self._shared)
-        self.how = f"{self._gpu.name}, each flight in one kernel"
+            why = f"a flight {error}"
+        except Exception as error:  # the kernel was written, and not compiled
+            why = f"its kernel was not compiled: {type(error).__name__} {error}"
+        else:
+            self.how = f"{self._gpu.name}, each flight in one kernel"
+            return fly
+        self.how = f"{self._gpu.name}, by XLA, since {why}"
+        return functools.partial(by_xla, self._gpu, self._function, self._shared)
+
+    def _of_kernel(self, runs: PyTree) -> Callable[[PyTree], Any]:
+        """A function of as many runs, or fewer."""
+        if self._large:
+            raise NotInKernel("has a history, which a kernel does not store")
+        kernel = kernel_of(
+            functools.partial(self._function, self._shared),
+            jax.tree.map(lambda x: jnp.asarray(x[0]), runs),
+            form=self._gpu.form,
+        )
+        size = min(BLOCK, _power_of_two(_count(runs)))
+
+        def there(runs: PyTree) -> PyTree:
+            return jax.device_put(_around(runs, 0, size), self._gpu.device)
+
+        compiled = jax.jit(kernel).lower(there(runs)).compile()
 
         def fly(runs: PyTree) -> Any:
-            there = jax.device_put(runs, self._gpu.device)
-            return jax.tree.map(np.asarray, kernel(there))
+            kept = _count(runs)
+            return jax.tree.map(lambda x: np.asarray(x)[:kept], compiled(there(runs)))
 
         return fly
+
+
+def _count(runs: PyTree) -> int:
+    return len(jax.tree.leaves(runs)[0])
+
+
+def _around(runs: PyTree, begin: int, size: int) -> PyTree:
+    """A number of runs from an index on, with the first ones again after the last."""
+    places = np.arange(begin, begin + size) % _count(runs)
+    return jax.tree.map(lambda x: np.asarray(x)[places], runs)
 
 
 _FITS: dict[Any, int] = {}
@@ -89,22 +113,14 @@ def by_xla(
     gpu: Gpu, function: Callable[[Any, Any], Any], shared: PyTree, runs: PyTree
 ) -> Any:
     """Values of `function(shared, run)` for all runs, in the largest batches that fit."""
-    count = len(jax.tree.leaves(runs)[0])
-    flown, begin = [], 0
-    while begin < count:
-        size = _FITS.get(function, min(BLOCK, _power_of_two(count)))
-        places = np.arange(begin, begin + size) % count
-        part = jax.tree.map(lambda x, at=places: np.asarray(x)[at], runs)
-        try:
-            values = _fly(gpu, function, shared, part)
-        except jax.errors.JaxRuntimeError as error:
-            if "RESOURCE_EXHAUSTED" not in str(error) or size <= _LEAST:
-                raise
-            _FITS[function] = size // 2
-            continue
-        kept = min(size, count - begin)
-        flown.append(jax.tree.map(lambda x, n=kept: np.asarray(x)[:n], values))
-        begin += size
+
+    def fly(begin: int, size: int) -> Any:
+        return _fly(gpu, function, shared, _around(runs, begin, size))
+
+    flown = [
+        jax.tree.map(lambda x, n=kept: np.asarray(x)[:n], values)
+        for values, kept in _in_batches(function, fly, _count(runs))
+    ]
     return jax.tree.map(lambda *parts: np.concatenate(parts), *flown)
 
 
@@ -112,23 +128,34 @@ def sum_by_xla(
     gpu: Gpu, function: Callable[[Any, Any, Any], Any], shared: PyTree, runs: PyTree
 ) -> Any:
     """Sum of `function(shared, runs, counts)` over batches, as `sum_over_runs`."""
-    count = len(jax.tree.leaves(runs)[0])
-    total, begin = None, 0
+    count = _count(runs)
+
+    def fly(begin: int, size: int) -> Any:
+        counts = np.arange(begin, begin + size) < count
+        return _sum(gpu, function, shared, _around(runs, begin, size), counts)
+
+    sums = (values for values, _ in _in_batches(function, fly, count))
+    total = functools.reduce(lambda *both: jax.tree.map(np.add, *both), sums)
+    return jax.tree.map(jnp.asarray, total)
+
+
+def _in_batches(
+    function: Any, fly: Callable[[int, int], Any], count: int
+) -> Iterator[tuple[Any, int]]:
+    """Values of each batch, and how many of its runs count. A batch that does not fit
+    into the memory is halved, and the size that fits is remembered."""
+    begin = 0
     while begin < count:
         size = _FITS.get(function, min(BLOCK, _power_of_two(count)))
-        places = np.arange(begin, begin + size)
-        part = jax.tree.map(lambda x, at=places % count: np.asarray(x)[at], runs)
         try:
-            values = _sum(gpu, function, shared, part, places < count)
+            values = jax.tree.map(np.asarray, fly(begin, size))
         except jax.errors.JaxRuntimeError as error:
             if "RESOURCE_EXHAUSTED" not in str(error) or size <= _LEAST:
                 raise
             _FITS[function] = size // 2
             continue
-        values = jax.tree.map(np.asarray, values)
-        total = values if total is None else jax.tree.map(np.add, total, values)
+        yield values, min(size, count - begin)
         begin += size
-    return jax.tree.map(jnp.asarray, total)
 
 
 def _power_of_two(count: int) -> int:

@@ -16,7 +16,7 @@ from jax.core import Tracer
 
 
 class NotInKernel(ValueError):
-    """What a flight does that a kernel cannot do; the message says where and what."""
+    """What a flight does that a kernel cannot do: the message goes on after "a flight"."""
 
 
 def is_known(array: np.ndarray) -> bool:

@@ -54,7 +54,10 @@ def kernel_of(
     closed, shapes = jax.make_jaxpr(function, return_shape=True)(example)
     structure = jax.tree.structure(shapes)
     program = _Program(closed, block)
-    run = _FORMS[form](program)
+    collected = _Collected()
+    shapes_of_block = [jax.ShapeDtypeStruct((block,), d) for d in program.inputs]
+    jax.eval_shape(functools.partial(program, collected), shapes_of_block)
+    run = _FORMS[form](program, collected)
 
     def fly(runs: PyTree) -> PyTree:
         leaves = [jnp.asarray(x) for x in jax.tree.leaves(runs)]
@@ -141,22 +144,21 @@ class _Read:
         return self._references[self._collected.place_of(table)][place]
 
 
-def _plain(program: _Program) -> Callable[[list[Any], int], list[Any]]:
+def _plain(program: _Program, collected: _Collected) -> Callable[..., list[Any]]:
     def run(rows: list[Any], count: int) -> list[Any]:
         blocks = [x.reshape(-1, program.block) for x in rows]
-        out = lax.map(functools.partial(program, _Collected()), blocks)
+        out = lax.map(functools.partial(program, collected), blocks)
         return [x.reshape(-1) for x in out]
 
     return jax.jit(run, static_argnums=1)
 
 
-def _pallas(program: _Program, interpret: bool) -> Callable[..., list[Any]]:
+def _pallas(
+    program: _Program, collected: _Collected, interpret: bool
+) -> Callable[..., list[Any]]:
     from jax.experimental import pallas
 
     block = program.block
-    collected = _Collected()
-    shapes = [jax.ShapeDtypeStruct((block,), dtype) for dtype in program.inputs]
-    jax.eval_shape(functools.partial(program, collected), shapes)
     # A reference has at least one number, and a truth is stored as a whole number.
     tables = [_stored(x) for x in collected.tables]
     params: dict[str, Any] = {"interpret": True}
@@ -200,7 +202,7 @@ def _stored(table: np.ndarray) -> np.ndarray:
     return table.astype(np.int32) if table.dtype == bool else table
 
 
-_FORMS: dict[str, Callable[[_Program], Callable[..., list[Any]]]] = {
+_FORMS: dict[str, Callable[[_Program, _Collected], Callable[..., list[Any]]]] = {
     "plain": _plain,
     "interpreted": functools.partial(_pallas, interpret=True),
     "gpu": functools.partial(_pallas, interpret=False),

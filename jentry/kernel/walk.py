@@ -602,6 +602,6 @@ def _located(error: NotInKernel, equation: JaxprEqn) -> NotInKernel:
     frame = source_info_util.user_frame(equation.source_info.traceback)
     if frame is None:
         return error
-    located = NotInKernel(f"{frame.file_name}:{frame.start_line} {error}")
+    located = NotInKernel(f"{error} ({frame.file_name}:{frame.start_line})")
     located.place = True  # type: ignore[attr-defined]
     return located

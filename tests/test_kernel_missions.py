@@ -1,0 +1,102 @@
+"""The kernel of each mission, interpreted on a CPU, against the same flights by XLA."""
+
+import functools
+from unittest import mock
+
+import cheap
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jentry.addresses import replace_leaves
+from jentry.campaign import batch, monte_carlo
+from jentry.campaign.campaign import _fly_one, drawn_inputs
+from jentry.flight import FixedStep, fly
+from jentry.kernel import NotInKernel, kernel_of, with_tangents
+from jentry.missions import ALL
+
+
+RUNS = 32
+
+CHOSEN = {
+    "mars-drag-tracking": "energy-index",
+    "mars-range-tracking": "range-tracking",
+    "cav-h": "newton",
+    "sx-2": "small-angle",
+    "rlv": "modulation",
+    "x-33": "tracking",
+    "apollo-10": "predictor-corrector",
+    "cav-h-glide": "predictor-corrector",
+}
+"""A law of each mission that has dispersions"""
+
+
+def flown_by_kernel(scenario, table, form, solver=FixedStep()):
+    inputs = drawn_inputs(scenario, table, jax.random.key(0), np.arange(RUNS))
+    inputs = {address: jnp.asarray(x) for address, x in inputs.items()}
+    one = functools.partial(_fly_one, (scenario, solver, None))
+    kernel = kernel_of(one, jax.tree.map(lambda x: x[0], inputs), form=form)
+    return kernel(inputs)
+
+
+def assert_same_flights(found, campaign, metres):
+    """Outcomes are equal, and places at the end within some metres."""
+    flights, misses = found
+    np.testing.assert_array_equal(flights.outcome, campaign.flights.outcome)
+    for name in ("downrange", "crossrange", "altitude"):
+        apart = getattr(misses, name) - getattr(campaign.misses, name)
+        np.testing.assert_allclose(apart, 0.0, atol=metres, err_msg=name)
+    leaves = [jax.tree.leaves(x) for x in (found, (campaign.flights, campaign.misses))]
+    for a, b in zip(*leaves, strict=True):
+        assert a.dtype == b.dtype and a.shape == b.shape
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6)
+
+
+def test_every_mission_with_dispersions_has_its_kernel():
+    assert {name for name, m in ALL.items() if m.dispersions} == set(CHOSEN)
+
+
+def test_a_flight_of_a_constant_bank():
+    """What the missions do in the slow tests, every day."""
+    scenario, table = cheap.scenario(), cheap.dispersions()
+    found = flown_by_kernel(scenario, table, "interpreted", cheap.SOLVER)
+    campaign = monte_carlo(scenario, table, 0, RUNS, solver=cheap.SOLVER)
+    assert_same_flights(found, campaign, 1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CHOSEN)
+def test_the_kernel_of_a_mission_flies_as_xla_does(name):
+    mission = ALL[name]
+    scenario, table = mission.scenario(CHOSEN[name]), mission.dispersion_table()
+    found = flown_by_kernel(scenario, table, "interpreted")
+    with mock.patch.object(batch, "LANES", RUNS):
+        campaign = monte_carlo(scenario, table, 0, RUNS)
+    assert_same_flights(found, campaign, 1e-4)
+
+
+def test_tangents_of_a_flight_are_its_derivatives():
+    """The stop event included: of the place at the end, by the rule of the whole flight."""
+
+    def end(run):
+        angle, mass = run
+        moved = {"initial_state.flight_path_angle": angle, "vehicle.mass": mass}
+        flight = fly(replace_leaves(cheap.scenario(), moved), cheap.SOLVER)
+        return flight.state.altitude, flight.time
+
+    runs = jnp.array([-0.2, -0.21]), jnp.array([2750.0, 2850.0])
+    directions = jnp.array([[1.0, 0.0]] * 2), jnp.array([[0.0, 1.0]] * 2)
+    push = with_tangents(end)
+    example = jax.tree.map(lambda x: x[0], (runs, directions))
+    _, found = kernel_of(push, example, form="plain", block=2)((runs, directions))
+    expected = jax.vmap(jax.jacfwd(end))(runs)
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(one, jnp.stack(other, -1), rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_a_law_with_a_large_system_is_refused_with_its_line():
+    scenario = ALL["x-33"].scenario("receding")
+    with pytest.raises(NotInKernel, match=r"equations .*\.py:\d+\)$"):
+        flown_by_kernel(scenario, ALL["x-33"].dispersion_table(), "plain")
