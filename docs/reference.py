@@ -14,6 +14,7 @@ TOPICS = {
     "guidance": "Guidance laws",
     "flight": "Flights",
     "campaign": "Campaigns",
+    "kernel": "Kernels",
     "statistics": "Statistics",
     "planning": "Planning and best flights",
     "tuning": "Tuning",

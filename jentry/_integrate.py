@@ -1,8 +1,7 @@
 """The classical Runge-Kutta method, for flights and for predictions on board."""
 
-import contextlib
 import functools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import TypeVar
 
 import jax
@@ -11,24 +10,13 @@ from jax import lax
 from jaxtyping import PyTree
 
 from ._batching import side_by_side
+from ._trace_modes import stages_are_written_out
 from .fields import Scalar
 
 
 Y = TypeVar("Y", bound=PyTree)
 Slope = Callable[[Scalar, Y], Y]
 """dy/dx as a function of the independent variable x and of y"""
-
-
-_WRITTEN_OUT = jax.make_user_context(False)
-"""Whether the stages of a step are written out, as part of what JAX finds its traces by"""
-
-
-@contextlib.contextmanager
-def stages_written_out() -> Iterator[None]:
-    """Context in which the stages of a step are no loop: a GPU then flies 1.4 times as
-    many flights a second through XLA, and compiles longer."""
-    with _WRITTEN_OUT(True):
-        yield
 
 
 def runge_kutta_step(slope: Slope, x: Scalar, y: Y, step: Scalar | float) -> Y:
@@ -53,7 +41,7 @@ def runge_kutta_step(slope: Slope, x: Scalar, y: Y, step: Scalar | float) -> Y:
     weights = jnp.array([1.0, 2.0, 2.0, 1.0]) / 6.0
     start = side_by_side((jax.tree.map(jnp.zeros_like, y), y))
     y = start[1]
-    unroll = 4 if _WRITTEN_OUT.value else 1
+    unroll = 4 if stages_are_written_out() else 1
     (_, after), _ = lax.scan(stage, start, (places, weights), unroll=unroll)
     return after
 

@@ -62,7 +62,7 @@ class Campaign(eqx.Module):
     flights: Flight
     misses: Misses
     flown_on: str = eqx.field(default="", static=True)
-    """The GPU, and what flew on it; empty for the processor"""
+    """The GPU, and whether kernels or XLA flew there; empty for the processor"""
 
     def to_xarray(
         self, scenario: Scenario, history: float | None = None

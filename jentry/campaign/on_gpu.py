@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from .._devices import Gpu
-from .._integrate import stages_written_out
+from .._trace_modes import stages_written_out
 from ..kernel import NotInKernel, kernel_of
 
 

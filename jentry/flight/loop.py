@@ -6,10 +6,9 @@ mode. `lax.scan` has both modes, but always runs to its full length. This loop s
 with its transpose. Since the system itself is defined too, derivatives of any order follow.
 """
 
-import contextlib
 import functools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -20,6 +19,7 @@ from jaxtyping import PyTree
 
 from .._batching import any_lane, side_by_side
 from .._linear_solve import linear_solve
+from .._trace_modes import has_forward_mode_only
 from ..fields import Count
 
 
@@ -46,21 +46,6 @@ def _add(a: PyTree, b: PyTree) -> PyTree:
     return jax.tree.map(jnp.add, a, b)
 
 
-_FORWARD_ONLY = jax.make_user_context(False)
-"""Whether loops keep the forward mode of `lax.while_loop`, as part of what JAX finds its
-traces by"""
-
-
-@contextlib.contextmanager
-def forward_mode_only() -> Iterator[None]:
-    """Context in which `while_running` stores nothing and has no reverse mode.
-
-    Tangents are then carried along with the flight, in the same loop.
-    """
-    with _FORWARD_ONLY(True):
-        yield
-
-
 def while_running(
     cycle: Callable[[Parameters, Carry], Carry],
     running: Callable[[Carry], Any],
@@ -74,7 +59,7 @@ def while_running(
     continues until no flight of the batch runs. Reverse mode stores one carry per cycle;
     the intermediate values of a cycle are computed again.
     """
-    loop = _run if _FORWARD_ONLY.value else _loop
+    loop = _run if has_forward_mode_only() else _loop
     return loop(parameters, carry, None, cycle, running, max_cycles, 0, True)[0]
 
 

@@ -1,8 +1,5 @@
-"""Flights as kernels: a whole flight in one program of a GPU."""
+"""Floor 1: a traced function of one flight as a kernel for a GPU."""
 
-from .elements import NotInKernel
-from .kernel import BLOCK, Form, kernel_of
-from .tangents import with_tangents
-
-
-__all__ = "BLOCK", "Form", "NotInKernel", "kernel_of", "with_tangents"
+from .elements import NotInKernel as NotInKernel
+from .kernel import BLOCK as BLOCK, Form as Form, kernel_of as kernel_of
+from .tangents import with_tangents as with_tangents

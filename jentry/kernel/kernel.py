@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jax.extend.core import ClosedJaxpr
+from jax.extend.core import ClosedJaxpr, Jaxpr
 from jaxtyping import PyTree
 
 from .elements import NotInKernel, as_elements, objects, spread
@@ -22,6 +22,12 @@ program as XLA compiles it, without a kernel"""
 
 BLOCK = 32
 """Flights of a block: one warp of a GPU, so that no flight waits for those of others"""
+
+MOST_SECONDS = 120.0
+"""Time that Triton may take for a kernel, as estimated from the kernel's size"""
+
+_SECONDS = 1e-8
+"""Time of Triton by accesses to memory and square of operations, s"""
 
 
 def kernel_of(
@@ -56,7 +62,9 @@ def kernel_of(
     program = _Program(closed, block)
     collected = _Collected()
     shapes_of_block = [jax.ShapeDtypeStruct((block,), d) for d in program.inputs]
-    jax.eval_shape(functools.partial(program, collected), shapes_of_block)
+    traced = jax.make_jaxpr(functools.partial(program, collected))(shapes_of_block)
+    if form == "gpu":
+        _check_compile_time(traced, collected)
     run = _FORMS[form](program, collected)
 
     def fly(runs: PyTree) -> PyTree:
@@ -80,6 +88,35 @@ def kernel_of(
         return jax.tree.unflatten(structure, flown)
 
     return fly
+
+
+def _check_compile_time(traced: ClosedJaxpr, collected: "_Collected") -> None:
+    """Refuse a kernel that Triton would compile for too long.
+
+    One of its passes (`TritonGPUCoalesce`) looks, for each access to memory, at every
+    operation from every other one.
+    """
+    operations = _operations(traced.jaxpr)
+    accesses = collected.reads + len(traced.in_avals) + len(traced.out_avals)
+    seconds = _SECONDS * accesses * operations**2
+    if seconds > MOST_SECONDS:
+        raise NotInKernel(
+            f"has {operations} operations and {accesses} accesses to memory, for which "
+            f"Triton would need some {seconds / 60.0:.0f} minutes; a kernel may take "
+            f"{MOST_SECONDS / 60.0:.0f}"
+        )
+
+
+def _operations(jaxpr: Jaxpr) -> int:
+    """Number of operations of a program, with those of its loops and branches."""
+    inner = (
+        x.jaxpr if isinstance(x, ClosedJaxpr) else x
+        for equation in jaxpr.eqns
+        for value in equation.params.values()
+        for x in (value if isinstance(value, tuple | list) else [value])
+        if isinstance(x, ClosedJaxpr | Jaxpr)
+    )
+    return len(jaxpr.eqns) + sum(map(_operations, inner))
 
 
 class _Program:
@@ -119,6 +156,8 @@ class _Collected:
 
     def __init__(self) -> None:
         self.tables: list[np.ndarray] = []
+        self.reads = 0
+        """Number of operations that read a table"""
         self._places: dict[Any, int] = {}
 
     def place_of(self, table: np.ndarray) -> int:
@@ -130,6 +169,7 @@ class _Collected:
 
     def read(self, table: np.ndarray, place: Any) -> Any:
         self.place_of(table)
+        self.reads += 1
         return jnp.take(jnp.asarray(table), place, mode="clip")
 
 

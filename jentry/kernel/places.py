@@ -1,4 +1,4 @@
-"""Reading and writing at places of arrays that may be computed in the kernel."""
+"""Places of arrays that are computed in the kernel: how they are read and written."""
 
 import functools
 import itertools
@@ -16,6 +16,10 @@ from .structure import chosen, on_elements
 
 MOST_CHOICES = 4096
 """Largest number of selections that one operation is written out as"""
+
+
+FEW = 8
+"""Numbers of an array that are selected, and not read from a table"""
 
 
 class Tables(Protocol):
@@ -72,20 +76,30 @@ def element_at(tables: Tables, array: np.ndarray, places: Sequence[Any]) -> Any:
     left = array[tuple(at)]
     if not unknown:
         return left
-    strides = [int(np.prod(left.shape[i + 1 :])) for i in range(left.ndim)]
-    steps = [_times(places[a], s) for a, s in zip(unknown, strides, strict=True)]
-    place = steps[0]
-    for step in steps[1:]:
-        place = on_elements(lax.add, place, step)
-    if is_known(left):
-        return tables.read(np.ascontiguousarray(left).reshape(-1), place)
-    candidates = left.reshape(-1)
+    if is_known(array) and array.size > FEW:
+        # The whole array is one table: what a flight reads of it lies together.
+        return tables.read(_flat(array), _flat_place(array.shape, places))
+    place = _flat_place(left.shape, [places[axis] for axis in unknown])
+    candidates = as_elements(left).reshape(-1)
     _check_size(candidates.size, "reads an array of a flight at computed places")
     found = candidates[0]
     for index, candidate in enumerate(candidates[1:], 1):
         here = on_elements(lax.eq, place, whole(index))
         found = chosen(here, candidate, found)
     return found
+
+
+def _flat(array: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(array).reshape(-1)
+
+
+def _flat_place(shape: Sequence[int], places: Sequence[Any]) -> Any:
+    """The place in the flat array of a place with one number an axis."""
+    steps = [_times(p, math.prod(shape[i + 1 :])) for i, p in enumerate(places)]
+    known = sum(int(step) for step in steps if is_constant(step))
+    moving = [step for step in steps if not is_constant(step)]
+    total = functools.reduce(functools.partial(on_elements, lax.add), moving)
+    return _plus(total, known)
 
 
 def _check_size(choices: int, what: str) -> None:

@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 from jaxtyping import PyTree
 
-from ..flight.loop import forward_mode_only
+from .._trace_modes import forward_mode_only
 
 
 def with_tangents(

@@ -36,13 +36,10 @@ from .structure import MOVES, SUMS, chosen, on_elements
 from .varying import Analysis, Varies, asks_all_flights, called
 
 
-WRITTEN_OUT = 4
-"""Loops of at most so many iterations, without a loop inside, are written out, such as the
-stages of a Runge-Kutta step"""
-
-MOST_OPERATIONS = 3200
-"""Largest number of operations that such a loop is written out as: the kernel compiles
-longer the more it has"""
+SHORT = 400
+"""A loop of a known number of iterations, without a loop inside, is written out if it has
+at most so many operations then. A kernel compiles in a time that grows with the square of
+their number, so that the stages of a Runge-Kutta step stay a loop"""
 
 MOST_WRITTEN_OUT = 64
 """Largest number of iterations of a loop that has to be written out, since it stacks"""
@@ -225,8 +222,9 @@ class Walk:
         order = range(length)[::-1] if params["reverse"] else range(length)
         stacks = len(body.jaxpr.outvars) > carries
         must = stacks or not all(map(is_known, rows))
-        if must or self._is_short(length, body.jaxpr):
-            if length > MOST_WRITTEN_OUT:
+        short = length * _size(body.jaxpr) <= SHORT and not _has_loop(body.jaxpr)
+        if must or short:
+            if must and length > MOST_WRITTEN_OUT:
                 raise NotInKernel(
                     f"has a loop of {length} iterations with an array of a flight for "
                     f"each; a kernel takes {MOST_WRITTEN_OUT}"
@@ -248,23 +246,14 @@ class Walk:
         )
         return carry.arrays(out)
 
-    def _is_short(self, length: int, body: Jaxpr) -> bool:
-        if length > WRITTEN_OUT or _has_loop(body):
-            return False
-        return length * _size(body) <= MOST_OPERATIONS
-
     def _row(self, array: np.ndarray, index: Any) -> np.ndarray:
         """The row of a known array at an index that counts in the kernel."""
-        table = np.ascontiguousarray(array).reshape(-1)
-        size = math.prod(array.shape[1:])
-        first = lax.mul(index, np.int32(size))
-        return objects(
-            (
-                self._tables.read(table, lax.add(first, np.int32(i)))
-                for i in range(size)
-            ),
-            array.shape[1:],
+        inner = array.shape[1:]
+        rows = (
+            places.element_at(self._tables, array, [index, *map(places.whole, at)])
+            for at in np.ndindex(inner)
         )
+        return objects(rows, inner)
 
     def _written_out(self, body: ClosedJaxpr, fixed, carry, rows, order: range):
         carries = len(carry)
