@@ -76,6 +76,7 @@ def test_the_kernel_of_a_mission_flies_as_xla_does(name):
     assert_same_flights(found, campaign, 1e-4)
 
 
+@pytest.mark.slow
 def test_tangents_of_a_flight_are_its_derivatives():
     """The stop event included: of the place at the end, by the rule of the whole flight."""
 

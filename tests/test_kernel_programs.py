@@ -381,3 +381,12 @@ def test_what_flights_share_is_a_table_and_not_an_argument():
     box = eqx.filter_jit(lambda run: run * TABLE[2])
     found = kernel_of(box, 1.0, form="interpreted", block=2)(jnp.ones(3))
     np.testing.assert_array_equal(found, np.full(3, TABLE[2]))
+
+
+def test_a_kernel_that_would_compile_for_too_long_is_refused(monkeypatch):
+    """Before Triton begins; interpreted it is taken."""
+    monkeypatch.setattr("jentry.kernel.kernel.MOST_SECONDS", 1e-9)
+    long = lambda run: functools.reduce(lambda y, _: jnp.sin(y) + run, range(9), run)
+    with pytest.raises(NotInKernel, match="has 18 operations and 2 accesses to memory"):
+        kernel_of(long, 1.0, form="gpu")
+    kernel_of(long, 1.0, form="interpreted")
