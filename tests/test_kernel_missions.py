@@ -24,12 +24,12 @@ CHOSEN = {
     "mars-range-tracking": "range-tracking",
     "cav-h": "newton",
     "sx-2": "small-angle",
-    "rlv": "modulation",
     "x-33": "tracking",
-    "apollo-10": "predictor-corrector",
-    "cav-h-glide": "predictor-corrector",
 }
-"""A law of each mission that has dispersions"""
+"""A law of each mission whose kernel is interpreted within half a minute"""
+
+LARGE = {"rlv", "apollo-10", "cav-h-glide"}
+"""Missions with larger kernels"""
 
 
 def flown_by_kernel(scenario, table, form, solver=FixedStep()):
@@ -53,8 +53,8 @@ def assert_same_flights(found, campaign, metres):
         np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6)
 
 
-def test_every_mission_with_dispersions_has_its_kernel():
-    assert {name for name, m in ALL.items() if m.dispersions} == set(CHOSEN)
+def test_every_mission_with_dispersions_is_named():
+    assert {name for name, m in ALL.items() if m.dispersions} == set(CHOSEN) | LARGE
 
 
 def test_a_flight_of_a_constant_bank():

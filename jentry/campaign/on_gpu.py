@@ -1,9 +1,11 @@
 """Batches of flights on a GPU: whole flights as kernels, or large batches by XLA.
 
 A kernel flies a campaign at many times the speed of XLA. Where it does not know an
-operation of a flight, XLA flies in its place, and the campaign says so.
+operation of a flight, or flies otherwise than XLA on the processor, XLA flies in its
+place, and the campaign says so.
 """
 
+import dataclasses
 import functools
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
@@ -14,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
+from .. import _devices
 from .._devices import Gpu
 from .._trace_modes import stages_written_out
 from ..kernel import NotInKernel, kernel_of
@@ -21,6 +24,16 @@ from ..kernel import NotInKernel, kernel_of
 
 BLOCK = 131_072
 """Runs in one call, after which the host reports"""
+
+CHECKED = 64
+"""The first runs, which the processor flies as well: no kernel is trusted unseen"""
+
+ROUNDING = 1e-6
+"""Largest difference of a number that counts as rounding, as a share of the largest of its
+kind"""
+
+MOST_APART = 1.0 / 8.0
+"""Share of these runs that may differ, since rounding may turn a decision of a law"""
 
 _LEAST = 64
 """Runs in one call that a GPU must have memory for"""
@@ -62,13 +75,18 @@ class Flier:
     def _made(self, runs: PyTree) -> Callable[[PyTree], Any]:
         try:
             fly = self._of_kernel(runs)
+            apart = self._flown_otherwise(fly, runs)
         except NotInKernel as error:
             why = f"a flight {error}"
         except Exception as error:  # the kernel was written, and not compiled
             why = f"its kernel was not compiled: {type(error).__name__} {error}"
         else:
-            self.how = f"{self._gpu.name}, each flight in one kernel"
-            return fly
+            if apart <= MOST_APART:
+                self.how = f"{self._gpu.name}, each flight in one kernel"
+                return fly
+            why = (
+                f"{apart:.0%} of the first flights of its kernel are others than by XLA"
+            )
         self.how = f"{self._gpu.name}, by XLA, since {why}"
         return functools.partial(by_xla, self._gpu, self._function, self._shared)
 
@@ -93,6 +111,26 @@ class Flier:
             return jax.tree.map(lambda x: np.asarray(x)[:kept], compiled(there(runs)))
 
         return fly
+
+    def _flown_otherwise(self, fly: Callable[[PyTree], Any], runs: PyTree) -> float:
+        """Share of the first runs that the processor, by XLA, flies otherwise."""
+        first = _around(runs, 0, CHECKED)
+        here = dataclasses.replace(self._gpu, device=_devices.cores()[0])
+        expected = _fly(here, self._function, self._shared, first)
+        return float(np.mean(differing(fly(first), expected)))
+
+
+def differing(found: PyTree, expected: PyTree) -> np.ndarray:
+    """Which runs have another number somewhere, beyond rounding."""
+    other = np.zeros(_count(expected), bool)
+    leaves = zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True)
+    for x, y in leaves:
+        x, y = (np.asarray(each, float).reshape(len(other), -1) for each in (x, y))
+        largest = np.max(np.abs(y), initial=0.0, where=np.isfinite(y))
+        with np.errstate(invalid="ignore"):  # infinity less infinity
+            near = np.abs(x - y) <= ROUNDING * largest + 1e-9
+        other |= ~np.all(near | (x == y) | (np.isnan(x) & np.isnan(y)), axis=1)
+    return other
 
 
 def _count(runs: PyTree) -> int:

@@ -149,19 +149,20 @@ def _written(
     shape = updates.shape[1:]
     for number, (begins, counted) in enumerate(zip(windows, counts, strict=True)):
         new = updates[number : number + 1].reshape(shape)
-        reach = [
-            range(int(begin), int(begin) + size) if is_constant(begin) else range(have)
-            for begin, have, size in zip(begins, array.shape, shape, strict=True)
-        ]
-        choices = new.size * math.prod(map(len, reach))
+        computed = [i for i, begin in enumerate(begins) if not is_constant(begin)]
+        choices = new.size * math.prod(array.shape[i] for i in computed)
         _check_size(choices, "writes into an array of a flight at computed places")
-        for place in itertools.product(*reach):
-            if any(not 0 <= p < n for p, n in zip(place, array.shape, strict=True)):
-                continue
-            for offset in np.ndindex(shape):
+        for offset in np.ndindex(shape):
+            reach = [
+                range(have) if i in computed else [int(begins[i]) + offset[i]]
+                for i, have in enumerate(array.shape)
+            ]
+            for place in itertools.product(*reach):
+                if any(not 0 <= p < n for p, n in zip(place, array.shape, strict=True)):
+                    continue
                 here = counted
-                for p, o, begin in zip(place, offset, begins, strict=True):
-                    here = _both(here, _equal(begin, p - o))
+                for i in computed:
+                    here = _both(here, _equal(begins[i], place[i] - offset[i]))
                 if here is False:
                     continue
                 value = combine(out[place], new[offset])
