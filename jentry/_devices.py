@@ -13,7 +13,6 @@ import jax
 
 
 Kind = Literal["cpu", "gpu"]
-KINDS: tuple[Kind, Kind] = ("cpu", "gpu")
 
 PAYS = 16_384
 """Number of runs from which a GPU flies them if the user has not chosen. A call takes a GPU
@@ -60,14 +59,15 @@ def gpu() -> Gpu | None:
         return None
 
 
-def choose(kind: Kind | None) -> None:
+def choose(kind: str | None) -> None:
     """Choose the device of all batches; None for the rule of `kind_for`.
 
     **Raises:** `ValueError` for another word, and `RuntimeError` for a GPU where JAX finds
     none.
     """
     global _CHOSEN
-    if kind is not None and kind not in KINDS:
+    found: dict[str, Kind] = {"cpu": "cpu", "gpu": "gpu"}
+    if kind is not None and kind not in found:
         raise ValueError(f"device is {kind!r}: it must be 'cpu' or 'gpu', or left out")
     if kind == "gpu" and gpu() is None:
         why = (
@@ -78,7 +78,7 @@ def choose(kind: Kind | None) -> None:
         raise RuntimeError(
             f"device is 'gpu', but {why}. Without a device given, the processor flies"
         )
-    _CHOSEN = kind
+    _CHOSEN = None if kind is None else found[kind]
 
 
 def kind_for(runs: int) -> Kind:

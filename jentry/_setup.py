@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Literal, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 
 P = ParamSpec("P")
@@ -83,7 +83,7 @@ def setup(
     *,
     fast: bool = False,
     cache: bool = True,
-    device: Literal["cpu", "gpu"] | None = None,
+    device: str | None = None,
 ) -> None:
     """Set how jentry computes. Call it first, before any array is made.
 

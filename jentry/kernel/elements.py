@@ -99,7 +99,7 @@ def of_known(equation: Any, given: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _is(element: Any, value: float) -> bool:
-    return is_constant(element) and element == value
+    return is_constant(element) and bool(element == value)
 
 
 def apply(equation: Any, given: Sequence[Any]) -> Any:

@@ -13,6 +13,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr
 from jaxtyping import PyTree
 
 from .elements import NotInKernel, as_elements, objects, spread
+from .places import AbstractTables
 from .walk import Walk
 
 
@@ -151,7 +152,7 @@ def _columns(avals: Any) -> list[np.dtype]:
     ]
 
 
-class _Collected:
+class _Collected(AbstractTables):
     """Tables that a program reads, by their contents."""
 
     def __init__(self) -> None:
@@ -173,7 +174,7 @@ class _Collected:
         return jnp.take(jnp.asarray(table), place, mode="clip")
 
 
-class _Read:
+class _Read(AbstractTables):
     """Reads tables through references."""
 
     def __init__(self, collected: _Collected, references: Any):
@@ -233,7 +234,7 @@ def _pallas(
             out_specs=[own] * len(program.outputs),
             **params,
         )
-        return call(*rows, *map(jnp.asarray, tables))
+        return list(call(*rows, *map(jnp.asarray, tables)))
 
     return jax.jit(run, static_argnums=1)
 

@@ -1,6 +1,5 @@
 """Small systems of linear equations, written out."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -89,7 +88,7 @@ def triangular_solve(
 
 
 def _substituted(
-    matrix: np.ndarray, column: Sequence[Any], lower: bool, unit_diagonal: bool
+    matrix: np.ndarray, column: np.ndarray, lower: bool, unit_diagonal: bool
 ) -> list[Any]:
     size = len(matrix)
     found: dict[int, Any] = {}

@@ -1,10 +1,11 @@
 """Places of arrays that are computed in the kernel: how they are read and written."""
 
+import abc
 import functools
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from jax import lax
@@ -22,12 +23,12 @@ FEW = 8
 """Numbers of an array that are selected, and not read from a table"""
 
 
-class Tables(Protocol):
+class AbstractTables(abc.ABC):
     """Reads numbers that are known when the kernel is made, at places that are not."""
 
+    @abc.abstractmethod
     def read(self, table: np.ndarray, place: Any) -> Any:
         """The element of a table of one axis at a place that is within it."""
-        ...
 
 
 def whole(number: int) -> np.generic:
@@ -67,7 +68,7 @@ def _times(place: Any, factor: int) -> Any:
     return on_elements(lax.mul, place, whole(factor)) if factor != 1 else place
 
 
-def element_at(tables: Tables, array: np.ndarray, places: Sequence[Any]) -> Any:
+def element_at(tables: AbstractTables, array: np.ndarray, places: Sequence[Any]) -> Any:
     """The element of an array at a place, one number an axis, within the array."""
     unknown = [axis for axis, p in enumerate(places) if not is_constant(p)]
     at: list[Any] = [
@@ -110,7 +111,10 @@ def _check_size(choices: int, what: str) -> None:
 
 
 def dynamic_slice(
-    tables: Tables, array: np.ndarray, starts: Sequence[Any], sizes: Sequence[int]
+    tables: AbstractTables,
+    array: np.ndarray,
+    starts: Sequence[Any],
+    sizes: Sequence[int],
 ) -> np.ndarray:
     """A part of an array; its start is moved so that it is within the array."""
     begins = [
@@ -191,7 +195,7 @@ def _start_vectors(indices: np.ndarray) -> tuple[np.ndarray, tuple[int, ...]]:
 
 
 def gather(
-    tables: Tables,
+    tables: AbstractTables,
     array: np.ndarray,
     indices: np.ndarray,
     *,

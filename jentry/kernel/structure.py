@@ -64,7 +64,7 @@ def _pad(x: np.ndarray, value: np.ndarray, *, padding_config) -> np.ndarray:
     x, value = together((x, value))
     shape = []
     for size, (low, high, inside) in zip(x.shape, padding_config, strict=True):
-        shape.append(low + size + max(size - 1, 0) * inside + high)
+        shape.append(int(low + size + max(size - 1, 0) * inside + high))
     filled = objects([value.ravel()[0]] * int(np.prod(shape)), shape)
     if is_known(x):
         filled = np.full(shape, value, x.dtype)
@@ -205,7 +205,7 @@ def dot_general(
     return objects(out, shape)
 
 
-def _dot(x: Sequence[Any], y: Sequence[Any]) -> Any:
+def _dot(x: np.ndarray, y: np.ndarray) -> Any:
     total = None
     for pair in zip(x, y, strict=True):
         product = on_elements(lax.mul, *pair)

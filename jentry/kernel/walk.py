@@ -30,7 +30,7 @@ from .elements import (
     of_known,
     spread,
 )
-from .places import Tables
+from .places import AbstractTables
 from .random_bits import threefry
 from .structure import MOVES, SUMS, chosen, on_elements
 from .varying import Analysis, Varies, asks_all_flights, called
@@ -63,7 +63,7 @@ _KEYS = "random_wrap", "random_unwrap", "random_fold_in", "random_bits", "random
 class Walk:
     """Carries out traced functions for the flights of a block."""
 
-    def __init__(self, tables: Tables, block: int):
+    def __init__(self, tables: AbstractTables, block: int):
         self._tables = tables
         self._block = block
         self._analysis = Analysis()
