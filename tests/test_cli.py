@@ -30,7 +30,7 @@ SETTLING = ("monte-carlo", "tune", "sensitivity", "train")
 def test_workers_and_fast_arrive(command, monkeypatch, name, words, expected):
     settled = []
 
-    def setup(workers=None, *, fast=False):
+    def setup(workers=None, *, fast=False, device=None):
         settled.append((workers, fast))
         raise ValueError("enough")
 
@@ -188,6 +188,7 @@ ARRIVE = {
         "slice",
         "sampler",
         "cluster",
+        "device",
     }
     | REPORT,
     "report": {"runs", "mission", "figures", "no-figures", "figures-only", "full"}
@@ -206,21 +207,21 @@ ARRIVE = {
         "set",
         "step",
     }
-    | {"out", "quiet", "workers", "fast", "no-fast", "cluster"}
+    | {"out", "quiet", "workers", "device", "fast", "no-fast", "cluster"}
     | {"outputs", "percentiles", "all-pairs", "json"},
     "tune": RUN
     | {"gains", "runs", "steps", "loss", "of", "out", "optimizer", "learning-rate"}
     | {"bounds", "smooth", "no-smooth", "fresh-draws", "no-fresh-draws", "patience"}
     | {"held-out", "seed", "workers", "dispersions", "fast", "no-fast"}
     | {"scale", "differences", "smooth-reversals", "no-smooth-reversals"}
-    | {"least-damping", "faster-than", "cluster"},
+    | {"least-damping", "faster-than", "cluster", "device"},
     "linearize": RUN | {"over", "points", "out", "faster-than"},
     "optimize": RUN | FREE | {"maximize", "minimize"},
     "footprint": RUN | FREE | {"directions"},
     "train": {"out", "seed", "flights", "again", "iterations", "workers"},
     "sensitivity": RUN
     | {"wrt", "scale", "runs", "seed", "workers", "dispersions", "differences"}
-    | {"no-differences"},
+    | {"no-differences", "device"},
 }
 
 

@@ -212,8 +212,9 @@ def test_a_process_without_a_gpu_says_what_to_install(command):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("jentry._setup.setup", lambda *how, **o: given.append(o))
         command("monte-carlo", "cheap", "--runs", 2, "--device", "cpu", "--no-figures")
-        command("sensitivity", "cheap", "--device", "gpu", "--runs", 0)
-    assert [o["device"] for o in given] == ["cpu", "gpu"]
+        for name in ("sensitivity", "compare", "tune"):
+            command(name, "cheap", "--device", "gpu", "--runs", 0)
+    assert [o["device"] for o in given] == ["cpu", "gpu", "gpu", "gpu"]
     code, _, error = command("monte-carlo", "cheap", "--device", "tpu")
     assert code == 2 and "tpu" in error
 

@@ -350,7 +350,7 @@ def test_source_and_settings_count(ours, monkeypatch):
     assert made != program_keys.key_of("a program")
     monkeypatch.undo()
     with monkeypatch.context() as patched:
-        patched.setattr(jax, "devices", lambda: 3 * [None])
+        patched.setattr(program_keys, "cores", lambda: 3 * [None])
         assert made != program_keys.key_of("a program")
     monkeypatch.setattr(program_keys, "_digest_of_files", lambda files: "other")
     assert made != program_keys.key_of("a program")
