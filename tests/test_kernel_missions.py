@@ -99,5 +99,5 @@ def test_tangents_of_a_flight_are_its_derivatives():
 @pytest.mark.slow
 def test_a_law_with_a_large_system_is_refused_with_its_line():
     scenario = ALL["x-33"].scenario("receding")
-    with pytest.raises(NotInKernel, match=r"equations .*\.py:\d+\)$"):
+    with pytest.raises(NotInKernel, match="solves 60 equations for each flight"):
         flown_by_kernel(scenario, ALL["x-33"].dispersion_table(), "plain")

@@ -117,7 +117,7 @@ def on_elements(function: Callable[..., Any], *elements: Any) -> Any:
     return function(*alike(elements))
 
 
-def _along(x: np.ndarray, axes: Sequence[int]) -> tuple[np.ndarray, tuple[int, ...]]:
+def _along(x: np.ndarray, axes: Sequence[Any]) -> tuple[np.ndarray, tuple[int, ...]]:
     """The elements to be reduced along a last axis, and the shape of the result."""
     axes = tuple(axes)
     kept = [i for i in range(x.ndim) if i not in axes]
