@@ -18,6 +18,9 @@ from jax.core import Tracer
 class NotInKernel(ValueError):
     """What a flight does that a kernel cannot do: the message goes on after "a flight"."""
 
+    located = False
+    """Whether the message has the line of the operation"""
+
 
 def is_known(array: np.ndarray) -> bool:
     """Whether the numbers of an array are known when the kernel is made."""

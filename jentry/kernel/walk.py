@@ -584,7 +584,7 @@ def _last_uses(jaxpr: Jaxpr) -> dict[int, list[Any]]:
 
 def _located(error: NotInKernel, equation: JaxprEqn) -> NotInKernel:
     """The error with the line of the innermost operation that caused it."""
-    if getattr(error, "place", None):
+    if error.located:
         return error
     from jax._src import source_info_util
 
@@ -592,5 +592,5 @@ def _located(error: NotInKernel, equation: JaxprEqn) -> NotInKernel:
     if frame is None:
         return error
     located = NotInKernel(f"{error} ({frame.file_name}:{frame.start_line})")
-    located.place = True  # type: ignore[attr-defined]
+    located.located = True
     return located
