@@ -27,11 +27,11 @@ _CHOSEN: Kind | None = None
 
 @dataclasses.dataclass(frozen=True)
 class Gpu:
-    """A GPU, and the form of the kernels that it runs."""
+    """A GPU, and the form of the kernels that it runs: "gpu", and others for tests."""
 
     device: Any
     """The device of JAX"""
-    form: Literal["gpu", "interpreted", "plain"] = "gpu"
+    form: Literal["gpu", "c", "xla"] = "gpu"
 
     @property
     def name(self) -> str:

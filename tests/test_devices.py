@@ -37,7 +37,7 @@ def chosen_again(monkeypatch):
 @pytest.fixture
 def stand_in(monkeypatch):
     """A core in place of a GPU; its kernels are compiled by XLA."""
-    device = Gpu(jax.devices("cpu")[0], "plain")
+    device = Gpu(jax.devices("cpu")[0], "xla")
     monkeypatch.setattr(_devices, "gpu", lambda: device)
     return device
 

@@ -1,6 +1,5 @@
 """Kernels of small functions: each agrees with the function, mapped over runs by XLA."""
 
-import functools
 import re
 
 import equinox as eqx
@@ -18,7 +17,6 @@ from jentry.kernel import NotInKernel, kernel_of, with_tangents
 
 
 RUNS = 6
-"""Not a multiple of the block, so that flights fill the last one"""
 
 rng = np.random.default_rng(20261128)
 X = rng.uniform(-2.0, 2.0, RUNS)
@@ -98,7 +96,7 @@ def branches(x, i):
 
 
 def chosen_at_once(x):
-    """All flights of a block take one branch, which returns a constant."""
+    """A flight answers for itself; a branch returns a constant."""
     return lax.cond(any_lane(x > 10.0), lambda y: (y, 1), lambda y: (0.0 * y, 2), x)
 
 
@@ -268,10 +266,10 @@ PROGRAMS = {
 }
 
 
-def of_kernel(function, runs, form, block=4):
+def of_kernel(function, runs, form):
     act = lambda run: function(*run)
     example = jax.tree.map(lambda x: x[0], runs)
-    return kernel_of(act, example, form=form, block=block)(runs)
+    return kernel_of(act, example, form=form)(runs)
 
 
 def assert_same(found, expected):
@@ -281,29 +279,12 @@ def assert_same(found, expected):
         np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-14)
 
 
-@pytest.mark.parametrize("form", ["plain", "interpreted"])
+@pytest.mark.parametrize("form", ["xla", "c"])
 @pytest.mark.parametrize("function", PROGRAMS, ids=lambda f: f.__name__)
 def test_a_kernel_agrees_with_xla(function, form):
     runs = tuple(map(jnp.asarray, PROGRAMS[function]))
     expected = jax.jit(jax.vmap(function))(*runs)
     assert_same(of_kernel(function, runs, form), expected)
-
-
-@pytest.mark.parametrize("function", PROGRAMS, ids=lambda f: f.__name__)
-def test_triton_takes_a_kernel(function):
-    """Without a GPU it can be written for one, and not run."""
-    runs = tuple(map(jnp.asarray, PROGRAMS[function]))
-    fly = functools.partial(of_kernel, function, form="gpu", block=32)
-    lowered = jax.jit(fly).trace(runs).lower(lowering_platforms=("cuda",))
-    assert "triton" in lowered.as_text()
-
-
-def test_one_answer_for_all_flights_is_that_of_a_block():
-    """`any_lane` asks the flights of a block of two."""
-    runs = (jnp.array([11.0, 1.0, 2.0, 3.0]),)
-    found = of_kernel(chosen_at_once, runs, "plain", block=2)
-    np.testing.assert_array_equal(found[1], [1, 1, 2, 2])
-    np.testing.assert_array_equal(found[0], [11.0, 1.0, 0.0, 0.0])
 
 
 def test_tangents_in_the_loop_are_those_of_the_flight():
@@ -318,8 +299,8 @@ def test_tangents_in_the_loop_are_those_of_the_flight():
     runs = (x, y), (along[:, 0], along[:, 1])
     push = with_tangents(lambda run: function(*run))
     example = jax.tree.map(lambda a: a[0], runs)
-    for form in ("plain", "interpreted"):
-        out, tangents = kernel_of(push, example, form=form, block=4)(runs)
+    for form in ("xla", "c"):
+        out, tangents = kernel_of(push, example, form=form)(runs)
         assert_same(out, jax.vmap(function)(x, y))
         assert tangents[1] is None
         for number, (dx, dy) in enumerate(np.eye(2)):
@@ -359,34 +340,20 @@ REFUSED = {
 def test_what_a_kernel_cannot_do_is_refused_with_its_line(name):
     function, why = REFUSED[name]
     with pytest.raises(NotInKernel) as refused:
-        of_kernel(function, (jnp.asarray(V),), "interpreted")
+        of_kernel(function, (jnp.asarray(V),), "xla")
     assert why in str(refused.value)
     assert re.search(r"\(/.*\.py:\d+\)$", str(refused.value))
-
-
-def test_a_block_is_a_power_of_two():
-    with pytest.raises(ValueError, match="block is 24: it must be a power of two"):
-        kernel_of(jnp.sin, 1.0, block=24)
 
 
 def test_a_known_loop_is_computed_when_the_kernel_is_made():
     """It leaves no loop in the kernel."""
     function = lambda x: x + halvings(3.0)[0]
-    act = kernel_of(lambda run: function(*run), (1.0,), form="plain", block=4)
+    act = kernel_of(lambda run: function(*run), (1.0,), form="xla")
     assert "while[" not in str(jax.make_jaxpr(act)((jnp.ones(4),)))
 
 
 def test_what_flights_share_is_a_table_and_not_an_argument():
     """The numbers that a function closes over are those of its making."""
     box = eqx.filter_jit(lambda run: run * TABLE[2])
-    found = kernel_of(box, 1.0, form="interpreted", block=2)(jnp.ones(3))
+    found = kernel_of(box, 1.0, form="xla")(jnp.ones(3))
     np.testing.assert_array_equal(found, np.full(3, TABLE[2]))
-
-
-def test_a_kernel_that_would_compile_for_too_long_is_refused(monkeypatch):
-    """Before Triton begins; interpreted it is taken."""
-    monkeypatch.setattr("jentry.kernel.kernel.MOST_SECONDS", 1e-9)
-    long = lambda run: functools.reduce(lambda y, _: jnp.sin(y) + run, range(9), run)
-    with pytest.raises(NotInKernel, match="has 18 operations and 2 accesses to memory"):
-        kernel_of(long, 1.0, form="gpu")
-    kernel_of(long, 1.0, form="interpreted")

@@ -91,7 +91,6 @@ class Flier:
         return functools.partial(by_xla, self._gpu, self._function, self._shared)
 
     def _of_kernel(self, runs: PyTree) -> Callable[[PyTree], Any]:
-        """A function of as many runs, or fewer."""
         if self._large:
             raise NotInKernel("has a history, which a kernel does not store")
         kernel = kernel_of(
@@ -99,18 +98,7 @@ class Flier:
             jax.tree.map(lambda x: jnp.asarray(x[0]), runs),
             form=self._gpu.form,
         )
-        size = min(BLOCK, _power_of_two(_count(runs)))
-
-        def there(runs: PyTree) -> PyTree:
-            return jax.device_put(_around(runs, 0, size), self._gpu.device)
-
-        compiled = jax.jit(kernel).lower(there(runs)).compile()
-
-        def fly(runs: PyTree) -> Any:
-            kept = _count(runs)
-            return jax.tree.map(lambda x: np.asarray(x)[:kept], compiled(there(runs)))
-
-        return fly
+        return lambda runs: jax.tree.map(np.asarray, kernel(runs))
 
     def _flown_otherwise(self, fly: Callable[[PyTree], Any], runs: PyTree) -> float:
         """Share of the first runs that the processor, by XLA, flies otherwise."""

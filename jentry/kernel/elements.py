@@ -1,8 +1,8 @@
-"""Numbers of the flights of a block, one by one.
+"""Numbers of a flight, one by one.
 
 An array of a flight is a NumPy array. If it is known when the kernel is made, the NumPy
 array has its numbers. Otherwise it is of objects, its *elements*. An element is a number
-that is known, a scalar that the flights of a block share, or an array of shape (block,).
+that is known, or a traced scalar.
 """
 
 from collections.abc import Iterable, Sequence
@@ -20,6 +20,20 @@ class NotInKernel(ValueError):
 
     located = False
     """Whether the message has the line of the operation"""
+
+
+def located(error: NotInKernel, equation: Any) -> NotInKernel:
+    """The error with the line of the innermost operation that caused it."""
+    if error.located:
+        return error
+    from jax._src import source_info_util
+
+    frame = source_info_util.user_frame(equation.source_info.traceback)
+    if frame is None:
+        return error
+    with_line = NotInKernel(f"{error} ({frame.file_name}:{frame.start_line})")
+    with_line.located = True
+    return with_line
 
 
 def is_known(array: np.ndarray) -> bool:
@@ -48,17 +62,6 @@ def as_elements(array: np.ndarray) -> np.ndarray:
 
 def type_of(element: Any) -> np.dtype:
     return np.dtype(element.dtype)
-
-
-def spread(element: Any, block: int) -> Any:
-    """An element as an array of shape (block,)."""
-    return lax.broadcast(element, (block,)) if np.ndim(element) == 0 else element
-
-
-def alike(elements: Sequence[Any]) -> list[Any]:
-    """Elements of one shape, that of the largest."""
-    size = max((np.shape(e) for e in elements), key=len)
-    return [lax.broadcast(e, size) if np.shape(e) != size else e for e in elements]
 
 
 def evaluated(primitive: Any, given: Sequence[Any], params: dict[str, Any]) -> Any:
@@ -115,7 +118,7 @@ def apply(equation: Any, given: Sequence[Any]) -> Any:
                 return other
     if name in _REWRITTEN:
         return _REWRITTEN[name](*given, **equation.params)
-    return equation.primitive.bind(*alike(given), **equation.params)
+    return equation.primitive.bind(*given, **equation.params)
 
 
 PASSED = "copy", "copy_p", "reduce_precision", "stop_gradient", "xla_metadata_value"
@@ -130,18 +133,19 @@ def _square(x: Any) -> Any:
     return lax.mul(x, x)
 
 
-def _rounded(x: Any, *, rounding_method: Any) -> Any:
-    """The nearest whole number; of two, the even one or the one away from zero."""
-    size = lax.abs(x)
-    down = lax.floor(size)
-    off = lax.sub(size, down)
-    at_half = off == 0.5
-    if lax.RoundingMethod(rounding_method) is lax.RoundingMethod.TO_NEAREST_EVEN:
-        half = lax.mul(down, lax.full_like(down, 0.5))
-        at_half = lax.bitwise_and(at_half, lax.ne(half, lax.floor(half)))
-    up = lax.bitwise_or(off > 0.5, at_half)
-    whole = lax.select_n(up, down, lax.add(down, lax.full_like(down, 1.0)))
-    return lax.mul(lax.sign(x), whole)
+def _integer_power(x: Any, *, y: int) -> Any:
+    """By squaring; a negative power is the inverse of the positive one."""
+    if y == 0:
+        return lax.full_like(x, 1)
+    power, left = x, abs(y)
+    found: Any = None
+    while left:
+        if left & 1:
+            found = power if found is None else lax.mul(found, power)
+        left >>= 1
+        if left:
+            power = lax.mul(power, power)
+    return found if y > 0 else lax.div(lax.full_like(found, 1), found)
 
 
 def _less_in_order(x: Any, y: Any) -> Any:
@@ -158,8 +162,8 @@ def _not_above_in_order(x: Any, y: Any) -> Any:
 _REWRITTEN = {
     **dict.fromkeys(PASSED, _passed),
     "square": _square,
-    "round": _rounded,
+    "integer_pow": _integer_power,
     "lt_to": _less_in_order,
     "le_to": _not_above_in_order,
 }
-"""Operations that Pallas lowers with other ones only, or not at all"""
+"""Operations that are made of others"""

@@ -6,7 +6,7 @@ import numpy as np
 from jax import lax
 
 from .elements import NotInKernel, as_elements, objects
-from .structure import chosen, on_elements
+from .structure import chosen
 
 
 LARGEST = 12
@@ -14,11 +14,11 @@ LARGEST = 12
 
 
 def _times(x: Any, y: Any) -> Any:
-    return on_elements(lax.mul, x, y)
+    return lax.mul(x, y)
 
 
 def _less(x: Any, y: Any) -> Any:
-    return on_elements(lax.sub, x, y)
+    return lax.sub(x, y)
 
 
 def lu(matrix: np.ndarray) -> list[np.ndarray]:
@@ -34,19 +34,19 @@ def lu(matrix: np.ndarray) -> list[np.ndarray]:
     order = objects((np.int32(i) for i in range(size)), (size,))
     pivots = []
     for k in range(size):
-        best, pivot = on_elements(lax.abs, rows[k, k]), np.int32(k)
+        best, pivot = lax.abs(rows[k, k]), np.int32(k)
         for i in range(k + 1, size):
-            other = on_elements(lax.abs, rows[i, k])
-            wins = on_elements(lax.gt, other, best)
+            other = lax.abs(rows[i, k])
+            wins = lax.gt(other, best)
             best, pivot = chosen(wins, other, best), chosen(wins, np.int32(i), pivot)
         pivots.append(pivot)
         for i in range(k + 1, size):
-            here = on_elements(lax.eq, pivot, np.int32(i))
+            here = lax.eq(pivot, np.int32(i))
             rows[k], rows[i] = _swapped(here, rows[k], rows[i])
             both = _swapped(here, order[k : k + 1], order[i : i + 1])
             order[k : k + 1], order[i : i + 1] = both
         for i in range(k + 1, size):
-            rows[i, k] = on_elements(lax.div, rows[i, k], rows[k, k])
+            rows[i, k] = lax.div(rows[i, k], rows[k, k])
             for j in range(k + 1, size):
                 rows[i, j] = _less(rows[i, j], _times(rows[i, k], rows[k, j]))
     return [rows, objects(pivots, (size,)), order]
@@ -96,5 +96,5 @@ def _substituted(
         value = column[i]
         for j, x in found.items():
             value = _less(value, _times(matrix[i, j], x))
-        found[i] = value if unit_diagonal else on_elements(lax.div, value, matrix[i, i])
+        found[i] = value if unit_diagonal else lax.div(value, matrix[i, i])
     return [found[i] for i in range(size)]

@@ -12,7 +12,7 @@ from jax import lax
 from jax.lax import GatherScatterMode
 
 from .elements import NotInKernel, as_elements, is_constant, is_known, objects
-from .structure import chosen, on_elements
+from .structure import chosen
 
 
 MOST_CHOICES = 4096
@@ -31,7 +31,7 @@ class AbstractTables(abc.ABC):
         """The element of a table of one axis at a place that is within it."""
 
 
-def whole(number: int) -> np.generic:
+def whole(number: int) -> Any:
     """A place, of the type that all computed places have."""
     return np.int32(number)
 
@@ -52,20 +52,20 @@ def clamped(place: Any, last: int) -> Any:
         return whole(min(max(int(place), 0), last))
     if last == 0:
         return whole(0)
-    low = on_elements(lax.max, place, whole(0))
-    return on_elements(lax.min, low, whole(last))
+    low = lax.max(place, whole(0))
+    return lax.min(low, whole(last))
 
 
 def _plus(place: Any, offset: int) -> Any:
     if is_constant(place):
         return whole(int(place) + offset)
-    return on_elements(lax.add, place, whole(offset)) if offset else place
+    return lax.add(place, whole(offset)) if offset else place
 
 
 def _times(place: Any, factor: int) -> Any:
     if is_constant(place):
         return whole(int(place) * factor)
-    return on_elements(lax.mul, place, whole(factor)) if factor != 1 else place
+    return lax.mul(place, whole(factor)) if factor != 1 else place
 
 
 def element_at(tables: AbstractTables, array: np.ndarray, places: Sequence[Any]) -> Any:
@@ -85,7 +85,7 @@ def element_at(tables: AbstractTables, array: np.ndarray, places: Sequence[Any])
     _check_size(candidates.size, "reads an array of a flight at computed places")
     found = candidates[0]
     for index, candidate in enumerate(candidates[1:], 1):
-        here = on_elements(lax.eq, place, whole(index))
+        here = lax.eq(place, whole(index))
         found = chosen(here, candidate, found)
     return found
 
@@ -99,7 +99,7 @@ def _flat_place(shape: Sequence[int], places: Sequence[Any]) -> Any:
     steps = [_times(p, math.prod(shape[i + 1 :])) for i, p in enumerate(places)]
     known = sum(int(step) for step in steps if is_constant(step))
     moving = [step for step in steps if not is_constant(step)]
-    total = functools.reduce(functools.partial(on_elements, lax.add), moving)
+    total = functools.reduce(lax.add, moving)
     return _plus(total, known)
 
 
@@ -177,7 +177,7 @@ def _written(
 def _equal(place: Any, number: int) -> Any:
     if is_constant(place):
         return int(place) == number
-    return on_elements(lax.eq, place, whole(number))
+    return lax.eq(place, whole(number))
 
 
 def _both(a: Any, b: Any) -> Any:
@@ -185,7 +185,7 @@ def _both(a: Any, b: Any) -> Any:
         return False
     if a is True:
         return b
-    return a if b is True else on_elements(lax.bitwise_and, a, b)
+    return a if b is True else lax.bitwise_and(a, b)
 
 
 def _start_vectors(indices: np.ndarray) -> tuple[np.ndarray, tuple[int, ...]]:
@@ -247,8 +247,8 @@ def gather(
 def _within(place: Any, last: int) -> Any:
     if is_constant(place):
         return 0 <= int(place) <= last
-    above = on_elements(lax.ge, place, whole(0))
-    return on_elements(lax.bitwise_and, above, on_elements(lax.le, place, whole(last)))
+    above = lax.ge(place, whole(0))
+    return lax.bitwise_and(above, lax.le(place, whole(last)))
 
 
 def _filler(value: Any, dtype: Any) -> Any:
@@ -272,11 +272,11 @@ def _replaced(old: Any, new: Any) -> Any:
 
 WRITES: dict[str, Callable[[Any, Any], Any]] = {
     "scatter": _replaced,
-    "scatter-add": functools.partial(on_elements, lax.add),
-    "scatter-sub": functools.partial(on_elements, lax.sub),
-    "scatter-mul": functools.partial(on_elements, lax.mul),
-    "scatter-min": functools.partial(on_elements, lax.min),
-    "scatter-max": functools.partial(on_elements, lax.max),
+    "scatter-add": lax.add,
+    "scatter-sub": lax.sub,
+    "scatter-mul": lax.mul,
+    "scatter-min": lax.min,
+    "scatter-max": lax.max,
 }
 """Operations that write at computed places, with what they make of the old number and the
 new one"""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from jax import lax
 
-from .elements import NotInKernel, alike, as_elements, is_known, objects
+from .elements import NotInKernel, as_elements, is_known, objects
 
 
 def _broadcast(x: np.ndarray, *, shape, broadcast_dimensions, **_) -> np.ndarray:
@@ -112,11 +112,6 @@ def together(arrays: Sequence[np.ndarray]) -> list[np.ndarray]:
     return [as_elements(x) for x in arrays]
 
 
-def on_elements(function: Callable[..., Any], *elements: Any) -> Any:
-    """A function of `lax` of elements of any shapes."""
-    return function(*alike(elements))
-
-
 def _along(x: np.ndarray, axes: Sequence[Any]) -> tuple[np.ndarray, tuple[int, ...]]:
     """The elements to be reduced along a last axis, and the shape of the result."""
     axes = tuple(axes)
@@ -128,7 +123,7 @@ def _along(x: np.ndarray, axes: Sequence[Any]) -> tuple[np.ndarray, tuple[int, .
 def _reduce(function: Callable[..., Any]) -> Callable[..., np.ndarray]:
     def rule(x: np.ndarray, *, axes, **_) -> np.ndarray:
         rows, shape = _along(x, axes)
-        act = functools.partial(on_elements, function)
+        act = function
         flat = rows.reshape(-1, rows.shape[-1])
         return objects((functools.reduce(act, row) for row in flat), shape)
 
@@ -141,12 +136,12 @@ def _place_of(better: Callable[..., Any]) -> Callable[..., np.ndarray]:
     def of_row(row: Sequence[Any], dtype: Any) -> Any:
         best, place = row[0], np.zeros((), dtype)[()]
         for index, x in enumerate(row[1:], 1):
-            wins = on_elements(better, x, best)
+            wins = better(x, best)
             if np.issubdtype(np.dtype(x.dtype), np.floating):
-                lost = on_elements(lax.ne, best, best)
-                wrong = on_elements(lax.ne, x, x)
-                wins = on_elements(lax.bitwise_or, wins, wrong)
-                wins = on_elements(lax.bitwise_and, wins, _not(lost))
+                lost = lax.ne(best, best)
+                wrong = lax.ne(x, x)
+                wins = lax.bitwise_or(wins, wrong)
+                wins = lax.bitwise_and(wins, _not(lost))
             best = chosen(wins, x, best)
             place = chosen(wins, np.asarray(index, dtype)[()], place)
         return place
@@ -165,7 +160,6 @@ def _not(x: Any) -> Any:
 
 def chosen(condition: Any, x: Any, otherwise: Any) -> Any:
     """`x` where the condition holds, and `otherwise` elsewhere."""
-    condition, x, otherwise = alike((condition, x, otherwise))
     return lax.select_n(condition, otherwise, x)
 
 
@@ -173,7 +167,7 @@ def _cumulative(function: Callable[..., Any]) -> Callable[..., np.ndarray]:
     def rule(x: np.ndarray, *, axis, reverse, **_) -> np.ndarray:
         rows = np.moveaxis(x, axis, -1)
         rows = rows[..., ::-1] if reverse else rows
-        act = functools.partial(on_elements, function)
+        act = function
         flat = rows.reshape(-1, rows.shape[-1])
         sums = itertools.chain.from_iterable(itertools.accumulate(r, act) for r in flat)
         out = objects(sums, rows.shape)
@@ -208,8 +202,8 @@ def dot_general(
 def _dot(x: np.ndarray, y: np.ndarray) -> Any:
     total = None
     for pair in zip(x, y, strict=True):
-        product = on_elements(lax.mul, *pair)
-        total = product if total is None else on_elements(lax.add, total, product)
+        product = lax.mul(*pair)
+        total = product if total is None else lax.add(total, product)
     if total is None:
         raise NotInKernel("a sum of no products")
     return total
