@@ -1,6 +1,7 @@
 """Kernels of small functions: each agrees with the function, mapped over runs by XLA."""
 
 import re
+import sys
 
 import equinox as eqx
 import jax
@@ -224,6 +225,38 @@ def nothing_lost(x, i):
     return x / 0.0, jnp.log(x - 5.0), TABLE[i + 40], jnp.nan * x, 0.0 * (x / 0.0)
 
 
+def limits(x, i):
+    """Where C alone has no result, or another one than XLA."""
+    beyond = jnp.stack([x / 0.0, 1e300 * x, jnp.nan * x, 3.7 * x, -x / 0.0])
+    zero, least = i * 0, i * 0 + jnp.iinfo(jnp.int64).min
+    words = i.astype(jnp.uint32)
+    types = jnp.int32, jnp.int64, jnp.uint32, jnp.uint64
+    return (
+        *(lax.convert_element_type(beyond, dtype) for dtype in types),
+        *(f(i, zero) for f in (lax.div, lax.rem)),
+        *(f(least, zero - 1) for f in (lax.div, lax.rem)),
+        *(f(words, words * 0) for f in (lax.div, lax.rem)),
+        *(f(words, words + 30) for f in (lax.shift_left, lax.shift_right_logical)),
+        *(f(i, abs(i) + 62) for f in (lax.shift_left, lax.shift_right_arithmetic)),
+        lax.shift_right_logical(i, abs(i) + 60),
+        *(f(x, beyond[2]) for f in (jnp.maximum, jnp.minimum)),
+        *(f(beyond[2], x) for f in (jnp.maximum, jnp.minimum)),
+        jnp.sign(beyond),
+        lax.clamp(-1.0, beyond, 1.0),
+        lax.rem(x, 0.7 + 0.0 * x),
+        jnp.abs(i),
+        ~i,
+        i.astype(bool),
+        x.astype(bool),
+        (x > 0.0).astype(float),
+    )
+
+
+def exchanged(x, y):
+    """A loop whose numbers change places."""
+    return lax.fori_loop(0, 7, lambda i, c: (c[1], c[0] + 1.0, c[1]), (x, y, x))
+
+
 def alike(x, v):
     return side_by_side((x, v), 2.0 * x)
 
@@ -261,6 +294,8 @@ PROGRAMS = {
     solved: (M, V),
     known: (X,),
     nothing_lost: (X, I),
+    limits: (X, I),
+    exchanged: (X, Y),
     alike: (X, V),
     with_custom_rules: (X,),
 }
@@ -357,3 +392,31 @@ def test_what_flights_share_is_a_table_and_not_an_argument():
     box = eqx.filter_jit(lambda run: run * TABLE[2])
     found = kernel_of(box, 1.0, form="xla")(jnp.ones(3))
     np.testing.assert_array_equal(found, np.full(3, TABLE[2]))
+
+
+def test_runs_have_the_structure_of_the_example():
+    kernel = kernel_of(lambda run: run["x"], {"x": 1.0}, form="xla")
+    with pytest.raises(ValueError, match="runs have the structure .*must be that of"):
+        kernel({"x": jnp.ones(2), "y": jnp.ones(2)})
+
+
+def test_a_kernel_in_c_needs_a_compiler(monkeypatch):
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    with pytest.raises(RuntimeError, match="needs a compiler: there is no cc here"):
+        kernel_of(jnp.sin, 1.0, form="c")
+
+
+def test_a_kernel_for_a_gpu_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "cupy", None)
+    with pytest.raises(RuntimeError, match="needs CuPy: pip install 'jentry.cuda.'"):
+        kernel_of(jnp.sin, 1.0)
+
+
+def test_the_inverse_of_erf_is_exact_to_its_ends():
+    """XLA's, by a polynomial, is off by 1e-10 of its value near 1."""
+    from scipy.special import erfinv
+
+    near = 1.0 - 10.0 ** -np.linspace(0.01, 15.9, 60)
+    y = np.concatenate([near, -near, [1e-9, 1e-300, 0.0, 0.5, 1.0, -1.0, 1.5]])
+    found = kernel_of(lax.erf_inv, 1.0, form="c")(jnp.asarray(y))
+    np.testing.assert_allclose(found, erfinv(y), rtol=1e-15)

@@ -289,7 +289,7 @@ def test_more_samples_keep_the_noise_out():
     assert np.max(errors) < 0.55
     assert angles[-1] == pytest.approx(6.76, abs=0.01)
     quiet = eqx.tree_at(lambda s: s.accelerometers.noise, scenario, jnp.asarray(0.0))
-    errors, _ = peaks(quiet, "table-1-noise", 1, runs=127)
+    errors, _ = peaks(quiet, "table-1-noise", 1, runs=63)
     assert errors[-1] == pytest.approx(0.19, abs=0.01)
     assert np.max(errors) < 0.4
 
