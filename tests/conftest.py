@@ -11,6 +11,7 @@ import compiling
 import equinox as eqx
 import jax
 import pytest
+from jaxtyping import install_import_hook
 
 
 # As the command does: in a process that has traced much, to look for rubbish is up to a
@@ -20,7 +21,8 @@ gc.set_threshold(100_000)
 # What XLA has compiled is kept beside what pytest keeps, for the other worker and for the
 # next run, and found by all that a program is made of. Commands that tests start read it
 # from the environment.
-_COMPILED = str(Path(__file__).parent.parent / ".pytest_cache" / "compiled")
+_ROOT = Path(__file__).parent.parent
+_COMPILED = str(_ROOT / ".pytest_cache" / "compiled")
 _DIR, _SECONDS = (
     "JAX_COMPILATION_CACHE_DIR",
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
@@ -34,11 +36,28 @@ jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_traceback_in_locations_limit", 0)
 
 
+_NOT_ENFORCED = "_provenance", "kernel"
+"""Packages that go through 100 000 objects at a time, none of them an array with a shape:
+to look at their annotations takes six times as long as what they do"""
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--enforce-annotations",
+        action="store_true",
+        help="look at types and shapes of all arguments and results",
+    )
+
+
 @pytest.hookimpl(
     trylast=True
 )  # jentry must not be imported before its types are checked
 def pytest_configure(config):
     """Compile loops as users do; commands that tests start, and workers, find it so."""
+    if config.getoption("--enforce-annotations"):
+        names = (path.stem for path in (_ROOT / "jentry").iterdir())
+        checked = [f"jentry.{n}" for n in names if n not in _NOT_ENFORCED]
+        install_import_hook(checked, "beartype.beartype")
     from jentry import _setup
 
     _setup._turn_on(_setup._LOOPS, remember=False)
