@@ -86,20 +86,12 @@ def differences(problem, free, address, inputs, scale):
 
 @pytest.mark.optimized
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("mission", "variant", "scale", "slower"),
-    [
-        # Over the velocity, and over the energy.
-        ("mars-drag-tracking", "table-3", 1e3, 1.0),
-        ("mars-range-tracking", "range-tracking", 20.0, 1.4),
-    ],
-)
-def test_gradient_of_a_batch_matches_differences(mission, variant, scale, slower):
-    """In both modes, for every gain; the observer slower than it is by a factor e or so,
-    since the miss of a good one hardly depends on it."""
+def test_gradient_of_a_batch_matches_differences():
+    """In both modes, for every gain, over the velocity."""
+    mission, variant, scale = "mars-drag-tracking", "table-3", 1e3
     given = case(mission, variant)
     problem, parameters = given.problem, given.parameters
-    free = given.free | {"guidance.observer.epsilon": jnp.asarray(slower, float)}
+    free = given.free | {"guidance.observer.epsilon": jnp.asarray(1.0)}
     inputs = given.inputs
 
     def loss(misses):

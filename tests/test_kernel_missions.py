@@ -1,6 +1,7 @@
 """The kernel of each mission, as a program in C, against the same flights by XLA."""
 
 import functools
+from unittest import mock
 
 import cheap
 import jax
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from jentry.addresses import replace_leaves
-from jentry.campaign import monte_carlo
+from jentry.campaign import batch, monte_carlo
 from jentry.campaign.campaign import _fly_one, drawn_inputs
 from jentry.flight import FixedStep, fly
 from jentry.kernel import NotInKernel, kernel_of, with_tangents
@@ -17,6 +18,9 @@ from jentry.missions import ALL
 
 
 RUNS = 32
+
+FEW = {"cav-h-glide": 8}
+"""Runs of a mission whose flights, with little optimization, take seconds each"""
 
 LAWS = {
     "mars-drag-tracking": "energy-index",
@@ -31,8 +35,8 @@ LAWS = {
 """The law of each mission whose kernel is flown"""
 
 
-def flown_by_kernel(scenario, table, form, solver=FixedStep()):
-    inputs = drawn_inputs(scenario, table, jax.random.key(0), np.arange(RUNS))
+def flown_by_kernel(scenario, table, form, solver=FixedStep(), runs=RUNS):
+    inputs = drawn_inputs(scenario, table, jax.random.key(0), np.arange(runs))
     inputs = {address: jnp.asarray(x) for address, x in inputs.items()}
     one = functools.partial(_fly_one, (scenario, solver, None))
     kernel = kernel_of(one, jax.tree.map(lambda x: x[0], inputs), form=form)
@@ -70,8 +74,10 @@ def test_a_flight_of_a_constant_bank():
 def test_the_kernel_of_a_mission_flies_as_xla_does(name):
     mission = ALL[name]
     scenario, table = mission.scenario(LAWS[name]), mission.dispersion_table()
-    found = flown_by_kernel(scenario, table, "c")
-    campaign = monte_carlo(scenario, table, 0, RUNS)
+    runs = FEW.get(name, RUNS)
+    found = flown_by_kernel(scenario, table, "c", runs=runs)
+    with mock.patch.object(batch, "LANES", runs):
+        campaign = monte_carlo(scenario, table, 0, runs)
     assert_same_flights(found, campaign, 1e-6)
 
 
