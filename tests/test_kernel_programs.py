@@ -55,6 +55,13 @@ def rows(x):
     return lax.scan(body, x, table, reverse=True)[0]
 
 
+def many_rows(x):
+    """So many that the kernel has a loop over them."""
+    table = jnp.linspace(0.5, 1.0, 500)
+    act = lambda carry, row: (carry * row + 1.0, None)
+    return lax.scan(act, x, table, reverse=True)[0], lax.scan(act, x, table)[0]
+
+
 def stacked(x, v):
     def body(carry, given):
         return carry + given, carry * given
@@ -274,6 +281,7 @@ PROGRAMS = {
     halvings: (X,),
     counted: (X, Y),
     rows: (X,),
+    many_rows: (X,),
     stacked: (X, V),
     nested: (X,),
     running: (X, Y),

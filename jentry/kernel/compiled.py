@@ -30,8 +30,7 @@ class OnProcessor:
         if compiler is None:
             raise RuntimeError("a kernel in C needs a compiler: there is no cc here")
         with tempfile.TemporaryDirectory() as folder:
-            text, library = Path(folder) / "flights.c", Path(folder) / "flights.so"
-            text.write_text(source)
+            library = Path(folder) / "flights.so"
             flags = (
                 "-O1",
                 "-std=c99",
@@ -41,7 +40,8 @@ class OnProcessor:
                 "-fPIC",
             )
             subprocess.run(
-                [compiler, *flags, text, "-o", library, "-lm"],
+                [compiler, *flags, "-x", "c", "-", "-o", library, "-lm"],
+                input=source.encode(),
                 check=True,
                 capture_output=True,
             )
