@@ -134,6 +134,15 @@ def moved(v, i, x):
     return part, lax.dynamic_update_slice(v, jnp.stack([x, -x]), (i,))
 
 
+def beyond(v, x, i):
+    """Places before the first and after the last number."""
+    return (
+        *(lax.dynamic_slice(v, (i + k,), (2,)) for k in (-20, 20)),
+        *(lax.dynamic_update_slice(v, x[None], (i + k,)) for k in (-20, 20)),
+        *(TABLE.at[i + k].get(mode="clip") for k in (-20, 20)),
+    )
+
+
 def read(v, m, i):
     return v[i], v.at[i].get(mode="fill", fill_value=9.0), m[:, i % 3], m[i % 3, 1]
 
@@ -293,6 +302,7 @@ PROGRAMS = {
     bits_of_single_precision: (I + 5,),
     written: (V, I, X),
     moved: (V, I, X),
+    beyond: (V, X, I),
     read: (V, M, I),
     of_tables: (X, Y, I),
     shapes: (V, M, X),
