@@ -148,7 +148,7 @@ def scenarios():
 
 
 HISTORIES = {
-    None: (*all_laws, "shortening cycle"),
+    None: (*list(all_laws)[::2], "shortening cycle"),
     # The loops that keep a history ask for the cycle of a law, and for nothing else.
     20.0: ("observer", "range tracking", "composition", "shortening cycle"),
 }

@@ -445,3 +445,11 @@ def test_the_inverse_of_erf_is_exact_to_its_ends():
     y = np.concatenate([near, -near, [1e-9, 1e-300, 0.0, 0.5, 1.0, -1.0, 1.5]])
     found = kernel_of(lax.erf_inv, 1.0, form="c")(jnp.asarray(y))
     np.testing.assert_allclose(found, erfinv(y), rtol=1e-15)
+
+
+def test_what_c_has_no_type_for_is_refused_with_its_line():
+    half = lambda x: (2.0 * x).astype(jnp.float16)
+    with pytest.raises(
+        NotInKernel, match=r"of type float16 \(.*test_kernel_programs.py"
+    ):
+        kernel_of(half, 1.0, form="c")

@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -146,17 +145,3 @@ def test_derivative_through_all_predictions_is_that_of_differences():
     assert float(slope) == pytest.approx(numeric, rel=1e-6)
     pulled = jax.jit(jax.grad(duration))(number(at))
     assert float(pulled) == pytest.approx(float(slope), rel=1e-9)
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:.*decisions without prediction")
-def test_the_memory_of_the_factors_is_tuned(monkeypatch):
-    """`tune` compares the gradient with a difference first, and would warn."""
-    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
-    import mars_reach
-
-    found = mars_reach.tuned(runs=32, held_out=128, steps=6)
-    assert float(found.values[mars_reach.MEMORY]) < 5.0
-    std = mars_reach.downrange_std(found.judgement)
-    assert std.after.value < 0.8 * std.before.value
-    assert std.change.high < 0.0

@@ -12,9 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from first_sets import small_batches
 from helpers import fly_batch
-from optimistix import LBFGS
 from pages import assert_same, published
 
 from jentry import monte_carlo
@@ -34,7 +32,6 @@ from jentry.missions.x_33.cases import CASES, TABLE_1, TABLE_2, case, off_by
 from jentry.onboard.linear_quadratic import riccati_cost_to_go
 from jentry.planning import plan_drag_profile
 from jentry.planning.flight_problem import AtEnd, best_flight
-from jentry.tuning import Bounds, Budget, Draws, tune
 from jentry.units import degree, km
 
 
@@ -278,42 +275,6 @@ def test_gains_of_another_regulator_are_refused():
 def _square(misses):
     """Of the range in km and of the altitude in 100 m: its mean over the flights."""
     return jnp.mean((misses.downrange / km) ** 2 + (misses.altitude / 100.0) ** 2)
-
-
-@pytest.mark.optimized
-@pytest.mark.slow
-def test_weights_are_tuned():
-    """From 300 for all at the end, with which the range is missed by up to 6 km."""
-    scenario = MISSION.scenario("receding-with-range")
-    weak = eqx.tree_at(
-        lambda regulator: regulator.at_end,
-        scenario.guidance.bank.regulator,
-        DeviationWeights(*4 * [300.0]),
-    )
-    law = PseudospectralTracking(regulator=weak, cycle=FixedCycle(40.0))
-    law = compose(scenario.guidance.angle_of_attack, law)
-    scenario = eqx.tree_at(lambda s: s.guidance, scenario, law)
-    with small_batches():
-        tuned = tune(
-            scenario,
-            lambda s: (
-                s.guidance.bank.regulator.at_end.altitude,
-                s.guidance.bank.regulator.at_end.downrange,
-            ),
-            _square,
-            LBFGS(rtol=1e-3, atol=1e-3),
-            Draws(
-                MISSION.dispersion_table("initial-errors"), jax.random.key(1), 16, 16
-            ),
-            ranges={
-                f"guidance.bank.regulator.at_end.{name}": Bounds(30.0, 1e4)
-                for name in ("altitude", "downrange")
-            },
-            solver=FixedStep(4.0),
-            budget=Budget(steps=3),
-        )
-    loss = tuned.judgement["loss", ""]
-    assert loss.after.value < 0.2 * loss.before.value
 
 
 @functools.cache

@@ -227,10 +227,15 @@ def _aval(variable: Any) -> Any:
 
 
 def _c_type(aval: Any) -> str:
-    try:
-        return TYPES[np.dtype(aval.dtype).name]
-    except (KeyError, TypeError):
-        raise NotInKernel(f"has a number of type {aval.dtype}") from None
+    return _c_name(aval.dtype)
+
+
+def _c_name(dtype: Any) -> str:
+    """The type of C of a type of numbers."""
+    name = str(dtype)
+    if name not in TYPES:
+        raise NotInKernel(f"has a number of type {name}")
+    return TYPES[name]
 
 
 def _literal(value: Any, dtype: Any) -> str:
@@ -331,8 +336,8 @@ def _convert(equation: JaxprEqn, dtype: np.dtype, x: str) -> str:
     if new.kind == "b":
         return f"{x} != 0"
     if _is_real(dtype) and not _is_real(new):
-        return f"TO_{TYPES[new.name].upper()}({x})"
-    return f"({TYPES[new.name]}){x}"
+        return f"TO_{_c_name(new).upper()}({x})"
+    return f"({_c_name(new)}){x}"
 
 
 def _bitcast(equation: JaxprEqn, dtype: np.dtype, x: str) -> str:
@@ -342,12 +347,12 @@ def _bitcast(equation: JaxprEqn, dtype: np.dtype, x: str) -> str:
             f"takes the bits of a number of type {dtype} for one of {new}"
         )
     bits = f"bits_of({x})" if dtype.kind == "f" else x
-    return f"of_bits({bits})" if new.kind == "f" else f"({TYPES[new.name]}){bits}"
+    return f"of_bits({bits})" if new.kind == "f" else f"({_c_name(new)}){bits}"
 
 
 def _shift(macro: str) -> Callable[..., str]:
     def text(_: JaxprEqn, dtype: np.dtype, x: str, bits: str) -> str:
-        c_type, size = TYPES[dtype.name], 8 * dtype.itemsize
+        c_type, size = _c_name(dtype), 8 * dtype.itemsize
         unsigned = c_type if macro == "RIGHT_SIGNED" else c_type.replace("i", "u")
         return f"({c_type}){macro}(({unsigned}){x}, {bits}, {size})"
 
