@@ -1,6 +1,7 @@
 """The source of a kernel, compiled for the processor or for a GPU."""
 
 import ctypes
+import importlib
 import os
 import shutil
 import subprocess
@@ -31,14 +32,7 @@ class OnProcessor:
             raise RuntimeError("a kernel in C needs a compiler: there is no cc here")
         with tempfile.TemporaryDirectory() as folder:
             library = Path(folder) / "flights.so"
-            flags = (
-                "-O1",
-                "-std=c99",
-                "-ffp-contract=off",
-                "-fwrapv",
-                "-shared",
-                "-fPIC",
-            )
+            flags = "-O1 -std=c99 -ffp-contract=off -fwrapv -shared -fPIC".split()
             subprocess.run(
                 [compiler, *flags, "-x", "c", "-", "-o", library, "-lm"],
                 input=source.encode(),
@@ -65,7 +59,7 @@ class OnGpu:
     def __init__(self, source: str, reals: np.ndarray, wholes: np.ndarray):
         os.environ.setdefault("CUPY_CACHE_DIR", str(cache_directory() / "kernels"))
         try:
-            import cupy  # type: ignore
+            cupy = importlib.import_module("cupy")
         except ImportError:
             raise RuntimeError(
                 "a kernel for a GPU needs CuPy: pip install 'jentry[cuda]'"
@@ -78,7 +72,7 @@ class OnGpu:
     def taken(self, leaf: Any) -> Any:
         if isinstance(leaf, jax.Array):
             leaf = jax.block_until_ready(leaf)
-            if not leaf.is_deleted() and _isOnProcessor(leaf):
+            if _is_on_processor(leaf):
                 leaf = np.asarray(leaf)
         return self.arrays.asarray(leaf)
 
@@ -92,5 +86,5 @@ class OnGpu:
         return jnp.from_dlpack(self.arrays.ascontiguousarray(array))
 
 
-def _isOnProcessor(array: jax.Array) -> bool:
+def _is_on_processor(array: jax.Array) -> bool:
     return all(device.platform == "cpu" for device in array.devices())

@@ -153,7 +153,7 @@ def linear_solve(
     walk: "Walk", equation: JaxprEqn, given: list[np.ndarray]
 ) -> list[np.ndarray]:
     system, count = equation.params["system"], equation.params["count"]
-    shapes = [jax.ShapeDtypeStruct(x.aval.shape, x.aval.dtype) for x in equation.invars]  # type: ignore
+    shapes = [jax.ShapeDtypeStruct(_shape(x), _dtype(x)) for x in equation.invars]
     solve = lambda *x: system.solve(list(x[:count]), list(x[count:]))
     return walk(jax.make_jaxpr(solve)(*shapes), given)
 
@@ -211,6 +211,10 @@ def _strong(array: np.ndarray) -> list[Any]:
 
 def _shape(variable: Any) -> tuple[int, ...]:
     return variable.aval.shape
+
+
+def _dtype(variable: Any) -> Any:
+    return variable.aval.dtype
 
 
 def _unchanged(jaxpr: Jaxpr, consts: int) -> list[bool]:

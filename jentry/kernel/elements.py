@@ -60,10 +60,6 @@ def as_elements(array: np.ndarray) -> np.ndarray:
     return array if not is_known(array) else objects(array.flat, array.shape)
 
 
-def type_of(element: Any) -> np.dtype:
-    return np.dtype(element.dtype)
-
-
 def evaluated(primitive: Any, given: Sequence[Any], params: dict[str, Any]) -> Any:
     """Numpy arrays of the values of an operation on known numbers."""
     with jax.ensure_compile_time_eval():

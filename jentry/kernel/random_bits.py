@@ -118,6 +118,7 @@ def _array(words: list[Any], shape: Sequence[int]) -> np.ndarray:
 
 
 def _check_generator(equation: JaxprEqn) -> None:
-    dtype = equation.invars[0].aval.dtype  # type: ignore
+    key: Any = equation.invars[0]
+    dtype = key.aval.dtype
     if "fry" not in str(dtype):
         raise NotInKernel(f"draws random numbers with keys of type {dtype}")
