@@ -88,13 +88,6 @@ def test_with_the_network():
 
 
 @pytest.mark.slow
-def test_through_the_standard_atmosphere():
-    error, _ = errors("newton world us-1976", "normal-sensed")
-    assert np.mean(error) < 5.01
-    assert few(error > 19.8, 1)
-
-
-@pytest.mark.slow
 def test_what_a_density_wave_leaves():
     """The place and the angles are met; the velocity is not: the air below is unknown."""
     scenario = MISSION.scenario("newton")

@@ -42,7 +42,13 @@ from jentry.units import degree
 
 
 CHOOSES_ITS_ANGLE = {"Bézier", "ground track", "replanning", "control profiles"}
-ALONE = [n for n in all_laws if n not in CHOOSES_ITS_ANGLE and "composition" not in n]
+OTHERS_DO = {"predictor-corrector", "pseudospectral"}
+"""Laws that take long to compile; what is composed does not look into them"""
+ALONE = [
+    n
+    for n in all_laws
+    if n not in CHOOSES_ITS_ANGLE | OTHERS_DO and "composition" not in n
+]
 
 
 @pytest.mark.optimized

@@ -20,7 +20,6 @@ from jentry.guidance.open_loop import BankProfile
 from jentry.missions.mars import crossings as on_mars
 from jentry.missions.mars.drag_tracking import nominal_gains, nominal_observer
 from jentry.missions.rlv import crossings as on_rlv
-from jentry.missions.sx_2.scenario import gains as gains_of_sx_2
 from jentry.missions.x_33 import airframe, crossings as on_x_33, scenario as x_33
 from jentry.motion import Controls, IdealAttitude
 from jentry.motion.index import EnergyIndex
@@ -124,18 +123,6 @@ def test_the_model_of_the_drag_trackers_has_the_rate_of_the_schedule():
         held = OnboardModel(planet, x_33.vehicle())
         without = float(drag_dynamics(held, measured, angle).rate)
         assert abs(without - expected) > 0.1 * abs(expected)
-
-
-@pytest.mark.slow
-def test_feedback_linearization_has_the_gains_and_the_band_of_the_sx_2():
-    band = find_mission("sx-2").scenario("full").guidance.band
-    for law in (
-        on_x_33.feedback_linearization().guidance,
-        on_rlv.feedback_linearization().guidance.law.law,
-    ):
-        assert same(law.gains, gains_of_sx_2())
-        assert float(law.band.deviation) == float(band.deviation)
-        assert float(law.band.largest_bank) == float(band.largest_bank)
 
 
 @pytest.mark.slow
@@ -294,7 +281,6 @@ def test_a_slow_bank_is_why_feedback_linearization_does_not_fit_the_rlv():
 FIRST_RUNS = [
     ("x-33", "observer-drag-tracking", "initial-errors"),
     ("x-33", "modulation", "air-and-vehicle"),
-    ("rlv", "observer-drag-tracking", "table-1"),
     ("rlv", "pseudospectral", "table-1"),
 ]
 

@@ -1,9 +1,12 @@
 """Batches on a GPU, for which a core of the processor stands in the tests."""
 
 import dataclasses
+import functools
 import json
+from collections import OrderedDict
 
 import cheap
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,6 +35,7 @@ RUNS = 40
 def chosen_again(monkeypatch):
     monkeypatch.setattr(_devices, "_CHOSEN", None)
     monkeypatch.setattr(on_gpu, "_FITS", {})
+    monkeypatch.setattr(on_gpu, "_KERNELS", OrderedDict())
 
 
 @pytest.fixture
@@ -108,6 +112,42 @@ def test_a_kernel_that_flies_otherwise_is_not_taken(stand_in, monkeypatch):
     found = flown()
     assert "100% of the first flights of its kernel are others" in found.flown_on
     assert_same_flights(found, expected)
+
+
+def test_a_second_campaign_finds_the_kernel_of_the_first(stand_in, monkeypatch):
+    """And not that of another number, another structure or another input."""
+    made, makers = [], on_gpu.kernel_of
+    monkeypatch.setattr(
+        on_gpu, "kernel_of", lambda *g, **o: made.append(1) or makers(*g, **o)
+    )
+    choose("gpu")
+    first = flown()
+    assert_same_flights(flown(), first, rtol=0.0)
+    assert len(made) == 1
+    scenario, lens = cheap.scenario(), lambda s: s.vehicle.mass
+    heavier = eqx.tree_at(lens, scenario, 1.001 * scenario.vehicle.mass)
+    assert np.all(flown(heavier).flights.time != first.flights.time)
+    assert len(made) == 2
+    table = dict(list(cheap.dispersions().items())[1:])
+    given = scenario, table, 3, RUNS
+    monte_carlo(*given, solver=cheap.SOLVER)
+    assert len(made) == 3
+    monte_carlo(*given, solver=dataclasses.replace(cheap.SOLVER, step=0.9))
+    assert len(made) == 4
+    flown()
+    assert len(made) == 4
+
+
+def test_of_many_kernels_those_that_flew_last_are_kept(stand_in, monkeypatch):
+    monkeypatch.setattr(on_gpu, "_KEPT", 2)
+    monkeypatch.setattr(
+        on_gpu, "kernel_of", lambda *given, form: functools.partial(len)
+    )
+    make = lambda number: on_gpu._kernel(stand_in, len, number, {})
+    one, two = make(1.0), make(2.0)
+    assert make(1.0) is one
+    make(3.0)
+    assert make(1.0) is one and make(2.0) is not two
 
 
 def test_a_run_differs_by_more_than_rounding():

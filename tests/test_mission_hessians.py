@@ -32,17 +32,8 @@ def bezier(scenario):
 
 CASES = {
     # Mission, variant, what is varied, density, what is looked at, step. Off the nominal
-    # density, since on the reference itself no gain matters. The steps are relative, small
-    # where a flight jumps with the number of its guidance cycles.
+    # density, since on the reference itself no gain matters. The steps are relative.
     "drag tracking": ("mars-drag-tracking", "table-3", gains, 1.02, "downrange", 2e-3),
-    "range tracking": (
-        "mars-range-tracking",
-        "range-tracking",
-        gains,
-        1.02,
-        "downrange",
-        3e-4,
-    ),
     "bezier": ("cav-h", "stored", bezier, 1.02, "velocity", 1e-5),
 }
 
@@ -52,7 +43,6 @@ CASES = {
     "case",
     [
         "drag tracking",
-        "range tracking",
         # With little optimization the flights round by 2e-11, over steps of 1e-5.
         pytest.param("bezier", marks=pytest.mark.optimized),
     ],

@@ -98,10 +98,8 @@ def test_a_run_is_the_same_in_every_lane():
 @pytest.mark.parametrize(
     ("mission", "variant"),
     [
-        ("mars-drag-tracking", "table-3"),
         ("mars-range-tracking", "range-tracking"),
         ("cav-h", "newton"),
-        ("cav-h", "stored"),
     ],
 )
 def test_a_run_of_a_mission_is_the_same_in_every_lane(mission, variant):

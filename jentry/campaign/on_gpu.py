@@ -7,6 +7,7 @@ place, and the campaign says so.
 
 import dataclasses
 import functools
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
@@ -93,11 +94,8 @@ class Flier:
     def _of_kernel(self, runs: PyTree) -> Callable[[PyTree], Any]:
         if self._large:
             raise NotInKernel("has a history, which a kernel does not store")
-        kernel = kernel_of(
-            functools.partial(self._function, self._shared),
-            jax.tree.map(lambda x: jnp.asarray(x[0]), runs),
-            form=self._gpu.form,
-        )
+        example = jax.tree.map(lambda x: jnp.asarray(x[0]), runs)
+        kernel = _kernel(self._gpu, self._function, self._shared, example)
         return lambda runs: jax.tree.map(np.asarray, kernel(runs))
 
     def _flown_otherwise(self, fly: Callable[[PyTree], Any], runs: PyTree) -> float:
@@ -106,6 +104,51 @@ class Flier:
         here = dataclasses.replace(self._gpu, device=_devices.cores()[0])
         expected = _fly(here, self._function, self._shared, first)
         return float(np.mean(differing(fly(first), expected)))
+
+
+_KERNELS: OrderedDict[Any, Callable[[PyTree], PyTree]] = OrderedDict()
+"""The kernels that were made last, by what they are made of"""
+
+_KEPT = 16
+"""How many of them are kept"""
+
+
+def _kernel(
+    gpu: Gpu, function: Callable[[Any, Any], Any], shared: PyTree, example: PyTree
+) -> Callable[[PyTree], PyTree]:
+    """The kernel of `function(shared, run)`, made anew if none of equal numbers is kept."""
+    key = (
+        gpu,
+        function,
+        *_value(shared, np.ndarray.tobytes),
+        *_value(example, _no_bytes),
+    )
+    known = _KERNELS.pop(key, None)
+    if known is None:
+        one = functools.partial(function, shared)
+        known = kernel_of(one, example, form=gpu.form)
+    _KERNELS[key] = known
+    while len(_KERNELS) > _KEPT:
+        _KERNELS.popitem(last=False)
+    return known
+
+
+def _value(tree: PyTree, of_numbers: Callable[[np.ndarray], bytes]) -> tuple[Any, ...]:
+    """What a kernel depends on in a pytree: two that are equal make the same kernel."""
+    leaves, structure = jax.tree.flatten(tree)
+    values = []
+    for leaf in leaves:
+        if not eqx.is_array_like(leaf):
+            values.append(leaf)
+            continue
+        array = np.asarray(leaf)
+        values.append((array.dtype.str, array.shape, of_numbers(array)))
+    return structure, tuple(values)
+
+
+def _no_bytes(array: np.ndarray) -> bytes:
+    """In place of the numbers, for those that a kernel gets when it is called."""
+    return b""
 
 
 def differing(found: PyTree, expected: PyTree) -> np.ndarray:
