@@ -172,22 +172,6 @@ def test_the_polynomial_gives_back_the_k2_that_was_flown():
         assert p0 + x * (p1 + x * p2) == pytest.approx(k2, abs=0.02)
 
 
-@pytest.mark.slow
-def test_the_network_costs_little_and_the_papers_own_cannot_work(as_printed):
-    """Reading the factors, it adds 0.5 m/s at most to exact prediction.
-
-    Reading the state alone, it corrects for the entry, and leaves what the factors do:
-    at least 120 m/s in the mean, see `test_a_network_that_comes_with_the_package`.
-    """
-    exact, with_factors, state_only = (
-        float(np.mean(np.abs(flown(v)[0].misses.velocity)))
-        for v in ("adjusted-once", "network-once", "state-network-once")
-    )
-    assert with_factors - exact <= 0.5
-    unadjusted = float(np.mean(np.abs(as_printed[0].misses.velocity)))
-    assert state_only > 0.8 * unadjusted
-
-
 @pytest.mark.optimized
 @pytest.mark.slow
 def test_the_printed_inversion_loses_flights():

@@ -11,7 +11,7 @@ from first_sets import assert_first_runs, fly_few, populations
 from helpers import fly_compiled
 from pages import assert_says
 
-from jentry import find_mission, fly, misses
+from jentry import find_mission, misses
 from jentry.flight import Outcome
 from jentry.guidance import Gated
 from jentry.guidance.drag_tracking import drag_dynamics
@@ -21,9 +21,8 @@ from jentry.missions.mars import crossings as on_mars
 from jentry.missions.mars.drag_tracking import nominal_gains, nominal_observer
 from jentry.missions.rlv import crossings as on_rlv
 from jentry.missions.x_33 import airframe, crossings as on_x_33, scenario as x_33
-from jentry.motion import Controls, IdealAttitude
+from jentry.motion import Controls
 from jentry.motion.index import EnergyIndex
-from jentry.motion.quantities import energy
 from jentry.onboard import Measurement, OnboardModel, PolynomialProfile, measure
 from jentry.planning import ReferenceFlight, as_longitudinal
 
@@ -258,24 +257,6 @@ def test_the_regulated_lander_ends_where_its_reference_does(variant):
     miss = misses(scenario, flight)
     assert flight.outcome == Outcome.REACHED
     assert abs(float(miss.downrange)) < 0.01 and abs(float(miss.altitude)) < 0.01
-
-
-@pytest.mark.slow
-def test_a_slow_bank_is_why_feedback_linearization_does_not_fit_the_rlv():
-    """Off its own reference at the same energy on the way, and at the end; nominal."""
-    scenario, track = RLV.scenario("feedback-linearization"), on_rlv.ground_track()
-    at_once = dataclasses.replace(scenario, attitude=IdealAttitude())
-    away = {}
-    for name, flown in (("lagging", scenario), ("at once", at_once)):
-        flight = eqx.filter_jit(fly)(flown, history=2.0)
-        states = jax.tree.map(lambda x: x[150:], flight.history.states)
-        energies = jax.vmap(lambda s: energy(on_rlv.earth(), s))(states)
-        wanted = jax.vmap(track.table.with_derivatives)(energies)["downrange"][0]
-        off = np.abs(np.asarray(states.longitude - wanted)) * 6371.0
-        off = off[np.isfinite(off)]
-        away[name] = np.max(off), off[-1]
-    assert away["lagging"][0] > 300.0
-    assert away["at once"][1] < 2.5
 
 
 FIRST_RUNS = [

@@ -314,16 +314,3 @@ def test_least_damping_with_tuned_gains():
     assert least_damping(tuned("lag-inverted world attitude-3")) == pytest.approx(
         0.63, abs=0.02
     )
-
-
-@pytest.mark.slow
-def test_what_the_gains_need_of_the_attitude():
-    """Least damping with those for 5 rad/s, as the README has it."""
-    scenario = MISSION.scenario_of("modulation")
-    least = []
-    for frequency in (5.0, 3.0, 2.0):
-        response = lambda s: s.attitude.angle_of_attack_response.frequency
-        slower = eqx.tree_at(response, scenario, jnp.asarray(frequency))
-        least.append(least_damping(slower))
-    assert least[:2] == pytest.approx([0.28, 0.05], abs=0.005)
-    assert least[2] < 0.0
