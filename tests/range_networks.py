@@ -14,7 +14,7 @@ from jentry.guidance.range_network import INPUTS, RangeNetwork, basis
 from jentry.missions import find_mission
 from jentry.missions.mars import predictor_corrector as mars
 from jentry.onboard import Factors
-from jentry.onboard.navigation import Measurement, measure
+from jentry.onboard.measurement import Measurement, measure
 from jentry.onboard.network import Network
 from jentry.world.wind import ConstantWind
 

@@ -139,7 +139,7 @@ def test_a_second_campaign_finds_the_kernel_of_the_first(stand_in, monkeypatch):
 
 
 def test_of_many_kernels_those_that_flew_last_are_kept(stand_in, monkeypatch):
-    monkeypatch.setattr(on_gpu, "_KEPT", 2)
+    monkeypatch.setattr(on_gpu, "_MOST_KERNELS", 2)
     monkeypatch.setattr(
         on_gpu, "kernel_of", lambda *given, form: functools.partial(len)
     )

@@ -99,7 +99,7 @@ def assert_ends(flight, scenario, outcome, name):
     if name is not None:
         assert scenario.termination.names[int(flight.ended_by)] == name
         margins = scenario.termination.margins(
-            flight.time, flight.state, scenario.planet
+            flight.time, flight.state, flight.state, scenario.planet
         )
         if outcome == Outcome.BEGAN_BEYOND_END:
             assert margins[flight.ended_by] <= 0.0

@@ -74,8 +74,14 @@ def test_misses_of_all_missions_are_those_of_trigonometry(name, a_flight):
     """From starts that are moved, across the date line and far north: a target that is a
     place stays, and one that is a range is counted from the start of the flight."""
     mission, generator = find_mission(name), np.random.default_rng(3)
-    for variant in choices(mission):
-        nominal = mission.scenario_of(variant)
+    scenarios = [mission.scenario_of(variant) for variant in choices(mission)]
+    # Laws that fly from one start to one target have the same misses.
+    different = {
+        tuple(map(float, jax.tree.leaves(read))): s
+        for s in scenarios
+        for read in [(s.initial_state, s.target, s.planet.radius)]
+    }
+    for nominal in different.values():
         for start in ((179.9, 5.0, 80.0), (-30.0, 60.0, -150.0), (1.0, 0.0, 90.0)):
             moved = eqx.tree_at(
                 lambda s: (

@@ -78,7 +78,7 @@ def test_heat_rate_of_detra_kemp_and_riddell():
 
 
 def test_load_factor_is_of_lift_and_drag_in_standard_gravities():
-    air = AirData(*scalars(1e-3, 5e3, 1.2e4, 15.0, 3.0, 4.0))
+    air = AirData(*scalars(1e-3, 5e3, 1.2e4, 15.0, 3.0, 4.0, 0.0))
     assert float(load_factor(air)) == pytest.approx(5.0 / 9.80665, rel=1e-15)
 
 

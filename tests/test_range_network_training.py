@@ -17,7 +17,7 @@ from jentry.learning.range_network import LEAST, predict_samples, train_range_ne
 from jentry.missions.mars import predictor_corrector as mars
 from jentry.missions.mars.drag_tracking import independent
 from jentry.motion.quantities import ground_track
-from jentry.onboard.navigation import Measurement, measure
+from jentry.onboard.measurement import Measurement, measure
 from jentry.onboard.network import load_network, save_network
 
 

@@ -202,16 +202,19 @@ def test_a_condition_counts_from_its_near_side():
     above, on, below = (state(x * km) for x in (125, 120, 115))
     planet = mars_planet()
     assert plain.always is None
-    assert plain.counting(zero, above, planet) is None
-    assert plain.smallest_margin(zero, above, planet, plain.always) == -5 * km
-    assert armed.smallest_margin(zero, above, planet, armed.always) == 10.0
+    assert plain.counting(zero, above, above, planet) is None
+    assert plain.smallest_margin(zero, above, above, planet, plain.always) == -5 * km
+    assert armed.smallest_margin(zero, above, above, planet, armed.always) == 10.0
     for where, counts in ((above, False), (on, False), (below, True)):
-        counting = armed.counting(zero, where, planet)
+        counting = armed.counting(zero, where, where, planet)
         assert np.array_equal(counting, [counts, True])
     # A step from below to above meets it; one from above to below comes near.
-    up = armed.smallest_margin(zero, above, planet, armed.counting(zero, below, planet))
-    down = armed.smallest_margin(
-        zero, state(120 * km - 3.0), planet, armed.counting(zero, above, planet)
+    near = state(120 * km - 3.0)
+    up, down = (
+        armed.smallest_margin(
+            zero, after, after, planet, armed.counting(zero, before, before, planet)
+        )
+        for before, after in ((below, above), (above, near))
     )
     assert up == -5 * km
     np.testing.assert_allclose(down, 3.0)

@@ -25,7 +25,7 @@ from ..flight.termination import Outcome, has_end
 from ..guidance.law import AbstractSampledLaw, Tracked
 from ..motion.index import AbstractIndex
 from ..motion.state import Controls
-from ..onboard.navigation import measure
+from ..onboard.measurement import measure
 
 
 QUICKLY = {

@@ -107,16 +107,16 @@ class Flier:
 
 
 _KERNELS: OrderedDict[Any, Callable[[PyTree], PyTree]] = OrderedDict()
-"""The kernels that were made last, by what they are made of"""
+"""The kernels that flew last, by what they are made of"""
 
-_KEPT = 16
-"""How many of them are kept"""
+_MOST_KERNELS = 16
+"""Largest number of them"""
 
 
 def _kernel(
     gpu: Gpu, function: Callable[[Any, Any], Any], shared: PyTree, example: PyTree
 ) -> Callable[[PyTree], PyTree]:
-    """The kernel of `function(shared, run)`, made anew if none of equal numbers is kept."""
+    """The kernel of `function(shared, run)`, made if there is none of equal numbers."""
     key = (
         gpu,
         function,
@@ -128,7 +128,7 @@ def _kernel(
         one = functools.partial(function, shared)
         known = kernel_of(one, example, form=gpu.form)
     _KERNELS[key] = known
-    while len(_KERNELS) > _KEPT:
+    while len(_KERNELS) > _MOST_KERNELS:
         _KERNELS.popitem(last=False)
     return known
 

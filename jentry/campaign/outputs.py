@@ -17,6 +17,11 @@ def at_end(name: str) -> str:
     return f"end_{name}"
 
 
+def navigated(name: str) -> str:
+    """Name in results of a component of the state that the vehicle believes."""
+    return f"navigated_{name}"
+
+
 def error_of(miss: str) -> str:
     """Name in results of a field of `Misses`, or of its `distance`."""
     return MISS_DISTANCE if miss == "distance" else f"{miss}_error"

@@ -18,7 +18,7 @@ from ..motion.constraints import AbstractPathConstraint
 from ..motion.state import Controls, EntryState
 from ..world.tabulated import distance_of, unit_of_caveat
 from .campaign import Campaign
-from .outputs import at_end, error_of, is_error, peak_of
+from .outputs import at_end, error_of, is_error, navigated, peak_of
 
 
 if TYPE_CHECKING:
@@ -126,6 +126,9 @@ def dataset(
     for name, unit in state_units.items():
         values = getattr(flights.state, name)
         put(at_end(name), values, unit, f"{in_words(name)} at the end")
+        if flights.navigated is not None:
+            known, believed = getattr(flights.navigated, name), navigated(name)
+            put(at_end(believed), known, unit, f"{in_words(believed)} at the end")
     for miss, unit in units_of(Misses).items():
         values, name = getattr(campaign.misses, miss), error_of(miss)
         if values is not None:
@@ -162,6 +165,9 @@ def dataset(
         both = ("run", "time")
         for name, unit in state_units.items():
             put(name, getattr(kept.states, name), unit, in_words(name), both)
+            if kept.navigated is not None:
+                known, believed = getattr(kept.navigated, name), navigated(name)
+                put(believed, known, unit, in_words(believed), both)
         angle_units = units_of(Controls)
         for before, kind in (("", kept.controls), ("commanded_", kept.commands)):
             if kind is not None:

@@ -15,6 +15,7 @@ from .termination import (
     EnergyBelow as EnergyBelow,
     Outcome as Outcome,
     Periapsis as Periapsis,
+    RangeToGoBelow as RangeToGoBelow,
     TargetPassed as TargetPassed,
     Termination as Termination,
     VelocityAbove as VelocityAbove,

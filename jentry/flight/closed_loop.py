@@ -20,7 +20,8 @@ from ..motion.constraints import (
     integrals_of,
 )
 from ..motion.state import Controls, EntryState
-from ..onboard.navigation import Measurement, measure
+from ..onboard.measurement import Measurement, measure
+from ..onboard.navigation import Navigated
 from ..world.tabulated import Excursion, beyond_edges, tables_in
 from .scenario import Scenario
 from .termination import Outcome
@@ -55,6 +56,13 @@ class Moving(eqx.Module):
     """Integral of the error of sin^2 + cos^2 of the commanded bank: zero if every command
     was a bank. It is None during the flight, where an invalid bank is replaced by NaN:
     this costs less, and stops the flight"""
+    navigated: Navigated | None = None
+    """State of the navigation; None if it is perfect"""
+
+    @property
+    def believed(self) -> EntryState:
+        """What the vehicle believes of its position and velocity."""
+        return self.state if self.navigated is None else self.navigated.state
 
 
 class Instant(eqx.Module):
@@ -132,7 +140,7 @@ def sense(
 def _acting(scenario: Scenario, flown: Scalar, moving: Moving, held: Any) -> Traced:
     """The command of the law and the rate of its memory, as functions of what is sensed:
     lift, drag and the angle of attack."""
-    state, memory = moving.state, moving.memory
+    state, memory = moving.believed, moving.memory
     trim = scenario.vehicle.trim_angle_of_attack
     bank = scenario.attitude.bank(moving.attitude)
 
@@ -167,12 +175,12 @@ def _sensed(
             f"{hold}, or give the vehicle an attitude that takes its time"
         )
     bank = scenario.attitude.bank(moving.attitude)
-    return _measured(scenario, moving.state, angle, sampled_at, bank)
+    return _measured(scenario, moving, angle, sampled_at, bank)
 
 
 def _measured(
     scenario: Scenario,
-    state: EntryState,
+    moving: Moving,
     angle_of_attack: Scalar,
     sampled_at: Scalar | None = None,
     bank: Swing | None = None,
@@ -180,13 +188,14 @@ def _measured(
     measurement = measure(
         scenario.planet,
         scenario.vehicle,
-        state,
+        moving.state,
         angle_of_attack,
         scenario.accelerometers,
         sampled_at,
         scenario.constraints,
         bank,
         scenario.flow_sensors,
+        moving.believed,
     )
     error = scenario.angle_of_attack_error
     if error is None:
@@ -203,10 +212,11 @@ def first_measurement(scenario: Scenario) -> Measurement:
     depends on the measurement, through the first memory or the first decision, the angle
     is the trim angle of attack of the vehicle: the attitude before guidance begins.
     """
+    moving = first_moving(scenario)
     first = scenario.attitude.first_angle_of_attack
     if first is not None:
-        return _measured(scenario, scenario.initial_state, first)
-    law, state = scenario.law, scenario.initial_state
+        return _measured(scenario, moving, first)
+    law, state = scenario.law, moving.believed
     trim = scenario.vehicle.trim_angle_of_attack
 
     def act(lift: Scalar, drag: Scalar, angle: Scalar) -> tuple[Controls, Any]:
@@ -218,24 +228,31 @@ def first_measurement(scenario: Scenario) -> Measurement:
     angle = acting.independent(lambda out: out[0].angle_of_attack)
     if angle is None:
         angle = trim
-    return _measured(scenario, state, angle)
+    return _measured(scenario, moving, angle)
+
+
+def first_moving(scenario: Scenario) -> Moving:
+    """State and navigation at the start, before there is a command."""
+    state = scenario.initial_state
+    navigated = scenario.navigation.start(scenario.planet, state)
+    return Moving(state, None, None, navigated=navigated)
 
 
 @eqx.filter_jit
 def start(scenario: Scenario, step: float) -> Lane:
     """The flight before its first step; `step` is the length of that step (s)."""
-    state = scenario.initial_state
+    state, known = scenario.initial_state, first_moving(scenario)
     measurement = first_measurement(scenario)
     memory, held = begun(scenario.law, measurement)
     flown = 0.0 * state.altitude
     conditions = scenario.termination
     margin = conditions.smallest_margin(
-        flown, state, scenario.planet, conditions.always
+        flown, state, known.believed, scenario.planet, conditions.always
     )
     first, _ = commanded(scenario.law, flown, measurement, memory, held)
     integrals = {n: jnp.zeros_like(flown) for n in integrals_of(scenario.constraints)}
     attitude = scenario.attitude.init(first)
-    moving = Moving(state, attitude, memory, integrals)
+    moving = Moving(state, attitude, memory, integrals, navigated=known.navigated)
     point = path_point(scenario, flown, moving, held)
     peaks = constraint_values(scenario.constraints, point, integrals)
     beyond, refused = beyond_tables(scenario, point)
@@ -319,9 +336,26 @@ def vector_field(scenario: Scenario, held: Any):
         rate = dynamics.rates(planet, vehicle, moving.state, controls)
         integrands = _integrands(scenario, moving, controls)
         turning = attitude.rate(moving.attitude, wish)
-        return Moving(rate, turning, memory_rate, integrands, off)
+        navigated = _navigating(scenario, moving, controls)
+        return Moving(rate, turning, memory_rate, integrands, off, navigated)
 
     return field
+
+
+def _navigating(
+    scenario: Scenario, moving: Moving, controls: Controls
+) -> Navigated | None:
+    """Rate of the navigation; None where the vehicle knows its state."""
+    if moving.navigated is None:
+        return None
+    return scenario.navigation.rate(
+        scenario.planet,
+        scenario.vehicle,
+        scenario.accelerometers,
+        moving.state,
+        controls,
+        moving.navigated,
+    )
 
 
 def _integrands(

@@ -207,9 +207,12 @@ def _fixed_cycle(
         flown = lane.flown + bracket.trial
         seen, refused = noted(scenario, lane, flown, moving)
 
-        counting = conditions.counting(lane.flown, lane.state, scenario.planet)
+        before, planet = lane.moving, scenario.planet
+        counting = conditions.counting(
+            lane.flown, before.state, before.believed, planet
+        )
         margin = conditions.smallest_margin(
-            flown, moving.state, scenario.planet, counting
+            flown, moving.state, moving.believed, planet, counting
         )
         finite = is_finite(moving)
         taken = lane.running & finite & (margin > 0.0)
@@ -274,10 +277,12 @@ def _adaptive_cycle(
     field = vector_field(scenario, lane.held)
     conditions = scenario.termination
     flown = jnp.minimum(lane.flown + duration, conditions.time_limit)
-    counting = conditions.counting(lane.flown, lane.state, scenario.planet)
+    counting = conditions.counting(
+        lane.flown, lane.state, lane.moving.believed, scenario.planet
+    )
 
     def smallest_margin(t, y, args, **kwargs):
-        margins = conditions.margins(t, y.state, scenario.planet)
+        margins = conditions.margins(t, y.state, y.believed, scenario.planet)
         if counting is not None:
             margins = jnp.where(counting, margins, jnp.inf)
         return jnp.min(margins[:-1], initial=jnp.inf)

@@ -14,7 +14,7 @@ from ..addresses import leaves_by_address
 from ..guidance.law import AbstractSampledLaw
 from ..motion.constraints import integrals_of
 from ..motion.state import Controls
-from ..onboard.navigation import measure
+from ..onboard.measurement import measure
 from .closed_loop import (
     Moving,
     constrained,
@@ -127,7 +127,7 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
         state,
         scenario.dynamics.rates(planet, vehicle, state, controls),
         constrained(scenario, moving, controls),
-        scenario.termination.margins(time, state, planet),
+        scenario.termination.margins(time, state, state, planet),
         sensed.lift,
         sensed.drag,
         sensed.air_velocity,

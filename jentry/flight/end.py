@@ -56,7 +56,9 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     conditions = scenario.termination
     field = vector_field(scenario, lane.held)
     asking = dataclasses.replace(lane.moving, off_a_bank=jnp.zeros_like(lane.flown))
-    counting = conditions.counting(lane.flown, lane.state, scenario.planet)
+    planet = scenario.planet
+    now = lane.state, lane.moving.believed, planet
+    counting = conditions.counting(lane.flown, *now)
 
     def land(landing, _):
         """One Runge-Kutta step; its length follows from its first stage."""
@@ -71,9 +73,11 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
             slope = field(flown + length, y)
 
             margins, closing = jax.jvp(
-                lambda t, state: conditions.margins(t, state, scenario.planet),
-                (flown, start.state),
-                (jnp.ones_like(flown), slope.state),
+                lambda t, state, believed: conditions.margins(
+                    t, state, believed, planet
+                ),
+                (flown, start.state, start.believed),
+                (jnp.ones_like(flown), slope.state, slope.believed),
             )
             seconds_left = jnp.where(margins <= 0.0, 0.0, jnp.abs(margins / closing))
             if counting is not None:
@@ -122,7 +126,7 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
         lane.stopped,
     )
     outcome = jnp.array(conditions.outcomes)[ended_by]
-    at_stop = conditions.margins(lane.flown, lane.state, scenario.planet)
+    at_stop = conditions.margins(lane.flown, *now)
     beyond = (lane.flown == 0.0) & (at_stop[ended_by] <= 0.0)
     outcome = jnp.where(beyond, Outcome.BEGAN_BEYOND_END, outcome)
     lost = jnp.where(off_a_bank, Outcome.NOT_A_BANK, Outcome.NOT_FINITE)

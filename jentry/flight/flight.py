@@ -1,5 +1,6 @@
 """Fly one scenario to its end: `fly`, a pure function that all of jentry uses."""
 
+import dataclasses
 import warnings
 from collections.abc import Mapping
 from typing import Any
@@ -23,7 +24,17 @@ from ..units import at_edge
 from ..world.perturbed_atmosphere import without_zero_perturbations
 from ..world.random_profile import settled
 from ..world.tabulated import unit_of_caveat
-from .closed_loop import Instant, Lane, caveats, command, constrained, start
+from .closed_loop import (
+    Instant,
+    Lane,
+    Moving,
+    caveats,
+    command,
+    constrained,
+    first_moving,
+    select,
+    start,
+)
 from .cycle import Plan
 from .end import end_of_flight
 from .loop import while_running, while_running_with_history
@@ -44,6 +55,8 @@ class History(eqx.Module):
     """The constrained quantities at these times, not their peaks"""
     decisions: Any
     """What a sampled law holds: curves, estimates, commands; None for a continuous law"""
+    navigated: EntryState | None = None
+    """States that the vehicle believes; None with perfect navigation"""
 
 
 class Flight(eqx.Module):
@@ -72,6 +85,8 @@ class Flight(eqx.Module):
     beyond_tables: dict[str, Scalar] = eqx.field(default_factory=dict)
     """Largest distances beyond the edges of these tables over all steps, by the name of the
     caveat: m, rad, or Mach numbers. They have no derivative"""
+    navigated: EntryState | None = None
+    """State that the vehicle believes at the end; None with perfect navigation"""
 
 
 @needs_float64
@@ -142,6 +157,7 @@ def fly(
         caveats=told,
         history=kept,
         beyond_tables=distances,
+        navigated=_navigated(end.lane.moving),
     )
 
 
@@ -188,6 +204,10 @@ def caveat_words(
     return f"{words}, and by up to {float(number):.3g}{shown}"
 
 
+def _navigated(moving: Moving) -> EntryState | None:
+    return None if moving.navigated is None else moving.navigated.state
+
+
 def _running(lane: Lane) -> Flag:
     return lane.running
 
@@ -210,9 +230,14 @@ def _observe(scenario: Scenario, lane: Lane) -> History:
 @eqx.filter_jit
 def _observed(scenario: Scenario, lane: Lane) -> History:
     # Entries after the end are not states of a flight: evaluate the start in their place.
-    flying, first = lane.on_schedule, scenario.initial_state
-    state = jax.tree.map(lambda a, b: jnp.where(flying, a, b), lane.state, first)
-    lane = eqx.tree_at(lambda lane: lane.moving.state, lane, state)
+    flying, first = lane.on_schedule, first_moving(scenario)
+    state, navigated = select(
+        flying,
+        (lane.state, lane.moving.navigated),
+        (first.state, first.navigated),
+    )
+    moving = dataclasses.replace(lane.moving, state=state, navigated=navigated)
+    lane = dataclasses.replace(lane, moving=moving)
     wish, _ = command(scenario, lane.flown, lane.moving, lane.held)
     controls = scenario.attitude.flown(lane.moving.attitude, wish)
     seen = History(
@@ -222,5 +247,6 @@ def _observed(scenario: Scenario, lane: Lane) -> History:
         commands=None if controls is wish else wish,
         constraints=constrained(scenario, lane.moving, controls),
         decisions=jax.tree.map(jnp.asarray, lane.held),
+        navigated=_navigated(lane.moving),
     )
     return jax.tree.map(lambda x: jnp.where(flying, x, jnp.nan), seen)

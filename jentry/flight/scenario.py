@@ -36,10 +36,15 @@ from ..motion.dynamics import AbstractDynamics, EntryDynamics
 from ..motion.quantities import from_ground_track, ground_track
 from ..motion.state import EntryState
 from ..onboard.flow_sensing import FlowSensors
-from ..onboard.navigation import (
+from ..onboard.measurement import (
     AbstractAccelerometers,
     Accelerometers,
     PerfectAccelerometers,
+)
+from ..onboard.navigation import (
+    AbstractNavigation,
+    InertialNavigation,
+    PerfectNavigation,
 )
 from ..onboard.track import Track
 from ..units import degree, km
@@ -96,6 +101,8 @@ class Scenario(eqx.Module):
     accelerometers: AbstractAccelerometers = PerfectAccelerometers()
     flow_sensors: FlowSensors | None = None
     """Sensors of the velocity relative to the air; None if guidance has none"""
+    navigation: AbstractNavigation = PerfectNavigation()
+    """What the vehicle believes of its position and velocity"""
     angle_of_attack_error: Scalar | None = optional_scalar(unit="rad")
     """Error of the measured angle of attack, measured minus actual; None for a perfect
     measurement. The attitude does not depend on it"""
@@ -153,6 +160,7 @@ def check(scenario: Scenario) -> None:
     check_stated_twice(scenario)
     _check_noise(scenario)
     _check_constraints(scenario)
+    _check_navigation(scenario)
     _warn_without_limits(scenario)
     for address, leaf in leaves_by_address(scenario).items():
         if jax.config.read("jax_enable_x64") and leaf.dtype == np.float32:
@@ -189,6 +197,20 @@ def _check_kept(dynamics: AbstractDynamics, start: EntryState) -> None:
 
 _APART = 1.0
 """m; the place of a law or an end condition is the target if it is nearer than this"""
+
+
+def _check_navigation(scenario: Scenario) -> None:
+    """Refuse dynamics that an inertial navigation does not integrate."""
+    navigation, dynamics = scenario.navigation, scenario.dynamics
+    if (
+        isinstance(navigation, InertialNavigation)
+        and type(dynamics) is not EntryDynamics
+    ):
+        raise ValueError(
+            f"navigation is InertialNavigation and dynamics {type(dynamics).__name__}: it "
+            "integrates the motion over a rotating sphere in three dimensions; take "
+            "dynamics=EntryDynamics(), or navigation=PerfectNavigation()"
+        )
 
 
 def _check_one_target(scenario: Scenario) -> None:

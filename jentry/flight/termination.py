@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..fields import Scalar, scalar
+from ..fields import QUARTER, Scalar, scalar
 from ..motion.quantities import energy
 from ..motion.state import EntryState
 from ..onboard.track import Track
@@ -78,6 +78,10 @@ def has_end(outcome: Any) -> Any:
     return flown
 
 
+_STATES = "truth", "navigation"
+"""States of which the margin of an end condition may be"""
+
+
 class AbstractEndCondition(eqx.Module):
     """A condition that ends a flight where its margin falls through zero.
 
@@ -90,6 +94,14 @@ class AbstractEndCondition(eqx.Module):
     its margin has been positive"""
 
     outcome: eqx.AbstractVar[Outcome]
+
+    by: str = eqx.field(default="truth", static=True, kw_only=True)
+    """Which state the margin is of: the actual one, "truth", or the one that the vehicle
+    believes, "navigation", by which it opens its parachute"""
+
+    def __check_init__(self):
+        if self.by not in _STATES:
+            raise ValueError(f"by is {self.by!r}: it must be {' or '.join(_STATES)}")
 
     @abstractmethod
     def margin(self, state: EntryState, planet: Planet) -> Scalar:
@@ -193,6 +205,13 @@ class Crossing(AbstractEndCondition):
 
     condition: AbstractEndCondition
 
+    def __check_init__(self):
+        if self.by != "truth":
+            raise ValueError(
+                f"by of a Crossing is {self.by!r}: its condition says by which state, such "
+                f"as Crossing(AltitudeAbove(120e3, by={self.by!r}))"
+            )
+
     @property
     def outcome(self) -> Outcome:
         return self.condition.outcome
@@ -209,6 +228,38 @@ class TargetPassed(AbstractEndCondition):
 
     def margin(self, state: EntryState, planet: Planet) -> Scalar:
         return planet.radius * self.track.to_go(state)
+
+
+class RangeToGoBelow(AbstractEndCondition):
+    """Ends a flight when the range to a place over the ground has fallen to a value.
+
+    A flight that passes the place at a larger distance is not ended.
+    """
+
+    range: Scalar = scalar(unit="m", positive=True)
+    longitude: Scalar = scalar(unit="rad")
+    latitude: Scalar = scalar(unit="rad", range=QUARTER)
+    outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
+
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
+        north = jnp.sin(0.5 * (state.latitude - self.latitude))
+        east = jnp.sin(0.5 * (state.longitude - self.longitude))
+        cosines = jnp.cos(state.latitude) * jnp.cos(self.latitude)
+        half = jnp.sqrt(north * north + cosines * east * east)
+        return 2.0 * planet.radius * jnp.arcsin(half) - self.range
+
+
+def _margin(
+    condition: AbstractEndCondition,
+    state: EntryState,
+    believed: EntryState,
+    planet: Planet,
+) -> Scalar:
+    """Margin of a condition, of the state by which it is judged."""
+    read = condition
+    while isinstance(read, Crossing):
+        read = read.condition
+    return condition.margin(believed if read.by == "navigation" else state, planet)
 
 
 Counting = Bool[Array, " conditions"] | None
@@ -238,10 +289,13 @@ class Termination(eqx.Module):
             )
 
     def margins(
-        self, flown: Scalar, state: EntryState, planet: Planet
+        self, flown: Scalar, state: EntryState, believed: EntryState, planet: Planet
     ) -> Float[Array, " conditions"]:
-        """Margins of all conditions, and last that of the time limit; `flown` is in s."""
-        values = [c.margin(state, planet) for c in self.conditions.values()]
+        """Margins of all conditions, and last that of the time limit.
+
+        `flown` is in s. `believed` is the state of the navigation.
+        """
+        values = [_margin(c, state, believed, planet) for c in self.conditions.values()]
         return jnp.stack([*values, self.time_limit - flown])
 
     @property
@@ -250,21 +304,28 @@ class Termination(eqx.Module):
         counts = [c.counts_from_start for c in self.conditions.values()]
         return None if all(counts) else jnp.array([*counts, True])
 
-    def counting(self, flown: Scalar, state: EntryState, planet: Planet) -> Counting:
+    def counting(
+        self, flown: Scalar, state: EntryState, believed: EntryState, planet: Planet
+    ) -> Counting:
         """Which conditions can end a step from a state; None if all of them can."""
         if self.always is None:
             return None
-        return self.always | (self.margins(flown, state, planet) > 0.0)
+        return self.always | (self.margins(flown, state, believed, planet) > 0.0)
 
     def smallest_margin(
-        self, flown: Scalar, state: EntryState, planet: Planet, counting: Counting
+        self,
+        flown: Scalar,
+        state: EntryState,
+        believed: EntryState,
+        planet: Planet,
+        counting: Counting,
     ) -> Scalar:
         """Smallest of the margins: positive in flight, and zero where the flight ends.
 
         `counting` is that of the state before the step. A condition whose margin is
         positive after the step is included as well.
         """
-        margins = self.margins(flown, state, planet)
+        margins = self.margins(flown, state, believed, planet)
         if counting is not None:
             margins = jnp.where(counting | (margins > 0.0), margins, jnp.inf)
         return jnp.min(margins)

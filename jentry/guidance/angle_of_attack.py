@@ -1,7 +1,7 @@
 """Angle-of-attack laws, which are composed with a law for the bank."""
 
 from ..fields import Scalar
-from ..onboard.navigation import Measurement
+from ..onboard.measurement import Measurement
 from ..onboard.profiles import AbstractProfile
 from .law import AbstractContinuousLaw, AngleOfAttackCommand
 

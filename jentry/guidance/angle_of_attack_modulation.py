@@ -11,7 +11,7 @@ import jax.numpy as jnp
 
 from .._math import sincos
 from ..fields import Scalar, optional_scalar, scalar
-from ..onboard.navigation import Measurement
+from ..onboard.measurement import Measurement
 from ..onboard.reference import Reference
 from ..onboard.velocity_domain import Deviations, VelocityDomain
 from .cycle import FixedCycle

@@ -10,7 +10,7 @@ from .._interpolation import clamp
 from .._math import safe_arccos, safe_sqrt, sincos
 from ..fields import Scalar, scalar
 from ..motion.state import Controls
-from ..onboard.navigation import Measurement
+from ..onboard.measurement import Measurement
 from .cycle import AbstractCycle, FixedCycle
 from .law import (
     AbstractContinuousLaw,

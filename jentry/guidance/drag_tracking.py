@@ -11,8 +11,8 @@ from .._math import sincos
 from ..fields import Scalar, scalar
 from ..motion.state import Controls
 from ..onboard.flow import BankedMotion, sensed_flow, twice_along
+from ..onboard.measurement import Measurement
 from ..onboard.model import OnboardModel
-from ..onboard.navigation import Measurement
 from ..onboard.reference import DragReference
 from ..world.aerodynamics import ConstantAerodynamics, PolynomialAerodynamics
 from ..world.atmosphere import ExponentialAtmosphere

@@ -21,8 +21,8 @@ from ..motion.dynamics import rates_under
 from ..motion.quantities import energy, ground_track
 from ..motion.state import Controls, EntryState
 from ..onboard.estimation import Factors
+from ..onboard.measurement import Measurement, measure
 from ..onboard.model import OnboardModel, require_still_air
-from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile, QuinticTable
 from ..world.planet import Planet
 from .law import AbstractContinuousLaw, Tracked

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 
 from ..fields import Scalar, scalar
 from ..motion.state import Controls
-from ..onboard.navigation import Measurement
+from ..onboard.measurement import Measurement
 from .law import AbstractContinuousLaw, Tracked
 
 

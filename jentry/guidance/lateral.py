@@ -16,7 +16,7 @@ from .._math import sincos
 from ..fields import NOT_NEGATIVE, QUARTER, Scalar, Vector, scalar, table
 from ..motion.quantities import ground_track
 from ..motion.state import Controls, EntryState
-from ..onboard.navigation import Measurement
+from ..onboard.measurement import Measurement
 from ..world.planet import Planet
 from .switching import AbstractSwitching, Sharp
 

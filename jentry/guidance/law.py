@@ -14,7 +14,7 @@ from .._dependence import Traced
 from ..fields import Scalar, optional_scalar, scalar
 from ..motion.constraints import AbstractPathConstraint
 from ..motion.state import Controls, EntryState
-from ..onboard.navigation import Measurement
+from ..onboard.measurement import Measurement
 from .cycle import AbstractCycle, FixedCycle
 from .lateral import AbstractLateralLogic, turned
 

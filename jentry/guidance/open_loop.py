@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from ..fields import Scalar, optional_scalar
 from ..motion.index import AbstractIndex
 from ..motion.state import Controls
-from ..onboard.navigation import Measurement
+from ..onboard.measurement import Measurement
 from ..onboard.profiles import AbstractProfile
 from ..world.planet import Planet
 from .lateral import AbstractLateralLogic, FixedSide

@@ -12,8 +12,8 @@ from ..motion.constraints import AbstractConstraint, PathPoint
 from ..motion.dynamics import AbstractDynamics, EntryDynamics
 from ..motion.state import Controls, EntryState
 from ..onboard.estimation import Factors
+from ..onboard.measurement import Measurement
 from ..onboard.model import OnboardModel
-from ..onboard.navigation import Measurement
 
 
 class BankBounds(eqx.Module):

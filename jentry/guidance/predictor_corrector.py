@@ -40,8 +40,8 @@ from ..onboard.estimation import (
     Factors,
 )
 from ..onboard.longitudinal import along_equator
+from ..onboard.measurement import Measurement, measure
 from ..onboard.model import OnboardModel, require_still_air
-from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
 from ..onboard.propagation import Command, Prediction, SampledCommand, propagate
 from ..onboard.turning import BankTurning

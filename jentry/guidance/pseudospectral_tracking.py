@@ -28,7 +28,7 @@ from ..onboard.longitudinal import (
     linearized,
     on_nodes,
 )
-from ..onboard.navigation import Measurement
+from ..onboard.measurement import Measurement
 from .aim import Aim, TargetOfScenario, known
 from .cycle import FixedCycle
 from .lateral import AbstractLateralLogic, FixedSide, turned

@@ -19,8 +19,8 @@ from ..fields import Flag, Scalar, Vector, table
 from ..motion.quantities import from_ground_track
 from ..motion.state import EntryState
 from ..onboard.estimation import Factors
+from ..onboard.measurement import measure
 from ..onboard.model import OnboardModel, require_still_air
-from ..onboard.navigation import measure
 from ..onboard.network import Network
 from ..world.planet import Planet
 

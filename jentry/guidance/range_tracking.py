@@ -15,8 +15,8 @@ from ..fields import Scalar, scalar
 from ..motion.index import EnergyIndex
 from ..motion.quantities import ground_track
 from ..motion.state import Controls
+from ..onboard.measurement import Measurement, measure
 from ..onboard.model import OnboardModel, require_still_air
-from ..onboard.navigation import Measurement, measure
 from ..onboard.profiles import AbstractProfile
 from ..onboard.reference import DragReference
 from .aim import Aim, TargetOfScenario, known

@@ -24,7 +24,7 @@ from ..onboard.estimation import (
     FactorEstimator,
     Factors,
 )
-from ..onboard.navigation import Measurement
+from ..onboard.measurement import Measurement
 from ..onboard.profiles import AbstractProfile
 from ..onboard.propagation import Prediction, propagate_over
 from .cycle import FixedCycle

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from .._math import sincos
 from ..fields import Scalar, scalar
 from ..motion.state import Controls
+from ..onboard.measurement import Measurement
 from ..onboard.model import OnboardModel
-from ..onboard.navigation import Measurement
 from ..onboard.reference import Reference
 from ..units import degree, foot, standard_gravity
 from .lateral import AbstractLateralLogic, FixedSide

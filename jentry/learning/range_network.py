@@ -42,7 +42,7 @@ from ..guidance.range_network import (
 from ..motion.quantities import ground_track
 from ..motion.state import EntryState
 from ..onboard.estimation import Factors
-from ..onboard.navigation import Measurement, measure
+from ..onboard.measurement import Measurement, measure
 from ..onboard.network import Network
 from ..world.wind import StillAir
 from .descent import descended, robust

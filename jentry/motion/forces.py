@@ -8,6 +8,7 @@ from ..fields import Scalar
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 from ..world.wind import AbstractWind, StillAir
+from .axes import VelocityAxes
 from .state import Controls, EntryState
 
 
@@ -25,6 +26,8 @@ class AirData(eqx.Module):
     """Specific force perpendicular to the relative wind, m/s2"""
     drag: Scalar
     """Specific force along the relative wind, m/s2"""
+    angle_of_attack: Scalar
+    """rad"""
 
 
 def velocity_over_air(
@@ -68,6 +71,7 @@ def air_data(
         mach=mach,
         lift=dynamic_pressure * (area_to_mass * lift),
         drag=dynamic_pressure * (area_to_mass * drag),
+        angle_of_attack=angle_of_attack,
     )
 
 
@@ -83,23 +87,15 @@ def aerodynamic_acceleration(
     air = air_data(planet, vehicle, state, controls.angle_of_attack)
     above = air.lift * controls.cos_bank
     right = air.lift * controls.sin_bank
-    if isinstance(planet.wind, StillAir):
-        return -air.drag, above, right
+    return about_velocity(planet.wind, state, -air.drag, above, right)
 
-    east, north, up = velocity_over_air(planet.wind, state)
-    ground = jnp.sqrt(east * east + north * north)
-    sin_path, cos_path = up / air.airspeed, ground / air.airspeed
-    sin_heading, cos_heading = east / ground, north / ground
-    ahead = -air.drag * cos_path - above * sin_path
-    force_east = ahead * sin_heading + right * cos_heading
-    force_north = ahead * cos_heading - right * sin_heading
-    force_up = -air.drag * sin_path + above * cos_path
 
-    sin_path, cos_path = sincos(state.flight_path_angle)
-    sin_heading, cos_heading = sincos(state.heading)
-    ahead = force_east * sin_heading + force_north * cos_heading
-    return (
-        ahead * cos_path + force_up * sin_path,
-        force_up * cos_path - ahead * sin_path,
-        force_east * cos_heading - force_north * sin_heading,
-    )
+def about_velocity(
+    wind: AbstractWind, state: EntryState, along: Scalar, above: Scalar, right: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Components of a vector along, above and to the right of the velocity, from those of
+    the velocity relative to the air."""
+    if isinstance(wind, StillAir):
+        return along, above, right
+    over_air = VelocityAxes.along(*velocity_over_air(wind, state))
+    return VelocityAxes.of(state).from_local(*over_air.to_local(along, above, right))

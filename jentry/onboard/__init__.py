@@ -20,13 +20,23 @@ from .longitudinal import (
     LongitudinalReference as LongitudinalReference,
     LongitudinalState as LongitudinalState,
 )
-from .model import OnboardModel as OnboardModel
-from .navigation import (
+from .measurement import (
     AbstractAccelerometers as AbstractAccelerometers,
     Accelerometers as Accelerometers,
+    BodyAccelerometers as BodyAccelerometers,
     Measurement as Measurement,
     PerfectAccelerometers as PerfectAccelerometers,
+    SpecificForce as SpecificForce,
     measure as measure,
+)
+from .model import OnboardModel as OnboardModel
+from .navigation import (
+    AbstractNavigation as AbstractNavigation,
+    Gyroscopes as Gyroscopes,
+    InertialNavigation as InertialNavigation,
+    KnowledgeError as KnowledgeError,
+    Navigated as Navigated,
+    PerfectNavigation as PerfectNavigation,
 )
 from .network import (
     Network as Network,

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 from ..fields import Scalar
 from ..motion.dynamics import rates_under
 from ..motion.state import EntryState
+from .measurement import Measurement
 from .model import OnboardModel, require_still_air
-from .navigation import Measurement
 
 
 class SensedPoint(eqx.Module):

@@ -16,8 +16,8 @@ from ..motion.dynamics import rates_under
 from ..motion.quantities import ground_track
 from ..motion.state import EntryState
 from ..world.planet import Planet
+from .measurement import measure
 from .model import OnboardModel, require_still_air
-from .navigation import measure
 from .profiles import AbstractProfile
 
 

@@ -1,107 +1,215 @@
-"""Measurements of the vehicle."""
+"""Navigation: what the vehicle believes of its position and velocity."""
 
 from abc import abstractmethod
+from typing import Generic, TypeVar
 
 import equinox as eqx
+import jax.numpy as jnp
 
-from ..fields import NOT_NEGATIVE, Scalar, scalar
-from ..motion.attitude import Swing
-from ..motion.constraints import Constraints
-from ..motion.forces import AirData, air_data
-from ..motion.state import EntryState
+from .._math import sincos
+from ..fields import Scalar, scalar
+from ..motion.axes import Components, LocalAxes, VelocityAxes, cross
+from ..motion.dynamics import rates_under
+from ..motion.forces import about_velocity, air_data
+from ..motion.state import Controls, EntryState
+from ..world.gravity import AbstractGravity
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
-from .flow_sensing import AirVelocity, FlowSensors
-from .sampling import normal_sample
+from .measurement import AbstractAccelerometers
 
 
-class Measurement(eqx.Module):
-    """Everything that a law knows of the true flight, with its path constraints."""
+class Navigated(eqx.Module):
+    """State of the navigation, or its time derivative."""
 
     state: EntryState
-    lift: Scalar
-    """Sensed specific force normal to the relative wind, m/s2"""
-    drag: Scalar
-    """Sensed specific force along the relative wind, m/s2"""
-    angle_of_attack: Scalar
-    """Actual angle of attack, at which the forces are sensed, rad"""
-    trim_angle_of_attack: Scalar
-    """Angle of attack at which the vehicle trims if its law does not command one, rad"""
-    constraints: Constraints = eqx.field(default_factory=dict)
-    """Path constraints of the scenario, whose limits the law should respect"""
-    bank: Swing | None = None
-    """Actual bank, positive to the right, and its motion; None if commands take effect at
-    once, and before the first one"""
-    air_velocity: AirVelocity | None = None
-    """Velocity over the air, sensed at a guidance cycle; None between cycles, and if the
-    scenario has no flow sensors"""
+    """What the vehicle believes of its position and velocity"""
+    tilt: Components
+    """Rotation from the actual axes of the vehicle to those that it believes, rad: its
+    components along axes that turn with the planet. The first axis points from its centre
+    to longitude zero on the equator, the third to the north pole"""
 
 
-class AbstractAccelerometers(eqx.Module):
-    """Sensing of the specific forces."""
+State = TypeVar("State", bound=Navigated | None)
+
+
+class AbstractNavigation(eqx.Module, Generic[State]):
+    """What the vehicle believes of its position and velocity, and how it comes to that."""
 
     @abstractmethod
-    def read(self, air: AirData, sampled_at: Scalar | None) -> tuple[Scalar, Scalar]:
-        """Sensed lift and drag, m/s2.
+    def start(self, planet: Planet, state: EntryState) -> State:
+        """Navigation at the start of a flight; None where the belief is the truth."""
 
-        **Arguments:**
+    @abstractmethod
+    def rate(
+        self,
+        planet: Planet,
+        vehicle: Vehicle,
+        accelerometers: AbstractAccelerometers,
+        state: EntryState,
+        controls: Controls,
+        navigated: State,
+    ) -> State:
+        """Time derivative of the navigation.
 
-        - `sampled_at`: time of the sample, s; None between samples.
+        `planet`, `vehicle`, `state` and `controls` are the actual ones. They give what the
+        instruments sense.
         """
 
 
-class PerfectAccelerometers(AbstractAccelerometers):
-    """Accelerometers without errors: the actual forces."""
+class PerfectNavigation(AbstractNavigation[None]):
+    """The vehicle knows where it is. This costs nothing."""
 
-    def read(self, air: AirData, sampled_at: Scalar | None) -> tuple[Scalar, Scalar]:
-        return air.lift, air.drag
+    def start(self, planet: Planet, state: EntryState) -> None:
+        return None
 
+    def rate(self, planet, vehicle, accelerometers, state, controls, navigated) -> None:
+        return None
 
-class Accelerometers(AbstractAccelerometers):
-    """Two accelerometers, along and normal to the relative wind, with separate errors."""
-
-    lift_bias: Scalar = scalar(0.0, unit="m/s2")
-    drag_bias: Scalar = scalar(0.0, unit="m/s2")
-    lift_scale_error: Scalar = scalar(0.0)
-    """Share of the force"""
-    drag_scale_error: Scalar = scalar(0.0)
-    noise: Scalar = scalar(0.0, unit="m/s2", range=NOT_NEGATIVE)
-    """Standard deviation of a sample; the samples are independent"""
-    noise_seed: Scalar = scalar(0.0, range=(0.0, 1.0), choice=True)
-    """A number between 0 and 1 that selects the noise of this flight; disperse it with
-    `Uniform(0, 1)`"""
-
-    def read(self, air: AirData, sampled_at: Scalar | None) -> tuple[Scalar, Scalar]:
-        lift = air.lift * (1.0 + self.lift_scale_error) + self.lift_bias
-        drag = air.drag * (1.0 + self.drag_scale_error) + self.drag_bias
-        if sampled_at is None:
-            return lift, drag
-        error = normal_sample(self.noise_seed, sampled_at)
-        return lift + self.noise * error(0), drag + self.noise * error(1)
+    @property
+    def knowledge(self) -> "KnowledgeError":
+        """There is none: for a dispersion of it the error says what to do."""
+        raise AttributeError(
+            "navigation is PerfectNavigation, which has no knowledge error: give the "
+            "scenario navigation=InertialNavigation()"
+        )
 
 
-def measure(
-    planet: Planet,
-    vehicle: Vehicle,
-    state: EntryState,
-    angle_of_attack: Scalar,
-    accelerometers: AbstractAccelerometers = PerfectAccelerometers(),
-    sampled_at: Scalar | None = None,
-    constraints: Constraints | None = None,
-    bank: Swing | None = None,
-    flow_sensors: FlowSensors | None = None,
-) -> Measurement:
-    """Measurement with perfect navigation, and with accelerometers and flow sensors.
+class KnowledgeError(eqx.Module):
+    """What the vehicle believes at the start minus what is: the knowledge error.
 
-    `angle_of_attack` is the actual one, rad. `sampled_at` is that of
-    `AbstractAccelerometers.read`. `constraints` and `bank` are passed on unchanged.
+    The delivery error, by which the vehicle itself is off, is a dispersion of
+    `initial_state`: the knowledge error does not move it.
     """
-    air = air_data(planet, vehicle, state, angle_of_attack)
-    lift, drag = accelerometers.read(air, sampled_at)
-    trim = vehicle.trim_angle_of_attack
-    flow = None
-    if flow_sensors is not None and sampled_at is not None:
-        flow = flow_sensors.read(planet, state, air, sampled_at)
-    return Measurement(
-        state, lift, drag, angle_of_attack, trim, constraints or {}, bank, flow
+
+    east: Scalar = scalar(0.0, unit="m")
+    north: Scalar = scalar(0.0, unit="m")
+    up: Scalar = scalar(0.0, unit="m")
+    velocity_east: Scalar = scalar(0.0, unit="m/s")
+    velocity_north: Scalar = scalar(0.0, unit="m/s")
+    velocity_up: Scalar = scalar(0.0, unit="m/s")
+    tilt_east: Scalar = scalar(0.0, unit="rad")
+    """Rotation of the believed axes of the vehicle about the direction to the east"""
+    tilt_north: Scalar = scalar(0.0, unit="rad")
+    tilt_up: Scalar = scalar(0.0, unit="rad")
+
+
+class Gyroscopes(eqx.Module):
+    """Drift of three gyroscopes that are fixed to the vehicle: sensed rate minus actual."""
+
+    drift_roll: Scalar = scalar(0.0, unit="rad/s")
+    """About the axis forward"""
+    drift_pitch: Scalar = scalar(0.0, unit="rad/s")
+    """About the axis to the right"""
+    drift_yaw: Scalar = scalar(0.0, unit="rad/s")
+    """About the axis down"""
+
+
+class InertialNavigation(AbstractNavigation[Navigated]):
+    """Strapdown inertial navigation: integrates what accelerometers and gyroscopes sense.
+
+    It begins at the actual state plus a knowledge error. The specific force that
+    `Scenario.accelerometers` sense is turned by the error of the attitude, and moves the
+    believed state over a planet whose radius and rotation are known, under the gravity
+    that is known on board. The errors of the attitude are small angles: terms of their
+    square are left out, one part in a million for 1 mrad.
+
+    Without errors it is the truth, to rounding.
+
+    Reference: D. H. Titterton, J. L. Weston, *Strapdown Inertial Navigation Technology*,
+    2nd edition, 2004, chapters 3 and 12.
+    """
+
+    knowledge: KnowledgeError = eqx.field(default_factory=KnowledgeError)
+    gyroscopes: Gyroscopes = eqx.field(default_factory=Gyroscopes)
+    gravity: AbstractGravity | None = None
+    """Gravity that is known on board; None for the actual one"""
+
+    def start(self, planet: Planet, state: EntryState) -> Navigated:
+        off = self.knowledge
+        per_radius = 1.0 / (planet.radius + state.altitude)
+        _, cos_latitude = sincos(state.latitude)
+        nothing = jnp.zeros_like(state.velocity)
+        velocity = state.velocity, nothing, nothing
+        east, north, up = VelocityAxes.of(state).to_local(*velocity)
+        believed = _with_velocity(
+            EntryState(
+                altitude=state.altitude + off.up,
+                longitude=state.longitude + off.east * per_radius / cos_latitude,
+                latitude=state.latitude + off.north * per_radius,
+                velocity=state.velocity,
+                flight_path_angle=state.flight_path_angle,
+                heading=state.heading,
+            ),
+            east + off.velocity_east,
+            north + off.velocity_north,
+            up + off.velocity_up,
+        )
+        tilt = LocalAxes.of(state).to_planet(off.tilt_east, off.tilt_north, off.tilt_up)
+        return Navigated(believed, tilt)
+
+    def rate(
+        self,
+        planet: Planet,
+        vehicle: Vehicle,
+        accelerometers: AbstractAccelerometers,
+        state: EntryState,
+        controls: Controls,
+        navigated: Navigated,
+    ) -> Navigated:
+        air = air_data(planet, vehicle, state, controls.angle_of_attack)
+        force = accelerometers.read(air, None)
+        sine, cosine = sincos(controls.angle_of_attack)
+        drift = self.gyroscopes
+        velocity, place = VelocityAxes.of(state), LocalAxes.of(state)
+        # The axis forward is at the angle of attack above the velocity over the air.
+        turning = (
+            drift.drift_roll * cosine + drift.drift_yaw * sine,
+            drift.drift_roll * sine - drift.drift_yaw * cosine,
+            drift.drift_pitch,
+        )
+
+        def turned(along: Scalar, lifted: Scalar, side: Scalar | float) -> Components:
+            """In axes of the planet, from along the velocity over the air, along the lift
+            and to the right of both."""
+            above = lifted * controls.cos_bank - side * controls.sin_bank
+            right = lifted * controls.sin_bank + side * controls.cos_bank
+            ahead = about_velocity(planet.wind, state, along, above, right)
+            return place.to_planet(*velocity.to_local(*ahead))
+
+        sensed = turned(-force.drag, force.lift, force.side)
+        off = cross(navigated.tilt, sensed)
+        believed = (f + error for f, error in zip(sensed, off, strict=True))
+        here = navigated.state
+        force_here = LocalAxes.of(here).from_planet(*believed)
+        along, above, right = VelocityAxes.of(here).from_local(*force_here)
+        known = planet
+        if self.gravity is not None:
+            known = eqx.tree_at(lambda p: p.gravity, planet, self.gravity)
+        rates = rates_under(
+            known, here, along, above, right, rotation_rate=planet.rotation_rate
+        )
+        x, y, _ = navigated.tilt
+        wander = turned(*turning)
+        tilt = (
+            wander[0] + planet.rotation_rate * y,
+            wander[1] - planet.rotation_rate * x,
+            wander[2],
+        )
+        return Navigated(rates, tilt)
+
+
+def _with_velocity(
+    state: EntryState, east: Scalar, north: Scalar, up: Scalar
+) -> EntryState:
+    """The state with another velocity, m/s; its heading is nearest to that of `state`."""
+    ground = jnp.sqrt(east * east + north * north)
+    sine, cosine = sincos(state.heading)
+    turn = jnp.arctan2(east * cosine - north * sine, north * cosine + east * sine)
+    return EntryState(
+        altitude=state.altitude,
+        longitude=state.longitude,
+        latitude=state.latitude,
+        velocity=jnp.sqrt(ground * ground + up * up),
+        flight_path_angle=jnp.arctan2(up, ground),
+        heading=state.heading + turn,
     )

@@ -7,8 +7,8 @@ from .._dependence import Traced
 from ..fields import Scalar, scalar
 from ..motion.index import AbstractIndex, EnergyIndex
 from .flow import BankedMotion, Flow, SensedPoint, sensed_flow, twice_along
+from .measurement import Measurement
 from .model import OnboardModel
-from .navigation import Measurement
 from .profiles import AbstractProfile, QuinticTable
 
 

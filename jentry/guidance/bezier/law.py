@@ -18,8 +18,8 @@ from ...onboard.estimation import (
     AbstractFactorEstimator,
     FactorEstimator,
 )
+from ...onboard.measurement import Measurement
 from ...onboard.model import OnboardModel
-from ...onboard.navigation import Measurement
 from ...onboard.track import Track
 from ...world.aerodynamics import AbstractInvertibleAerodynamics
 from ..cycle import AbstractTimedDecision, ShorteningCycle

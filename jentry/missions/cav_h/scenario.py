@@ -39,8 +39,8 @@ from ...motion.constraints import (
     usual_constraints,
 )
 from ...motion.state import EntryState
+from ...onboard.measurement import Accelerometers
 from ...onboard.model import OnboardModel
-from ...onboard.navigation import Accelerometers
 from ...onboard.profile_estimation import FactorPrior, ProfileEstimator
 from ...onboard.track import Track
 from ...planning.bezier_curve import k2_polynomials

@@ -31,8 +31,8 @@ from ...guidance.shuttle import Gate, ShuttleBank, ShuttleModulation
 from ...motion.attitude import Response, SecondOrderAttitude
 from ...motion.constraints import usual_constraints
 from ...motion.state import EntryState
+from ...onboard.measurement import Accelerometers
 from ...onboard.model import OnboardModel
-from ...onboard.navigation import Accelerometers
 from ...onboard.reference import Reference
 from ...onboard.velocity_domain import VelocityDomain
 from ...planning.glide import plan_glide

@@ -1,0 +1,569 @@
+"""Inertial navigation: closed forms, an independent program, and what a law may know."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from composed_laws import reference
+from helpers import ConstantBank, mars_planet, mars_scenario, mars_vehicle
+from jax.interpreters import partial_eval
+from laws import all_laws
+from scipy.integrate import solve_ivp
+from scipy.spatial.transform import Rotation
+
+from jentry import fly
+from jentry._integrate import runge_kutta
+from jentry.campaign import Dispersion, Normal, monte_carlo
+from jentry.campaign.results import dataset
+from jentry.flight import (
+    EnergyBelow,
+    FixedStep,
+    Outcome,
+    RangeToGoBelow,
+    Termination,
+    VelocityBelow,
+    misses,
+)
+from jentry.flight.closed_loop import command, decide, start
+from jentry.motion import AirData, Controls, EntryDynamics, EntryState
+from jentry.motion.dynamics import EquatorialDynamics
+from jentry.motion.forces import air_data
+from jentry.onboard import (
+    AbstractAccelerometers,
+    Accelerometers,
+    BodyAccelerometers,
+    Gyroscopes,
+    InertialNavigation,
+    KnowledgeError,
+    PerfectAccelerometers,
+    PerfectNavigation,
+    SpecificForce,
+)
+from jentry.units import degree, km
+from jentry.world import (
+    ConstantGravity,
+    ConstantWind,
+    ExponentialAtmosphere,
+    InverseSquareGravity,
+    Planet,
+)
+
+
+# Closed forms.
+
+EARTH_RADIUS, EARTH_GRAVITY = 6371e3, 9.81
+
+FAST = 2e4
+"""Faster than any force of these tests brings to rest, m/s"""
+
+
+def still(gravity, radius=EARTH_RADIUS):
+    """A planet that does not turn."""
+    return Planet(radius, gravity=gravity, atmosphere=ExponentialAtmosphere(1.2, 7e3))
+
+
+def scalars(*numbers):
+    return [jnp.asarray(float(x)) for x in numbers]
+
+
+FLAT = still(ConstantGravity(0.0), 1e10)
+EARTH = still(InverseSquareGravity(EARTH_GRAVITY * EARTH_RADIUS**2))
+
+
+class Sensing(AbstractAccelerometers):
+    """Senses by other accelerometers a force that is the same all the time."""
+
+    others: AbstractAccelerometers
+    lift: jax.Array
+    drag: jax.Array
+
+    def read(self, air, sampled_at):
+        same = dataclasses.replace(air, lift=self.lift, drag=self.drag)
+        return self.others.read(same, sampled_at)
+
+
+def navigated(
+    seconds, navigation, others=None, lift=0.0, drag=0.0, planet=EARTH, speed=10.0
+):
+    """East, north, up (m) of the believed place from the actual one, of a vehicle that
+    flies east along the equator at an altitude of zero, with constant speed."""
+    state = EntryState(0.0, 0.0, 0.0, speed, 0.0, 90.0 * degree)
+    sensing = Sensing(others or PerfectAccelerometers(), *scalars(lift, drag))
+    controls = Controls.from_bank(jnp.asarray(0.0), jnp.asarray(0.0))
+
+    def slope(time, known):
+        longitude = speed * time / planet.radius
+        here = dataclasses.replace(state, longitude=longitude)
+        given = planet, mars_vehicle(), sensing, here, controls, known
+        return navigation.rate(*given)
+
+    first = navigation.start(planet, state)
+    fly_on = jax.jit(lambda: runge_kutta(slope, 0.0, seconds, first, 400))
+    believed = fly_on().state
+    longitude = believed.longitude - speed * seconds / planet.radius
+    place = longitude * planet.radius, believed.latitude * planet.radius
+    return np.array([*place, believed.altitude], float)
+
+
+def held(speed=10.0):
+    """Specific force up that holds the altitude, m/s2."""
+    return EARTH_GRAVITY - speed**2 / EARTH_RADIUS
+
+
+def test_a_bias_in_free_flight_grows_with_the_square_of_time():
+    """b t^2 / 2, over a flat field without gravity."""
+    bias, seconds = np.array([1e-3, 2e-3, -3e-3]), 300.0
+    others = BodyAccelerometers(*bias)
+    off = navigated(
+        seconds,
+        InertialNavigation(),
+        others,
+        planet=FLAT,
+        speed=FAST,
+        lift=-(FAST**2) / float(FLAT.radius),  # which holds the altitude
+    )
+    # Forward is east, right south, and down.
+    expected = np.array([1.0, -1.0, -1.0]) * bias * seconds**2 / 2.0
+    np.testing.assert_allclose(off, expected, rtol=1e-3)
+
+
+def test_an_error_of_altitude_diverges_exponentially():
+    """As cosh(t sqrt(2 g / r)), (12.11) of Titterton and Weston."""
+    rate = np.sqrt(2.0 * EARTH_GRAVITY / EARTH_RADIUS)
+    for seconds in (300.0, 900.0, 1800.0):
+        off = navigated(
+            seconds, InertialNavigation(KnowledgeError(up=1.0)), lift=held()
+        )
+        assert off[2] == pytest.approx(np.cosh(rate * seconds), rel=1e-3)
+
+
+def test_a_horizontal_error_swings_with_the_period_of_schuler():
+    """84.4 minutes; an error of the velocity to the north is v sin(w t) / w."""
+    rate = np.sqrt(EARTH_GRAVITY / EARTH_RADIUS)
+    assert 2.0 * np.pi / rate / 60.0 == pytest.approx(84.4, abs=0.05)
+    navigation = InertialNavigation(KnowledgeError(velocity_north=0.01))
+    for share in (0.1, 0.25, 0.5, 0.75):
+        seconds = share * 2.0 * np.pi / rate
+        off = navigated(seconds, navigation, lift=held())
+        expected = 0.01 / rate * np.sin(rate * seconds)
+        assert off[1] == pytest.approx(expected, abs=0.002 * 0.01 / rate)
+
+
+@pytest.mark.parametrize(
+    ("turn", "direction"),
+    [
+        # The force is to the rear: what turns with the instrument senses it to the left
+        # of its own rear, or above it.
+        ({"misalignment_yaw": 1e-3}, [0.0, -1.0, 0.0]),
+        ({"misalignment_pitch": 1e-3}, [0.0, 0.0, 1.0]),
+        ({"misalignment_roll": 1e-3}, [0.0, 0.0, 0.0]),
+    ],
+)
+def test_a_misalignment_of_1_mrad_at_10_g(turn, direction):
+    force, seconds = 98.1, 20.0
+    off = [
+        navigated(
+            seconds, InertialNavigation(), others, drag=force, planet=FLAT, speed=FAST
+        )
+        for others in (BodyAccelerometers(**turn), BodyAccelerometers())
+    ]
+    expected = np.array(direction) * 1e-3 * force * seconds**2 / 2.0
+    np.testing.assert_allclose(off[0] - off[1], expected, rtol=5e-3, atol=1e-3)
+
+
+def test_a_drift_tilts_with_time():
+    """Position error f d t^3 / 6: the force to the rear is believed to turn left when the
+    vehicle is believed to turn right, and down when it is believed to pitch up."""
+    force, seconds, drift = 98.1, 20.0, 1e-5
+    size = force * drift * seconds**3 / 6.0
+    exact = navigated(
+        seconds, InertialNavigation(), drag=force, planet=FLAT, speed=FAST
+    )
+    for which, direction in (
+        ("drift_yaw", [0.0, 1.0, 0.0]),
+        ("drift_pitch", [0.0, 0.0, -1.0]),
+        ("drift_roll", [0.0, 0.0, 0.0]),
+    ):
+        navigation = InertialNavigation(gyroscopes=Gyroscopes(**{which: drift}))
+        off = (
+            navigated(seconds, navigation, drag=force, planet=FLAT, speed=FAST) - exact
+        )
+        np.testing.assert_allclose(off / size, direction, atol=5e-3)
+
+
+def test_a_tilt_turns_the_force():
+    """About the direction to the north: the force up is believed to lean to the east."""
+    force, seconds, tilt = 98.1, 20.0, 1e-4
+    size = tilt * force * seconds**2 / 2.0
+    exact = navigated(
+        seconds, InertialNavigation(), lift=force, planet=FLAT, speed=FAST
+    )
+    for which, direction in (
+        ("tilt_north", [1.0, 0.0, 0.0]),
+        ("tilt_east", [0.0, -1.0, 0.0]),
+        ("tilt_up", [0.0, 0.0, 0.0]),
+    ):
+        navigation = InertialNavigation(KnowledgeError(**{which: tilt}))
+        off = (
+            navigated(seconds, navigation, lift=force, planet=FLAT, speed=FAST) - exact
+        )
+        np.testing.assert_allclose(off / size, direction, atol=5e-3)
+
+
+def test_accelerometers_of_the_body_sense_along_their_axes():
+    """Against a rotation matrix of scipy: forward is above the velocity by the angle of
+    attack, and the instrument is turned from there."""
+    angle, lift, drag = 0.6, 7.0, 30.0
+    air = AirData(*scalars(1e-3, 5e3, 1.2e4, 15.0, lift, drag, angle))
+    bias, scale, turn = [0.01, -0.02, 0.03], [4e-4, 0.0, -7e-4], [1e-5, 2e-5, -3e-5]
+    sensing = BodyAccelerometers(*bias, scale[0], scale[2], *turn)
+    # Axes of the body in those of the velocity: along, right, below.
+    body = Rotation.from_euler("y", angle).as_matrix()
+    actual = body.T @ [-drag, 0.0, -lift]
+    turned = Rotation.from_rotvec(turn).as_matrix().T @ actual
+    sensed = body @ (turned + np.array(bias) + np.array(scale) * actual)
+    found = sensing.read(air, None)
+    np.testing.assert_allclose(
+        [-found.drag, found.side, -found.lift], sensed, rtol=0, atol=1e-7
+    )
+    alone = BodyAccelerometers().read(air, None)
+    assert [float(x) for x in alone] == pytest.approx([lift, drag, 0.0], abs=1e-14)
+
+
+# A flight.
+
+BIASED = BodyAccelerometers(2e-3, -1e-3, 3e-3, 4e-4, -6e-4, 3e-4, -2e-4, 1e-4)
+OFF = InertialNavigation(
+    KnowledgeError(300.0, -200.0, 150.0, 0.4, -0.6, 0.5, 2e-4, -3e-4, 4e-4),
+    Gyroscopes(2e-6, -3e-6, 4e-6),
+    InverseSquareGravity(4.2829e13),
+)
+
+
+def windy(navigation=OFF, accelerometers=BIASED, law="range tracking", seconds=100.0):
+    """A banked flight over a planet that turns, in wind, at an angle of attack."""
+    planet = dataclasses.replace(
+        mars_planet(), wind=ConstantWind(60.0, -35.0, 4.0), rotation_rate=7.0882e-5
+    )
+    return dataclasses.replace(
+        mars_scenario(
+            all_laws[law](reference()), dynamics=EntryDynamics(), time_limit=seconds
+        ),
+        planet=planet,
+        vehicle=eqx.tree_at(
+            lambda v: v.trim_angle_of_attack, mars_vehicle(), jnp.asarray(-0.2)
+        ),
+        initial_state=EntryState(70 * km, 0.3, 0.5, 5500.0, -12 * degree, 70 * degree),
+        navigation=navigation,
+        accelerometers=accelerometers,
+    )
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """A compiled flight, for all scenarios of one structure."""
+    return eqx.filter_jit(lambda s: fly(s, FixedStep(0.25)))
+
+
+def test_without_errors_it_is_the_truth(flown):
+    perfect = eqx.tree_at(
+        lambda s: (s.navigation, s.accelerometers),
+        windy(),
+        (
+            jax.tree.map(jnp.zeros_like, OFF),
+            jax.tree.map(jnp.zeros_like, BIASED),
+        ),
+    )
+    known = windy().planet.gravity.gravitational_parameter
+    perfect = eqx.tree_at(
+        lambda s: s.navigation.gravity.gravitational_parameter, perfect, known
+    )
+    flight = flown(perfect)
+    alone = flown(windy(PerfectNavigation(), PerfectAccelerometers()))
+    for there in (flight.navigated, alone.state):
+        for name, size in (("altitude", 1e5), ("velocity", 5e3), ("heading", 1.0)):
+            off = getattr(flight.state, name) - getattr(there, name)
+            assert abs(float(off)) < 1e-11 * size, name
+    assert alone.navigated is None
+
+
+def test_the_flight_is_that_of_an_independent_program(flown):
+    """In inertial axes with matrices, by scipy; the motion and its forces are jentry's."""
+    scenario = dataclasses.replace(windy(), guidance=ConstantBank(0.9))
+    flight = flown(scenario)
+    planet, vehicle = scenario.planet, scenario.vehicle
+    rate, radius = float(planet.rotation_rate), float(planet.radius)
+    known, gyro, off = OFF.gravity, OFF.gyroscopes, OFF.knowledge
+    mu = float(known.gravitational_parameter)
+
+    @jax.jit
+    def actual(y):
+        state = EntryState(*y)
+        controls = Controls.from_bank(jnp.asarray(0.9), jnp.asarray(0.0))
+        air = air_data(planet, vehicle, state, controls.angle_of_attack)
+        rates = scenario.dynamics.rates(planet, vehicle, state, controls)
+        numbers = air.lift, air.drag, controls.angle_of_attack, controls.bank_angle
+        return jnp.stack(jax.tree.leaves(rates)), jnp.stack(numbers)
+
+    def axes(longitude, latitude):
+        """Rows: east, north, up."""
+        a, b = np.sin, np.cos
+        east = [-a(longitude), b(longitude), 0.0]
+        up = [b(latitude) * b(longitude), b(latitude) * a(longitude), a(latitude)]
+        return np.array([east, np.cross(up, east), up])
+
+    def body(state, bank, angle):
+        """Columns: forward, right, down, in inertial axes at time zero."""
+        altitude, longitude, latitude, speed, path, heading = state
+        velocity = speed * np.array(
+            [
+                np.cos(path) * np.sin(heading),
+                np.cos(path) * np.cos(heading),
+                np.sin(path),
+            ]
+        )
+        velocity -= [60.0, -35.0, 4.0]
+        ahead = velocity / np.linalg.norm(velocity)
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        down = np.cross(ahead, right)
+        level = np.array([ahead, right, down]).T
+        turn = Rotation.from_euler("x", bank).as_matrix()
+        pitch = Rotation.from_euler("y", angle).as_matrix()
+        return level @ turn @ pitch
+
+    spin = np.array([0.0, 0.0, rate])
+
+    def slope(time, y):
+        truth, place, velocity, tilt = y[:6], y[6:9], y[9:12], y[12:]
+        rates, (lift, drag, angle, bank) = map(np.asarray, actual(truth))
+        turned = Rotation.from_rotvec(spin * time).as_matrix()
+        attitude = turned @ axes(*truth[1:3]).T @ body(truth, bank, angle)
+        force = Rotation.from_euler("y", angle).as_matrix().T @ [-drag, 0.0, -lift]
+        b = BIASED
+        bias = np.array([b.bias_forward, b.bias_right, b.bias_down], float)
+        scale = np.array([b.scale_error_forward, 0.0, b.scale_error_down], float)
+        turn = [b.misalignment_roll, b.misalignment_pitch, b.misalignment_yaw]
+        sensed = force + bias + scale * force - np.cross(np.array(turn, float), force)
+        believed = attitude @ sensed
+        believed = believed + np.cross(tilt, believed)
+        drift = [gyro.drift_roll, gyro.drift_pitch, gyro.drift_yaw]
+        return np.concatenate(
+            [
+                rates,
+                velocity,
+                believed - mu * place / np.linalg.norm(place) ** 3,
+                attitude @ np.array(drift, float),
+            ]
+        )
+
+    first = np.array([float(x) for x in jax.tree.leaves(scenario.initial_state)])
+    altitude, longitude, latitude, speed, path, heading = first
+    size = radius + altitude
+    longitude += float(off.east) / size / np.cos(latitude)
+    latitude_off = latitude + float(off.north) / size
+    there = axes(longitude, latitude_off)
+    place = (size + float(off.up)) * there[2]
+    over = speed * np.array(
+        [np.cos(path) * np.sin(heading), np.cos(path) * np.cos(heading), np.sin(path)]
+    )
+    over += np.array([off.velocity_east, off.velocity_north, off.velocity_up], float)
+    velocity = there.T @ over + np.cross(spin, place)
+    tilts = np.array([off.tilt_east, off.tilt_north, off.tilt_up], float)
+    tilt = axes(first[1], first[2]).T @ tilts
+    end = float(flight.time)
+    found = solve_ivp(
+        slope,
+        (0.0, end),
+        np.concatenate([first, place, velocity, tilt]),
+        method="DOP853",
+        rtol=1e-10,
+        atol=1e-10,
+    ).y[:, -1]
+    # The truth is the flight's, so that they can be compared.
+    truth = np.array([float(x) for x in jax.tree.leaves(flight.state)])
+    np.testing.assert_allclose(found[:6], truth, rtol=1e-7)
+    back = Rotation.from_rotvec(-spin * end).as_matrix()
+    place = back @ found[6:9]
+    believed = flight.navigated
+    here = axes(float(believed.longitude), float(believed.latitude))
+    expected = (radius + float(believed.altitude)) * here[2]
+    # The errors are of 400 m; 5 mm are those of both integrations.
+    assert np.linalg.norm(place - (radius + truth[0]) * axes(*truth[1:3])[2]) > 300.0
+    np.testing.assert_allclose(expected, place, rtol=0, atol=5e-3)
+    velocity = here @ (back @ found[9:12] - np.cross(spin, place))
+    path, heading = float(believed.flight_path_angle), float(believed.heading)
+    expected = float(believed.velocity) * np.array(
+        [np.cos(path) * np.sin(heading), np.cos(path) * np.cos(heading), np.sin(path)]
+    )
+    np.testing.assert_allclose(expected, velocity, rtol=0, atol=1e-4)
+
+
+# What a law may know.
+
+
+class Deaf(AbstractAccelerometers):
+    """Senses what never changes: nothing of the truth comes through it."""
+
+    def read(self, air, sampled_at):
+        return SpecificForce(*scalars(3.0, 9.0))
+
+
+@pytest.mark.parametrize("name", all_laws)
+def test_a_law_knows_no_position_and_velocity_but_those_that_are_believed(name):
+    """In the traced program no number of the true state reaches command or memory."""
+    scenario = windy(InertialNavigation(), Deaf(), name)
+
+    def guided(state):
+        lane = start(scenario, 1.0)
+        moving = dataclasses.replace(lane.moving, state=state)
+        after = decide(scenario, dataclasses.replace(lane, moving=moving), None)
+        told = command(scenario, lane.flown, after.moving, after.held)
+        return told, after.moving.memory, after.held
+
+    arrays = lambda s: [x for x in jax.tree.leaves(guided(s)) if eqx.is_array(x)]
+    jaxpr = jax.make_jaxpr(arrays)(scenario.initial_state).jaxpr
+    _, used = partial_eval.dce_jaxpr(jaxpr, [True] * len(jaxpr.outvars))
+    assert not any(used)
+
+
+def test_an_end_may_be_where_the_vehicle_believes_to_be(flown):
+    """At the velocity and at the range that are believed; the truth is another."""
+    start_at = windy().initial_state
+    place = start_at.longitude + 0.12, start_at.latitude + 0.04
+    ends = {
+        "velocity": (VelocityBelow, (4800.0,)),
+        "range": (RangeToGoBelow, (200 * km, *place)),
+    }
+    for name, (kind, numbers) in ends.items():
+        found = {}
+        for by in ("truth", "navigation"):
+            limit = Termination({name: kind(*numbers, by=by)}, 300.0)
+            flight = flown(dataclasses.replace(windy(), termination=limit))
+            assert flight.outcome == Outcome.REACHED
+            found[by] = flight
+            for state, mine in (
+                (flight.state, "truth"),
+                (flight.navigated, "navigation"),
+            ):
+                margin = limit.conditions[name].margin(state, windy().planet)
+                # m/s or m
+                assert (abs(float(margin)) < 1e-5) == (mine == by), (name, by, mine)
+        assert float(found["truth"].time) != float(found["navigation"].time)
+
+
+def test_range_to_go_is_the_arc_to_the_place():
+    planet, there = mars_planet(), (0.7, -0.3)
+    state = EntryState(10 * km, -1.9, 0.8, 1e3, 0.0, 0.0)
+    found = RangeToGoBelow(1.0, *there).margin(state, planet) + 1.0
+    unit = lambda lon, lat: np.array(
+        [np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)]
+    )
+    angle = np.arccos(unit(*there) @ unit(-1.9, 0.8))
+    assert float(found) == pytest.approx(float(planet.radius) * angle, rel=1e-12)
+
+
+# Derivatives, and campaigns.
+
+
+def end_by_belief(scenario):
+    """Where the flight ends by what it believes, and what it believes there."""
+    limit = Termination({"v": VelocityBelow(4800.0, by="navigation")}, 300.0)
+    flight = fly(dataclasses.replace(scenario, termination=limit), FixedStep(0.25))
+    miss = misses(scenario, flight)
+    return jnp.stack(
+        [miss.downrange / km, miss.altitude / km, flight.navigated.altitude / km]
+    )
+
+
+@pytest.mark.slow
+def test_derivatives_reach_every_error():
+    scenario = windy(law="sampled observer")
+    errors, sensors = OFF.knowledge, BIASED
+    lens = lambda s: [
+        *jax.tree.leaves(s.navigation),
+        *jax.tree.leaves(s.accelerometers),
+    ]
+    assert len(jax.tree.leaves((errors, sensors))) == 17
+    values, sizes = jnp.stack(lens(scenario)), []
+    for leaf in lens(scenario):
+        sizes.append(1e-3 * abs(float(leaf)))
+
+    @jax.jit
+    def ends(values):
+        return end_by_belief(eqx.tree_at(lens, scenario, list(values)))
+
+    forward = np.asarray(jax.jit(jax.jacfwd(ends))(values))
+    reverse = np.asarray(jax.jit(jax.jacrev(ends))(values))
+    largest = np.abs(forward * np.array(sizes)).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(
+        reverse * sizes, forward * sizes, rtol=0, atol=1e-9 * largest.max()
+    )
+    for place, size in enumerate(sizes):
+        unit = np.zeros(len(sizes))
+        unit[place] = size
+        # Of the fourth order.
+        e = [np.asarray(ends(values + k * unit)) for k in (-2, -1, 1, 2)]
+        expected = (8 * (e[2] - e[1]) - (e[3] - e[0])) / 12.0
+        found = forward[:, place] * size
+        assert np.abs(found).max() > 0.0
+        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=2e-10)
+
+
+def test_a_campaign_keeps_what_each_vehicle_believes():
+    """Knowledge and delivery apart: the believed start is off by both."""
+    scenario = windy(
+        InertialNavigation(), PerfectAccelerometers(), "bank profile", 40.0
+    )
+    table = {
+        "delivery": Dispersion(
+            lambda s: s.initial_state.altitude,
+            Normal(0.0, 500.0),
+            apply=lambda a, b: a + b,
+        ),
+        "knowledge": Dispersion(
+            lambda s: s.navigation.knowledge.up, Normal(0.0, 100.0)
+        ),
+    }
+    found = monte_carlo(
+        scenario, table, jax.random.key(0), 32, solver=FixedStep(0.5), history=10.0
+    )
+    results = dataset(scenario, found, 10.0)
+    off = results["navigated_altitude"] - results["altitude"]
+    knowledge = found.inputs["navigation.knowledge.up"]
+    np.testing.assert_allclose(off.values[:, 0], knowledge, atol=1e-8)
+    assert results["end_navigated_altitude"].attrs["units"] == "m"
+    ends = results["end_navigated_altitude"] - results["end_altitude"]
+    assert np.all(np.isfinite(ends)) and np.corrcoef(ends, knowledge)[0, 1] > 0.999
+    assert abs(np.corrcoef(results["end_altitude"], knowledge)[0, 1]) < 0.6
+
+
+# Bad input.
+
+
+def test_what_cannot_be_navigated_is_refused():
+    plane = mars_scenario(all_laws["bank profile"](reference()))
+    plane = dataclasses.replace(plane, navigation=InertialNavigation())
+    assert isinstance(plane.dynamics, EquatorialDynamics)
+    with pytest.raises(ValueError, match="dynamics EquatorialDynamics: it integrates"):
+        fly(plane)
+    with pytest.raises(ValueError, match="by is 'gps': it must be truth or navigation"):
+        EnergyBelow(1e6, by="gps")
+
+
+def test_a_knowledge_error_of_a_vehicle_that_knows_is_refused():
+    table = {
+        "knowledge": Dispersion(lambda s: s.navigation.knowledge.up, Normal(0.0, 100.0))
+    }
+    scenario = windy(PerfectNavigation(), PerfectAccelerometers(), "bank profile")
+    with pytest.raises(ValueError, match="navigation is PerfectNavigation"):
+        monte_carlo(scenario, table, jax.random.key(0), 4)
+
+
+def test_the_older_accelerometers_move_the_navigation_too(flown):
+    flight = flown(windy(InertialNavigation(), Accelerometers(drag_bias=1e-2)))
+    slower = float(flight.navigated.velocity - flight.state.velocity)
+    assert slower == pytest.approx(-1e-2 * float(flight.time), rel=0.05)
