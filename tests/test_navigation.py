@@ -23,14 +23,17 @@ from jentry.flight import (
     FixedStep,
     Outcome,
     RangeToGoBelow,
+    Target,
     Termination,
     VelocityBelow,
     misses,
 )
 from jentry.flight.closed_loop import command, decide, start
+from jentry.flight.scenario import check
 from jentry.motion import AirData, Controls, EntryDynamics, EntryState
 from jentry.motion.dynamics import EquatorialDynamics
 from jentry.motion.forces import air_data
+from jentry.motion.quantities import from_ground_track
 from jentry.onboard import (
     AbstractAccelerometers,
     Accelerometers,
@@ -432,8 +435,9 @@ def test_a_law_knows_no_position_and_velocity_but_those_that_are_believed(name):
 
 def test_an_end_may_be_where_the_vehicle_believes_to_be(flown):
     """At the velocity and at the range that are believed; the truth is another."""
-    start_at = windy().initial_state
-    place = start_at.longitude + 0.12, start_at.latitude + 0.04
+    origin = windy().initial_state
+    target = Target(10 * km, 503.0, 600 * km, origin=origin)
+    place = from_ground_track(windy().planet, origin, target.downrange, jnp.zeros(()))
     ends = {
         "velocity": (VelocityBelow, (4800.0,)),
         "range": (RangeToGoBelow, (200 * km, *place)),
@@ -442,7 +446,9 @@ def test_an_end_may_be_where_the_vehicle_believes_to_be(flown):
         found = {}
         for by in ("truth", "navigation"):
             limit = Termination({name: kind(*numbers, by=by)}, 300.0)
-            flight = flown(dataclasses.replace(windy(), termination=limit))
+            scenario = dataclasses.replace(windy(), termination=limit, target=target)
+            check(scenario)
+            flight = flown(scenario)
             assert flight.outcome == Outcome.REACHED
             found[by] = flight
             for state, mine in (
@@ -453,6 +459,10 @@ def test_an_end_may_be_where_the_vehicle_believes_to_be(flown):
                 # m/s or m
                 assert (abs(float(margin)) < 1e-5) == (mine == by), (name, by, mine)
         assert float(found["truth"].time) != float(found["navigation"].time)
+    elsewhere = RangeToGoBelow(200 * km, place[0] + 1e-5, place[1])
+    limit = Termination({"range": elsewhere}, 300.0)
+    with pytest.raises(ValueError, match=r"termination.conditions.range.longitude and"):
+        check(dataclasses.replace(windy(), termination=limit, target=target))
 
 
 def test_range_to_go_is_the_arc_to_the_place():

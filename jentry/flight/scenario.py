@@ -51,7 +51,7 @@ from ..units import degree, km
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 from .duplicate_numbers import check_stated_twice, nodes
-from .termination import Termination
+from .termination import RangeToGoBelow, Termination
 
 
 class Target(eqx.Module):
@@ -262,9 +262,13 @@ def _places_to_go(scenario: Scenario) -> Iterator[tuple[Scalar, Scalar, list[str
         for track, address in nodes(tree, Track, name):
             ends = [f"{address}.target_{x}" for x in ("longitude", "latitude")]
             yield track.target_longitude, track.target_latitude, ends
-    for corridor, address in nodes(scenario.guidance, HeadingCorridor, "guidance"):
-        ends = [f"{address}.{x}" for x in ("longitude", "latitude")]
-        yield corridor.longitude, corridor.latitude, ends
+    for tree, kind, name in (
+        (scenario.guidance, HeadingCorridor, "guidance"),
+        (scenario.termination, RangeToGoBelow, "termination"),
+    ):
+        for part, address in nodes(tree, kind, name):
+            ends = [f"{address}.{x}" for x in ("longitude", "latitude")]
+            yield part.longitude, part.latitude, ends
 
 
 def _check_constraints(scenario: Scenario) -> None:

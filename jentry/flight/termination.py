@@ -233,7 +233,8 @@ class TargetPassed(AbstractEndCondition):
 class RangeToGoBelow(AbstractEndCondition):
     """Ends a flight when the range to a place over the ground has fallen to a value.
 
-    A flight that passes the place at a larger distance is not ended.
+    The place must be the target of the scenario: see `check`. A flight that passes it at a
+    larger distance is not ended.
     """
 
     range: Scalar = scalar(unit="m", positive=True)
