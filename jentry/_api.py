@@ -140,6 +140,7 @@ from .onboard import (
     CubicSpline as CubicSpline,
     Gyroscopes as Gyroscopes,
     InertialNavigation as InertialNavigation,
+    InertialNoise as InertialNoise,
     KnowledgeError as KnowledgeError,
     Measurement as Measurement,
     OnboardModel as OnboardModel,

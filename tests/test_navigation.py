@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from composed_laws import reference
-from helpers import ConstantBank, mars_planet, mars_scenario, mars_vehicle
+from helpers import ConstantBank, bank_profile, mars_planet, mars_scenario, mars_vehicle
 from jax.interpreters import partial_eval
 from laws import all_laws
 from scipy.integrate import solve_ivp
@@ -19,6 +19,7 @@ from jentry._integrate import runge_kutta
 from jentry.campaign import Dispersion, Normal, monte_carlo
 from jentry.campaign.results import dataset
 from jentry.flight import (
+    Crossing,
     EnergyBelow,
     FixedStep,
     Outcome,
@@ -30,6 +31,7 @@ from jentry.flight import (
 )
 from jentry.flight.closed_loop import command, decide, start
 from jentry.flight.scenario import check
+from jentry.guidance import Sampled, ShorteningCycle
 from jentry.motion import AirData, Controls, EntryDynamics, EntryState
 from jentry.motion.dynamics import EquatorialDynamics
 from jentry.motion.forces import air_data
@@ -40,6 +42,7 @@ from jentry.onboard import (
     BodyAccelerometers,
     Gyroscopes,
     InertialNavigation,
+    InertialNoise,
     KnowledgeError,
     PerfectAccelerometers,
     PerfectNavigation,
@@ -405,6 +408,81 @@ def test_the_flight_is_that_of_an_independent_program(flown):
     np.testing.assert_allclose(expected, velocity, rtol=0, atol=1e-4)
 
 
+# Noise.
+
+WALK = InertialNoise(velocity_random_walk=2e-3, angle_random_walk=3e-5, cycle=2.0)
+
+
+def test_noise_is_a_random_walk_of_velocity_and_attitude():
+    """Of 2000 flights: velocity s sqrt(t), position the sum of the steps, tilt as well."""
+    scenario = windy(
+        InertialNavigation(noise=WALK), PerfectAccelerometers(), "bank profile", 40.0
+    )
+    # Without forces, so that the tilt moves nothing.
+    lens = lambda s: s.planet.density_scale
+    scenario = eqx.tree_at(lens, scenario, jnp.asarray(1e-9))
+
+    @jax.jit
+    @jax.vmap
+    def off(seed):
+        mine = eqx.tree_at(lambda s: s.navigation.noise.seed, scenario, seed)
+        flight = fly(mine, FixedStep(1.0))
+        known, truth = flight.navigated, flight.state
+        rise = known.velocity * jnp.sin(known.flight_path_angle)
+        rise -= truth.velocity * jnp.sin(truth.flight_path_angle)
+        return jnp.stack([known.altitude - truth.altitude, rise, flight.time])
+
+    altitude, rise, time = np.asarray(
+        off(jnp.linspace(0.0, 1.0, 2000, endpoint=False))
+    ).T
+    assert np.all(time == 40.0)
+    # At 2, 4, ... 38 s; the flight ends before that of 40 s.
+    since = 40.0 - 2.0 * np.arange(1, 20)
+    steps = 2e-3 * np.sqrt(2.0)
+    for values, expected in (
+        (rise, steps * np.sqrt(since.size)),
+        (altitude, steps * np.sqrt(np.sum(since**2))),
+    ):
+        # Five standard errors of a standard deviation of 2000.
+        assert np.std(values) == pytest.approx(expected, rel=5.0 / np.sqrt(4000.0))
+        assert abs(np.mean(values)) < 5.0 * expected / np.sqrt(2000.0)
+    assert np.corrcoef(rise[:-1], rise[1:])[0, 1] == pytest.approx(0.0, abs=0.12)
+
+
+def test_the_axes_of_the_noise_are_independent_and_as_large_as_stated():
+    known = InertialNavigation(noise=WALK).start(mars_planet(), windy().initial_state)
+    steps = jax.jit(
+        jax.vmap(
+            lambda seed: eqx.tree_at(
+                lambda n: n.noise.seed, InertialNavigation(noise=WALK), seed
+            ).update(known, jnp.asarray(2.0))
+        )
+    )(jnp.linspace(0.0, 1.0, 4000, endpoint=False))
+    state, root = steps.state, np.sqrt(2.0)
+    cos, sin = np.cos, np.sin
+    path, heading = np.asarray(state.flight_path_angle), np.asarray(state.heading)
+    ahead = np.asarray(state.velocity) * cos(path)
+    velocity = [ahead * sin(heading), ahead * cos(heading), state.velocity * sin(path)]
+    values = np.stack([*velocity, *steps.tilt])
+    values -= values.mean(axis=1, keepdims=True)
+    sizes = np.repeat([2e-3 * root, 3e-5 * root], 3)
+    # Five standard errors of 4000.
+    found = np.cov(values / sizes[:, None])
+    np.testing.assert_allclose(found, np.eye(6), atol=5.0 * np.sqrt(2.0 / 4000.0))
+
+
+def test_the_noise_of_a_flight_does_not_depend_on_what_is_stored(flown):
+    """Nor on the guidance cycle, which may be shorter than that of the navigation."""
+    scenario = windy(InertialNavigation(noise=WALK), PerfectAccelerometers())
+    ends = [
+        fly(scenario, FixedStep(0.5), history=history).navigated
+        for history in (None, 1.0, 4.0)
+    ]
+    for other in ends[1:]:
+        for a, b in zip(jax.tree.leaves(ends[0]), jax.tree.leaves(other), strict=True):
+            assert float(a) == pytest.approx(float(b), rel=1e-12)
+
+
 # What a law may know.
 
 
@@ -439,13 +517,14 @@ def test_an_end_may_be_where_the_vehicle_believes_to_be(flown):
     target = Target(10 * km, 503.0, 600 * km, origin=origin)
     place = from_ground_track(windy().planet, origin, target.downrange, jnp.zeros(()))
     ends = {
-        "velocity": (VelocityBelow, (4800.0,)),
-        "range": (RangeToGoBelow, (200 * km, *place)),
+        "velocity": lambda by: VelocityBelow(4800.0, by=by),
+        "range": lambda by: RangeToGoBelow(200 * km, *place, by=by),
+        "crossing": lambda by: Crossing(VelocityBelow(4800.0, by=by)),
     }
-    for name, (kind, numbers) in ends.items():
+    for name, condition in ends.items():
         found = {}
         for by in ("truth", "navigation"):
-            limit = Termination({name: kind(*numbers, by=by)}, 300.0)
+            limit = Termination({name: condition(by)}, 300.0)
             scenario = dataclasses.replace(windy(), termination=limit, target=target)
             check(scenario)
             flight = flown(scenario)
@@ -562,6 +641,33 @@ def test_what_cannot_be_navigated_is_refused():
         fly(plane)
     with pytest.raises(ValueError, match="by is 'gps': it must be truth or navigation"):
         EnergyBelow(1e6, by="gps")
+    with pytest.raises(ValueError, match="its condition says by which state"):
+        Crossing(EnergyBelow(1e6), by="navigation")
+
+
+def test_cycles_that_do_not_go_together_are_refused():
+    off = dataclasses.replace(WALK, cycle=0.7)
+    scenario = windy(InertialNavigation(noise=off), law="sampled bank profile")
+    told = "the guidance period is 1.0 s and the cycle of the navigation is 0.7 s: each"
+    with pytest.raises(ValueError, match=told):
+        fly(scenario)
+    shortening = Sampled(bank_profile(), cycle=ShorteningCycle(2.0))
+    with pytest.raises(
+        ValueError, match="cycle of the navigation is 0.7 s, and that of"
+    ):
+        fly(dataclasses.replace(scenario, guidance=shortening))
+    with pytest.raises(ValueError, match="cycle is -1.0 s: it must be positive"):
+        InertialNoise(cycle=-1.0)
+
+
+def test_one_noise_for_all_runs_is_refused():
+    scenario = windy(InertialNavigation(noise=WALK), law="bank profile")
+    table = {
+        "delivery": Dispersion(lambda s: s.initial_state.velocity, Normal(5500.0, 1.0))
+    }
+    told = "navigation.noise.velocity_random_walk is 0.002 m/s.1.5, and all runs would"
+    with pytest.raises(ValueError, match=told):
+        monte_carlo(scenario, table, jax.random.key(0), 4)
 
 
 def test_a_knowledge_error_of_a_vehicle_that_knows_is_refused():

@@ -284,18 +284,31 @@ def check_dispersions(
     require_both(scenario, moved)
     for each in replacing:
         _refuse_replacing_factor(*each)
-    for sensors, unit in (("accelerometers", " m/s2"), ("flow_sensors", "")):
-        noise = leaves.get(f"{sensors}.noise", 0.0)
-        size = f"{float(noise):g}{unit}"
-        if f"{sensors}.noise" in moved:
+    for noise, unit, seed in _NOISES:
+        size = f"{float(leaves.get(noise, 0.0)):g} {unit}"
+        if noise in moved:
             size = "dispersed"
-        elif not np.any(np.asarray(noise) > 0.0):
+        elif not np.any(np.asarray(leaves.get(noise, 0.0)) > 0.0):
             continue
-        if f"{sensors}.noise_seed" not in moved:
+        if seed not in moved:
             raise ValueError(
-                f"{sensors}.noise is {size}, and all runs would have the same: disperse "
-                f"{sensors}.noise_seed by Uniform(0, 1)"
+                f"{noise} is {size.strip()}, and all runs would have the same: disperse "
+                f"{seed} by Uniform(0, 1)"
             )
+
+
+_NOISES = (
+    ("accelerometers.noise", "m/s2", "accelerometers.noise_seed"),
+    ("flow_sensors.noise", "", "flow_sensors.noise_seed"),
+    *(
+        (f"navigation.noise.{name}", unit, "navigation.noise.seed")
+        for name, unit in (
+            ("velocity_random_walk", "m/s^1.5"),
+            ("angle_random_walk", "rad/s^0.5"),
+        )
+    ),
+)
+"""Address of the size of each noise, its unit, and the address of its seed"""
 
 
 def _refuse_factor_on_zero(name: str, address: str, leaf: Array) -> None:

@@ -272,6 +272,19 @@ def start(scenario: Scenario, step: float) -> Lane:
 
 
 @eqx.filter_jit
+def navigate(scenario: Scenario, lane: Lane, due: Flag) -> Lane:
+    """The flight after an update of its navigation, if one is due."""
+    navigated = lane.moving.navigated
+    if navigated is None:
+        return lane
+    after = scenario.navigation.update(navigated, lane.flown)
+    updates = lane.on_schedule & due & (lane.flown > 0.0)
+    return eqx.tree_at(
+        lambda lane: lane.moving.navigated, lane, select(updates, after, navigated)
+    )
+
+
+@eqx.filter_jit
 def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
     """The flight after a decision of its sampled law, if a guidance cycle is due."""
     law = scenario.law

@@ -19,6 +19,7 @@ from .closed_loop import (
     decide,
     guidance_period,
     is_finite,
+    navigate,
     noted,
     select,
     vector_field,
@@ -64,6 +65,8 @@ class Plan(eqx.Module):
     """Largest number of cycles, including those of the last steps to the end"""
     decide_every: int = eqx.field(static=True)
     keep_every: int = eqx.field(static=True)
+    navigate_every: int | None = eqx.field(static=True)
+    """Number of cycles from one update of the navigation to the next; None without one"""
     solver: AbstractSolver
 
     @property
@@ -105,14 +108,25 @@ class Plan(eqx.Module):
                 f"step is {solver.step} s: a flight of {limit:g} s would take more than "
                 f"{_MOST_STEPS:.0e} steps"
             )
-        given = [d for d in (period, history) if d is not None]
+        updated = scenario.navigation.cycle
+        if updated is not None and varies(law):
+            raise ValueError(
+                f"the cycle of the navigation is {updated} s, and that of "
+                f"{type(law).__name__} varies: take a law with a FixedCycle"
+            )
+        lengths = {
+            "history": history,
+            "the guidance period": period,
+            "the cycle of the navigation": updated,
+        }
+        given = {name: d for name, d in lengths.items() if d is not None}
         default = 20 * (solver.step or _STEP) if isinstance(solver, FixedStep) else 1.0
-        duration = min(given, default=default)
-        for other in given:
+        duration = min(given.values(), default=default)
+        for other in given.values():
             if abs(other / duration - round(other / duration)) > 1e-9:
                 raise ValueError(
-                    f"history is {history} s and the guidance period {period} s: one "
-                    "must be a multiple of the other"
+                    " and ".join(f"{name} is {d} s" for name, d in given.items())
+                    + ": each must be a multiple of the shortest"
                 )
         scheduled = math.ceil(limit / duration - 1e-9)
         if varies(law):
@@ -127,7 +141,16 @@ class Plan(eqx.Module):
         cycles = scheduled + math.ceil(steps_to_the_end(duration / steps) / steps)
         decide_every = 1 if period is None else round(period / duration)
         keep_every = 1 if history is None else round(history / duration)
-        return cls(duration, scheduled, cycles, decide_every, keep_every, solver)
+        navigate_every = None if updated is None else round(updated / duration)
+        return cls(
+            duration,
+            scheduled,
+            cycles,
+            decide_every,
+            keep_every,
+            navigate_every,
+            solver,
+        )
 
     def stacked_every(self, scenario: Scenario) -> int:
         """Number of cycles from one state that is stacked for the history to the next."""
@@ -148,11 +171,18 @@ class Plan(eqx.Module):
         return eqx.tree_at(lambda lanes: lanes.running, lanes, there)
 
     def decided(self, scenario: Scenario, lane: Lane) -> Lane:
-        """The lane after a decision of its sampled law, if a guidance cycle starts now."""
+        """The lane after an update of its navigation, and after a decision of its sampled
+        law on it, if the cycles of these start now."""
+        if self.navigate_every is not None:
+            lane = navigate(scenario, lane, self._starts(lane, self.navigate_every))
         if self.decide_every == 1:
             return decide(scenario, lane, None)
+        return decide(scenario, lane, self._starts(lane, self.decide_every))
+
+    def _starts(self, lane: Lane, every: int) -> Flag:
+        """Whether a cycle of so many cycles of the plan starts now."""
         index = jnp.round(lane.flown / self.duration).astype(int)
-        return decide(scenario, lane, index % self.decide_every == 0)
+        return index % every == 0
 
     def cycle(self, scenario: Scenario, lane: Lane) -> Lane:
         """One guidance cycle, or a part of one if the history has a finer interval."""

@@ -34,6 +34,7 @@ from .navigation import (
     AbstractNavigation as AbstractNavigation,
     Gyroscopes as Gyroscopes,
     InertialNavigation as InertialNavigation,
+    InertialNoise as InertialNoise,
     KnowledgeError as KnowledgeError,
     Navigated as Navigated,
     PerfectNavigation as PerfectNavigation,

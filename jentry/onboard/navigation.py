@@ -1,5 +1,6 @@
 """Navigation: what the vehicle believes of its position and velocity."""
 
+import math
 from abc import abstractmethod
 from typing import Generic, TypeVar
 
@@ -7,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import sincos
-from ..fields import Scalar, scalar
+from ..fields import NOT_NEGATIVE, Scalar, scalar
 from ..motion.axes import Components, LocalAxes, VelocityAxes, cross
 from ..motion.dynamics import rates_under
 from ..motion.forces import about_velocity, air_data
@@ -16,6 +17,7 @@ from ..world.gravity import AbstractGravity
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 from .measurement import AbstractAccelerometers
+from .sampling import normal_sample
 
 
 class Navigated(eqx.Module):
@@ -38,6 +40,15 @@ class AbstractNavigation(eqx.Module, Generic[State]):
     @abstractmethod
     def start(self, planet: Planet, state: EntryState) -> State:
         """Navigation at the start of a flight; None where the belief is the truth."""
+
+    @property
+    @abstractmethod
+    def cycle(self) -> float | None:
+        """Time from one `update` to the next, s; None if there is none."""
+
+    @abstractmethod
+    def update(self, navigated: State, at: Scalar) -> State:
+        """The navigation after an update at a time, s, which is a multiple of the cycle."""
 
     @abstractmethod
     def rate(
@@ -63,6 +74,13 @@ class PerfectNavigation(AbstractNavigation[None]):
         return None
 
     def rate(self, planet, vehicle, accelerometers, state, controls, navigated) -> None:
+        return None
+
+    @property
+    def cycle(self) -> None:
+        return None
+
+    def update(self, navigated: None, at: Scalar) -> None:
         return None
 
     @property
@@ -104,6 +122,33 @@ class Gyroscopes(eqx.Module):
     """About the axis down"""
 
 
+class InertialNoise(eqx.Module):
+    """White noise of accelerometers and gyroscopes: random walks of velocity and attitude.
+
+    The noise of a whole cycle is added at its end.
+    """
+
+    velocity_random_walk: Scalar = scalar(0.0, unit="m/s^1.5", range=NOT_NEGATIVE)
+    """Standard deviation of each component of the believed velocity after 1 s, m/s; it
+    grows with the square root of time"""
+    angle_random_walk: Scalar = scalar(0.0, unit="rad/s^0.5", range=NOT_NEGATIVE)
+    """Standard deviation of each component of the tilt after 1 s, rad"""
+    seed: Scalar = scalar(0.0, range=(0.0, 1.0), choice=True)
+    """A number between 0 and 1 that selects the noise of this flight; disperse it with
+    `Uniform(0, 1)`"""
+    cycle: float = eqx.field(default=1.0, static=True)
+    """Time from one sample to the next, s"""
+
+    def __check_init__(self):
+        if not 0.0 < self.cycle < math.inf:
+            raise ValueError(f"cycle is {self.cycle} s: it must be positive and finite")
+
+
+_FIRST_AXIS = 5
+"""First noise axis, after those of accelerometers and flow sensors: the noise differs for
+equal seeds"""
+
+
 class InertialNavigation(AbstractNavigation[Navigated]):
     """Strapdown inertial navigation: integrates what accelerometers and gyroscopes sense.
 
@@ -123,6 +168,34 @@ class InertialNavigation(AbstractNavigation[Navigated]):
     gyroscopes: Gyroscopes = eqx.field(default_factory=Gyroscopes)
     gravity: AbstractGravity | None = None
     """Gravity that is known on board; None for the actual one"""
+    noise: InertialNoise | None = None
+    """Noise of the instruments; None if there is none"""
+
+    @property
+    def cycle(self) -> float | None:
+        return None if self.noise is None else self.noise.cycle
+
+    def update(self, navigated: Navigated, at: Scalar) -> Navigated:
+        noise = self.noise
+        if noise is None:
+            return navigated
+        drawn = normal_sample(noise.seed, at)
+        root = math.sqrt(noise.cycle)
+        kick, turn = root * noise.velocity_random_walk, root * noise.angle_random_walk
+        state, (x, y, z) = navigated.state, navigated.tilt
+        nothing = jnp.zeros_like(state.velocity)
+        known = VelocityAxes.of(state).to_local(state.velocity, nothing, nothing)
+        east, north, up = (
+            v + kick * drawn(_FIRST_AXIS + i) for i, v in enumerate(known)
+        )
+        return Navigated(
+            _with_velocity(state, east, north, up),
+            (
+                x + turn * drawn(_FIRST_AXIS + 3),
+                y + turn * drawn(_FIRST_AXIS + 4),
+                z + turn * drawn(_FIRST_AXIS + 5),
+            ),
+        )
 
     def start(self, planet: Planet, state: EntryState) -> Navigated:
         off = self.knowledge
