@@ -17,7 +17,6 @@ from jentry.guidance import Gated
 from jentry.guidance.drag_tracking import drag_dynamics
 from jentry.guidance.law import AbstractContinuousLaw, Tracked
 from jentry.guidance.open_loop import BankProfile
-from jentry.missions.mars import crossings as on_mars
 from jentry.missions.mars.drag_tracking import nominal_gains, nominal_observer
 from jentry.missions.rlv import crossings as on_rlv
 from jentry.missions.x_33 import airframe, crossings as on_x_33, scenario as x_33
@@ -130,22 +129,6 @@ def test_modulation_has_the_gains_of_the_rlv():
     assert same(law.angle_of_attack.gains, own.angle_of_attack.gains)
     assert same(law.bank.law.gains, own.bank.law.gains)
     assert same(law.limits, own.limits) and same(law.cycle, own.cycle)
-
-
-@pytest.mark.slow
-def test_regulators_have_the_weights_of_the_x_33():
-    for name, own in (
-        ("pseudospectral", "tracking"),
-        ("pseudospectral_with_range", "with-range"),
-    ):
-        of_x_33 = X_33.scenario(own).guidance.bank.regulator
-        for law in (
-            getattr(on_rlv, name)().guidance.bank.law,
-            getattr(on_mars, name)().guidance,
-        ):
-            for weights in ("underway", "at_end", "control"):
-                theirs = getattr(of_x_33, weights)
-                assert same(getattr(law.regulator, weights), theirs)
 
 
 @pytest.mark.slow

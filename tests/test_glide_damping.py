@@ -261,28 +261,6 @@ def test_what_is_predicted_with_a_damping_is_flown():
     assert abs(float(free.state.altitude - flight.state.altitude)) > 100.0
 
 
-@pytest.mark.slow
-def test_derivative_of_a_prediction_is_that_of_differences():
-    scenario = guided()
-    law, seen = scenario.law, start_of(scenario)
-
-    def altitude(mass):
-        of = with_leaf(law, lambda law: law.model.vehicle.mass, mass)
-        return predicted(of, seen, Factors()).state.altitude
-
-    pushed = jax.jit(lambda mass: jax.jvp(altitude, (mass,), (jnp.ones(()),)))
-    at, step = 900.0, 0.5
-    _, slope = pushed(number(at))
-    beside = [float(pushed(number(at + x * step))[0]) for x in (1, -1, 0.5, -0.5)]
-    wide, narrow = (beside[0] - beside[1]) / (2 * step), (beside[2] - beside[3]) / step
-    numeric = narrow + (narrow - wide) / 3.0
-    assert abs(numeric) > 1.0
-    # Rounding of 25 km in some 200 steps, over 0.5 kg.
-    assert float(slope) == pytest.approx(numeric, rel=1e-6)
-    pulled = jax.jit(jax.grad(altitude))(number(at))
-    assert float(pulled) == pytest.approx(float(slope), rel=1e-9)
-
-
 @functools.cache
 def effects(damped):
     """How range and altitude at the end, km, go with the numbers, of an angle of 85 deg."""

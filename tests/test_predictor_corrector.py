@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import ahead, along_each, fly_compiled, mars_entry, with_leaf
+from helpers import ahead, fly_compiled, mars_entry, with_leaf
 from laws import predictor_corrector
 from predictor_correctors import (
     decided,
@@ -20,9 +20,8 @@ from predictor_correctors import (
     underway,
 )
 
-from jentry.flight import FixedStep, Outcome, fly, misses
+from jentry.flight import FixedStep, Outcome, misses
 from jentry.guidance import Aim, AngleOfAttackProfile, BankProfile, GuidedEnd, compose
-from jentry.guidance.lateral import PredictedCrossrange
 from jentry.guidance.path_limits import PathLimits
 from jentry.missions.x_33.predictor_corrector import guided as x_33
 from jentry.motion import EntryState, Response, SecondOrderAttitude, Swing
@@ -120,31 +119,6 @@ def test_wings_level_can_be_left_where_a_bank_turns():
     # The one-sided difference of second order.
     expected = (3.0 * at_bound - 4.0 * before + twice) / (2.0 * 0.001)
     assert slope == pytest.approx(expected, rel=1e-3) and abs(slope) > 0.1
-
-
-@pytest.mark.slow
-def test_a_flight_has_its_derivatives_where_reversals_are_foreseen():
-    """By density and lift, through sensed banks and what is expected of reversals."""
-    reach = Response(1.0, 1.0, 10.0 * degree, 5.0 * degree, -math.pi, math.pi)
-    attitude = SecondOrderAttitude(dataclasses.replace(reach, frequency=2.0), reach)
-    law = dataclasses.replace(
-        in_space().guidance,
-        corrections=1,
-        turning=BankTurning(10.0 * degree, 5.0 * degree),
-        lateral=PredictedCrossrange(factor=3.0, predicts_reversals=True),
-    )
-    scenario = dataclasses.replace(in_space(), guidance=law, attitude=attitude)
-
-    def end(factors):
-        given = with_leaf(scenario, lambda s: s.planet.density_scale, factors[0])
-        given = with_leaf(given, lambda s: s.vehicle.lift_scale, factors[1])
-        flight = fly(given)
-        sides = flight.state.longitude, flight.state.latitude
-        return jnp.stack(sides) * scenario.planet.radius
-
-    slopes, differences = along_each(end, [1.02, 0.97], [1e-6, 1e-6])
-    np.testing.assert_allclose(slopes, differences, rtol=1e-4, atol=1.0)
-    assert np.min(np.max(np.abs(differences), axis=1)) > 1.0
 
 
 def test_a_bank_that_is_flown_at_once_has_no_turning():

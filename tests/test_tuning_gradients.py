@@ -4,23 +4,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import optimistix
 import pytest
 from cheap_tuning import ADDRESS, BEST, scenario, tuned
 from helpers import with_leaf
 
-from jentry.flight import FixedStep
 from jentry.guidance import AbstractContinuousLaw
-from jentry.missions import find_mission
 from jentry.motion import Controls
 from jentry.tuning import (
     AutomaticDifferentiation,
     Bounds,
-    Budget,
     CentralDifferences,
-    Draws,
-    MeanSquare,
-    tune,
 )
 from jentry.units import degree
 
@@ -120,30 +113,3 @@ def test_a_surrogate_is_followed_and_the_exact_law_judges():
     assert result.course[0].gradient_norm != exact.course[0].gradient_norm
     losses = [entry.loss for entry in result.course]
     assert losses[result.best] == min(losses)
-
-
-@pytest.mark.optimized(False)
-@pytest.mark.slow
-def test_reversals_contradict_their_gradient_and_differences_do_not_need_it():
-    """Of the crossrange, which is what they are for: over 1536 flights the mean of the
-    derivatives is 14.5 +- 1.7, and a difference of 10 % is 0.3 +- 0.7; to the floor of
-    the corridor it is 0 and 15.1 +- 1.1, and by the smooth reversals 14.0 +- 0.9."""
-    mission = find_mission("mars-range-tracking")
-    given = (
-        mission.scenario("range-tracking"),
-        lambda s: (s.guidance.gains.epsilon0, s.guidance.lateral.floor),
-        MeanSquare(lambda misses: misses.crossrange / 100.0),
-        optimistix.LBFGS(rtol=1e-6, atol=1e-6),
-        Draws(mission.dispersion_table(), jax.random.key(1), held_out=64),
-    )
-    how = {"budget": Budget(steps=1), "solver": FixedStep(0.25)}
-    with pytest.warns(UserWarning, match="a difference of the loss along it"):
-        result = tune(*given, **how)
-    assert result.gradient_shares["guidance.lateral.floor"] == 0.0
-    result = tune(*given, **how, gradient=CentralDifferences(0.1))
-    (entry,) = result.course
-    assert (
-        result.remarks == () and result.gradient_shares["guidance.lateral.floor"] > 0.5
-    )
-    # That of the floor, which is most of it, within four standard errors.
-    assert abs(entry.gradient_norm - 15.1) < 4.0 * np.hypot(1.1, entry.gradient_error)
