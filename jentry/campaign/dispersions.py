@@ -284,31 +284,29 @@ def check_dispersions(
     require_both(scenario, moved)
     for each in replacing:
         _refuse_replacing_factor(*each)
-    for noise, unit, seed in _NOISES:
-        size = f"{float(leaves.get(noise, 0.0)):g} {unit}"
+    for noise, seed in _NOISES.items():
+        size = leaves.get(noise, np.zeros(()))
+        said = (
+            quantity_in_words(size, unit_of(scenario, noise)) if noise in leaves else ""
+        )
         if noise in moved:
-            size = "dispersed"
-        elif not np.any(np.asarray(leaves.get(noise, 0.0)) > 0.0):
+            said = "dispersed"
+        elif not np.any(np.asarray(size) > 0.0):
             continue
         if seed not in moved:
             raise ValueError(
-                f"{noise} is {size.strip()}, and all runs would have the same: disperse "
+                f"{noise} is {said}, and all runs would have the same: disperse "
                 f"{seed} by Uniform(0, 1)"
             )
 
 
-_NOISES = (
-    ("accelerometers.noise", "m/s2", "accelerometers.noise_seed"),
-    ("flow_sensors.noise", "", "flow_sensors.noise_seed"),
-    *(
-        (f"navigation.noise.{name}", unit, "navigation.noise.seed")
-        for name, unit in (
-            ("velocity_random_walk", "m/s^1.5"),
-            ("angle_random_walk", "rad/s^0.5"),
-        )
-    ),
-)
-"""Address of the size of each noise, its unit, and the address of its seed"""
+_NOISES = {
+    "accelerometers.noise": "accelerometers.noise_seed",
+    "flow_sensors.noise": "flow_sensors.noise_seed",
+    "navigation.noise.velocity_random_walk": "navigation.noise.seed",
+    "navigation.noise.angle_random_walk": "navigation.noise.seed",
+}
+"""Address of the seed of each noise, by that of its size"""
 
 
 def _refuse_factor_on_zero(name: str, address: str, leaf: Array) -> None:
