@@ -69,11 +69,11 @@ def test_planned_laws_are_not_refused(law, reference):
         (lambda: fly(mars_scenario(), history=-1.0), "history is -1.0 s"),
         (
             lambda: fly(sampled_scenario(), history=0.3),
-            "history is 0.3 s and the guidance period 1.0 s",
+            "history is 0.3 s and the guidance period is 1.0 s",
         ),
         (
             lambda: fly(sampled_scenario(), history=1.5),
-            "history is 1.5 s and the guidance period 1.0 s",
+            "history is 1.5 s and the guidance period is 1.0 s",
         ),
     ],
 )
