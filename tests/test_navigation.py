@@ -38,6 +38,7 @@ from jentry.motion.quantities import from_ground_track
 from jentry.onboard import (
     AbstractAccelerometers,
     Accelerometers,
+    Actual,
     BodyAccelerometers,
     Gyroscopes,
     InertialNavigation,
@@ -102,8 +103,8 @@ def navigated(
     def slope(time, known):
         longitude = speed * time / planet.radius
         here = dataclasses.replace(state, longitude=longitude)
-        given = planet, mars_vehicle(), sensing, here, controls, known
-        return navigation.rate(*given)
+        actual = Actual(planet, mars_vehicle(), here, controls, sensing)
+        return navigation.rate(actual, known, None)
 
     first = navigation.start(planet, state)
     fly_on = jax.jit(lambda: runge_kutta(slope, 0.0, seconds, first, 400))
@@ -454,7 +455,7 @@ def test_the_axes_of_the_noise_are_independent_and_as_large_as_stated():
         jax.vmap(
             lambda seed: eqx.tree_at(
                 lambda n: n.noise.seed, InertialNavigation(noise=WALK), seed
-            ).update(known, jnp.asarray(2.0))
+            ).update(lambda: None, known, None, jnp.asarray(2.0), jnp.asarray(True))[0]
         )
     )(jnp.linspace(0.0, 1.0, 4000, endpoint=False))
     state, root = steps.state, np.sqrt(2.0)

@@ -26,6 +26,7 @@ from ..guidance.law import AbstractSampledLaw, Tracked
 from ..motion.index import AbstractIndex
 from ..motion.state import Controls
 from ..onboard.measurement import measure
+from ..onboard.navigation import InertialNavigation
 
 
 QUICKLY = {
@@ -58,6 +59,12 @@ def fly_points(
     """Fly a scenario and store points of the flight; see `linearize` for its errors."""
     if points < 1:
         raise ValueError(f"points is {points}: it must be 1 or more")
+    navigation = scenario.navigation
+    if isinstance(navigation, InertialNavigation) and navigation.filter is not None:
+        raise ValueError(
+            "navigation has a filter, whose estimates are no coordinates of the "
+            "linearization: take InertialNavigation(filter=None)"
+        )
     sampled = isinstance(scenario.law, AbstractSampledLaw)
     plan = Plan.of(scenario, solver, None)
     if not sampled:
@@ -182,7 +189,7 @@ def derivatives_at(
         return dataclasses.replace(lane, flown=flown, moving=moving, held=held)
 
     def flow(lane: Lane) -> Vector:
-        rate = vector_field(scenario, lane.held)(lane.flown, lane.moving)
+        rate = vector_field(scenario, lane.held, lane.aiding)(lane.flown, lane.moving)
         _, _, held = _carried(lane)
         still = jax.tree.map(jnp.zeros_like, held)
         rate = eqx.filter(rate, eqx.is_inexact_array)

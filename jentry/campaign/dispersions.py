@@ -284,7 +284,7 @@ def check_dispersions(
     require_both(scenario, moved)
     for each in replacing:
         _refuse_replacing_factor(*each)
-    for noise, seed in _NOISES.items():
+    for noise, seed in _noises(leaves).items():
         size = leaves.get(noise, np.zeros(()))
         said = (
             quantity_in_words(size, unit_of(scenario, noise)) if noise in leaves else ""
@@ -307,6 +307,14 @@ _NOISES = {
     "navigation.noise.angle_random_walk": "navigation.noise.seed",
 }
 """Address of the seed of each noise, by that of its size"""
+
+_SENSORS, _THEIR_SEED = "navigation.filter.sensors.", "navigation.filter.seed"
+
+
+def _noises(leaves: Mapping[str, Array]) -> dict[str, str]:
+    """Address of the seed of each noise of a scenario, by that of its size."""
+    sensors = [a for a in leaves if a.startswith(_SENSORS) and a.endswith(".noise")]
+    return _NOISES | dict.fromkeys(sensors, _THEIR_SEED)
 
 
 def _refuse_factor_on_zero(name: str, address: str, leaf: Array) -> None:

@@ -1,5 +1,6 @@
 """The closed loop: vehicle, measurement and law as one system of equations."""
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -8,6 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from .._batching import any_lane
 from .._dependence import Traced
 from ..fields import Count, Flag, Scalar
 from ..guidance.law import AbstractSampledLaw, begun, commanded, decided
@@ -20,8 +22,10 @@ from ..motion.constraints import (
     integrals_of,
 )
 from ..motion.state import Controls, EntryState
+from ..onboard.inertial import Actual, Navigated
 from ..onboard.measurement import Measurement, measure
-from ..onboard.navigation import Navigated
+from ..onboard.navigation import InertialNavigation
+from ..onboard.navigation_filter import Knowledge
 from ..world.tabulated import Excursion, beyond_edges, tables_in
 from .scenario import Scenario
 from .termination import Outcome
@@ -95,6 +99,8 @@ class Lane(eqx.Module):
     running: Flag
     stopped: Count
     """Code of the `Outcome` that stopped the flight before an end; -1 if none has"""
+    aiding: Any = None
+    """What the navigation holds from one update to the next; None if nothing"""
 
     @property
     def state(self) -> EntryState:
@@ -254,6 +260,9 @@ def start(scenario: Scenario, step: float) -> Lane:
     attitude = scenario.attitude.init(first)
     moving = Moving(state, attitude, memory, integrals, navigated=known.navigated)
     point = path_point(scenario, flown, moving, held)
+    aiding = scenario.navigation.begin(
+        _actual(scenario, moving, point.controls), moving.navigated
+    )
     peaks = constraint_values(scenario.constraints, point, integrals)
     beyond, refused = beyond_tables(scenario, point)
     first_instant = lax.stop_gradient(Instant(flown, state))
@@ -268,20 +277,41 @@ def start(scenario: Scenario, step: float) -> Lane:
         bracket=Bracket(flown + step, margin, flown + jnp.inf, flown, flown + jnp.inf),
         running=running,
         stopped=jnp.where(refused, int(Outcome.BEYOND_TABLE), -1),
+        aiding=aiding,
     )
 
 
 @eqx.filter_jit
-def navigate(scenario: Scenario, lane: Lane, due: Flag) -> Lane:
-    """The flight after an update of its navigation, if one is due."""
-    navigated = lane.moving.navigated
-    if navigated is None:
-        return lane
-    after = scenario.navigation.update(navigated, lane.flown)
-    updates = lane.on_schedule & due & (lane.flown > 0.0)
-    return eqx.tree_at(
-        lambda lane: lane.moving.navigated, lane, select(updates, after, navigated)
-    )
+def navigate(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
+    """The flight after an update of its navigation, if one is due; None if it is."""
+    navigation = scenario.navigation
+
+    def actual() -> Actual:
+        wish, _ = command(scenario, lane.flown, lane.moving, lane.held)
+        controls = scenario.attitude.flown(lane.moving.attitude, wish)
+        return _actual(scenario, lane.moving, controls)
+
+    def update(known: tuple[Any, Any]) -> tuple[Any, Any]:
+        return navigation.update(actual, *known, lane.flown, updates)
+
+    updates = lane.on_schedule & (lane.flown > 0.0)
+    known = lane.moving.navigated, lane.aiding
+    if due is None:
+        navigated, aiding = update(known)
+    else:
+        updates = updates & due
+        navigated, aiding = lax.cond(any_lane(updates), update, lambda x: x, known)
+    moving = dataclasses.replace(lane.moving, navigated=navigated)
+    return dataclasses.replace(lane, moving=moving, aiding=aiding)
+
+
+def knowledge(scenario: Scenario, lane: Lane) -> Knowledge | None:
+    """The knowledge error of a flight; None with perfect navigation."""
+    navigation, navigated = scenario.navigation, lane.moving.navigated
+    if navigated is None or not isinstance(navigation, InertialNavigation):
+        return None
+    known = lane.state, navigated, lane.aiding, lane.flown
+    return navigation.knowledge_of(scenario.planet, *known)
 
 
 @eqx.filter_jit
@@ -317,6 +347,7 @@ def caveats(scenario: Scenario, lane: Lane) -> dict[str, Scalar]:
     tables."""
     law = scenario.law
     said = law.caveats(lane.held) if isinstance(law, AbstractSampledLaw) else {}
+    said = said | scenario.navigation.caveats(lane.aiding)
     # Shares count whole steps, so they have no derivative with respect to the end.
     flown = lax.stop_gradient(lane.flown)
     flies = flown > 0.0
@@ -333,8 +364,11 @@ def caveat_names(scenario: Scenario) -> list[str]:
     return list(eqx.filter_eval_shape(lambda s: caveats(s, start(s, 1.0)), scenario))
 
 
-def vector_field(scenario: Scenario, held: Any):
-    """Time derivative of the integrated quantities in a cycle, `field(flown, moving)`."""
+def vector_field(scenario: Scenario, held: Any, aiding: Any = None):
+    """Time derivative of the integrated quantities in a cycle, `field(flown, moving)`.
+
+    `held` and `aiding` are what the law and the navigation hold.
+    """
     dynamics, attitude = scenario.dynamics, scenario.attitude
     shared = shares_reversals(scenario.law)
 
@@ -349,25 +383,30 @@ def vector_field(scenario: Scenario, held: Any):
         rate = dynamics.rates(planet, vehicle, moving.state, controls)
         integrands = _integrands(scenario, moving, controls)
         turning = attitude.rate(moving.attitude, wish)
-        navigated = _navigating(scenario, moving, controls)
+        navigated = _navigating(scenario, moving, controls, aiding)
         return Moving(rate, turning, memory_rate, integrands, off, navigated)
 
     return field
 
 
 def _navigating(
-    scenario: Scenario, moving: Moving, controls: Controls
+    scenario: Scenario, moving: Moving, controls: Controls, aiding: Any
 ) -> Navigated | None:
     """Rate of the navigation; None where the vehicle knows its state."""
     if moving.navigated is None:
         return None
-    return scenario.navigation.rate(
+    actual = _actual(scenario, moving, controls)
+    return scenario.navigation.rate(actual, moving.navigated, aiding)
+
+
+def _actual(scenario: Scenario, moving: Moving, controls: Controls) -> Actual:
+    return Actual(
         scenario.planet,
         scenario.vehicle,
-        scenario.accelerometers,
         moving.state,
         controls,
-        moving.navigated,
+        scenario.accelerometers,
+        scenario.flow_sensors,
     )
 
 

@@ -1,5 +1,6 @@
 """One guidance cycle of a flight: the law decides, then the motion is integrated."""
 
+import dataclasses
 import math
 
 import diffrax
@@ -173,7 +174,9 @@ class Plan(eqx.Module):
     def decided(self, scenario: Scenario, lane: Lane) -> Lane:
         """The lane after an update of its navigation, and after a decision of its sampled
         law on it, if the cycles of these start now."""
-        if self.navigate_every is not None:
+        if self.navigate_every == 1:
+            lane = navigate(scenario, lane, None)
+        elif self.navigate_every is not None:
             lane = navigate(scenario, lane, self._starts(lane, self.navigate_every))
         if self.decide_every == 1:
             return decide(scenario, lane, None)
@@ -228,7 +231,7 @@ def _fixed_cycle(
     steps come within the tolerance, before the end. They are steps of the same solver, so
     that its order holds up to the end.
     """
-    field = vector_field(scenario, lane.held)
+    field = vector_field(scenario, lane.held, lane.aiding)
     conditions, dynamics = scenario.termination, scenario.dynamics
 
     def step(lane: Lane, _: None) -> tuple[Lane, None]:
@@ -261,7 +264,10 @@ def _fixed_cycle(
         after = flown, moving, held, seen, bracket, running, stopped
         return Lane(*after), None
 
-    return lax.scan(step, lane, None, length=steps)[0]
+    # What the navigation holds is large, and does not change within a cycle.
+    without = dataclasses.replace(lane, aiding=None)
+    after, _ = lax.scan(step, without, None, length=steps)
+    return dataclasses.replace(after, aiding=lane.aiding)
 
 
 def _next_trial(
@@ -304,7 +310,7 @@ def _adaptive_cycle(
     scenario: Scenario, solver: Adaptive, duration: Scalar | float, lane: Lane
 ) -> Lane:
     """Integrate to the end of the cycle, or to the first end condition."""
-    field = vector_field(scenario, lane.held)
+    field = vector_field(scenario, lane.held, lane.aiding)
     conditions = scenario.termination
     flown = jnp.minimum(lane.flown + duration, conditions.time_limit)
     counting = conditions.counting(
@@ -352,4 +358,4 @@ def _adaptive_cycle(
     )
     running = going & ~done
     held, bracket = lane.held, lane.bracket
-    return Lane(flown, moving, held, seen, bracket, running, stopped)
+    return Lane(flown, moving, held, seen, bracket, running, stopped, lane.aiding)

@@ -141,6 +141,6 @@ def _guidance(scenario: Scenario) -> Any:
     return (
         lane,
         law.cycle.seconds(lane.held) if isinstance(law, AbstractSampledLaw) else None,
-        vector_field(scenario, lane.held)(lane.flown, lane.moving),
+        vector_field(scenario, lane.held, lane.aiding)(lane.flown, lane.moving),
         path_constraints(scenario, lane.flown, lane.moving, lane.held),
     )

@@ -54,7 +54,7 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     find whether a commanded bank was invalid.
     """
     conditions = scenario.termination
-    field = vector_field(scenario, lane.held)
+    field = vector_field(scenario, lane.held, lane.aiding)
     asking = dataclasses.replace(lane.moving, off_a_bank=jnp.zeros_like(lane.flown))
     planet = scenario.planet
     now = lane.state, lane.moving.believed, planet
@@ -124,6 +124,7 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
         lane.bracket,
         jnp.zeros_like(lane.running),
         lane.stopped,
+        lane.aiding,
     )
     outcome = jnp.array(conditions.outcomes)[ended_by]
     at_stop = conditions.margins(lane.flown, *now)

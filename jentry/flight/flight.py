@@ -20,6 +20,7 @@ from .._warnings import ResultWarning
 from ..fields import Count, Flag, Scalar
 from ..motion.constraints import ConstraintValues
 from ..motion.state import Controls, EntryState
+from ..onboard.navigation_filter import Knowledge
 from ..units import at_edge
 from ..world.perturbed_atmosphere import without_zero_perturbations
 from ..world.random_profile import settled
@@ -32,6 +33,7 @@ from .closed_loop import (
     command,
     constrained,
     first_moving,
+    knowledge,
     select,
     start,
 )
@@ -57,6 +59,8 @@ class History(eqx.Module):
     """What a sampled law holds: curves, estimates, commands; None for a continuous law"""
     navigated: EntryState | None = None
     """States that the vehicle believes; None with perfect navigation"""
+    knowledge: Knowledge | None = None
+    """Knowledge errors; None with perfect navigation"""
 
 
 class Flight(eqx.Module):
@@ -87,6 +91,8 @@ class Flight(eqx.Module):
     caveat: m, rad, or Mach numbers. They have no derivative"""
     navigated: EntryState | None = None
     """State that the vehicle believes at the end; None with perfect navigation"""
+    knowledge: Knowledge | None = None
+    """Knowledge error at the end; None with perfect navigation"""
 
 
 @needs_float64
@@ -158,6 +164,7 @@ def fly(
         history=kept,
         beyond_tables=distances,
         navigated=_navigated(end.lane.moving),
+        knowledge=knowledge(scenario, end.lane),
     )
 
 
@@ -248,5 +255,6 @@ def _observed(scenario: Scenario, lane: Lane) -> History:
         constraints=constrained(scenario, lane.moving, controls),
         decisions=jax.tree.map(jnp.asarray, lane.held),
         navigated=_navigated(lane.moving),
+        knowledge=knowledge(scenario, lane),
     )
     return jax.tree.map(lambda x: jnp.where(flying, x, jnp.nan), seen)

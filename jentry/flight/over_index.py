@@ -37,8 +37,8 @@ def fly_over(
     comparison with `fly`. The index must rise or fall throughout: if at a stage of any step
     it is stationary or moves away from its end value, the numbers are NaN.
 
-    **Raises:** `ValueError` for a law that decides at guidance cycles, and for a number of
-    steps that is not positive.
+    **Raises:** `ValueError` for a law that decides at guidance cycles, for a navigation
+    that is updated in cycles, and for a number of steps that is not positive.
     """
     if steps < 1:
         raise ValueError(f"steps is {steps}: it must be 1 or more")
@@ -48,6 +48,11 @@ def fly_over(
         raise ValueError(
             f"{type(law).__name__} decides at guidance cycles, which are times: "
             "fly_over takes a continuous law"
+        )
+    if scenario.navigation.cycle is not None:
+        raise ValueError(
+            f"the navigation is updated every {scenario.navigation.cycle} s, by its noise "
+            "or its filter: fly_over takes one without both"
         )
     lane = start(scenario, 1.0)
     field = vector_field(scenario, None)

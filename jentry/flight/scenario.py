@@ -46,6 +46,7 @@ from ..onboard.navigation import (
     InertialNavigation,
     PerfectNavigation,
 )
+from ..onboard.navigation_filter import check_filter
 from ..onboard.track import Track
 from ..units import degree, km
 from ..world.planet import Planet
@@ -200,7 +201,8 @@ _APART = 1.0
 
 
 def _check_navigation(scenario: Scenario) -> None:
-    """Refuse dynamics that an inertial navigation does not integrate."""
+    """Refuse dynamics that an inertial navigation does not integrate, and a filter with
+    a covariance that is not positive."""
     navigation, dynamics = scenario.navigation, scenario.dynamics
     if (
         isinstance(navigation, InertialNavigation)
@@ -211,6 +213,8 @@ def _check_navigation(scenario: Scenario) -> None:
             "integrates the motion over a rotating sphere in three dimensions; take "
             "dynamics=EntryDynamics(), or navigation=PerfectNavigation()"
         )
+    if isinstance(navigation, InertialNavigation) and navigation.filter is not None:
+        check_filter(navigation.filter)
 
 
 def _check_one_target(scenario: Scenario) -> None:

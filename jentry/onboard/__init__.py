@@ -15,6 +15,14 @@ from .flow import (
     twice_along as twice_along,
 )
 from .flow_sensing import AirVelocity as AirVelocity, FlowSensors as FlowSensors
+from .inertial import (
+    Actual as Actual,
+    BodyAxes as BodyAxes,
+    Gyroscopes as Gyroscopes,
+    KnowledgeError as KnowledgeError,
+    Navigated as Navigated,
+    Sensed as Sensed,
+)
 from .longitudinal import (
     LongitudinalModel as LongitudinalModel,
     LongitudinalReference as LongitudinalReference,
@@ -32,12 +40,23 @@ from .measurement import (
 from .model import OnboardModel as OnboardModel
 from .navigation import (
     AbstractNavigation as AbstractNavigation,
-    Gyroscopes as Gyroscopes,
     InertialNavigation as InertialNavigation,
     InertialNoise as InertialNoise,
-    KnowledgeError as KnowledgeError,
-    Navigated as Navigated,
     PerfectNavigation as PerfectNavigation,
+)
+from .navigation_filter import (
+    Aiding as Aiding,
+    Knowledge as Knowledge,
+    NavigationFilter as NavigationFilter,
+)
+from .navigation_sensors import (
+    AbstractNavigationSensor as AbstractNavigationSensor,
+    Altimeter as Altimeter,
+    Believed as Believed,
+    DopplerVelocity as DopplerVelocity,
+    DragAltitude as DragAltitude,
+    FlowVelocity as FlowVelocity,
+    TerrainPosition as TerrainPosition,
 )
 from .network import (
     Network as Network,

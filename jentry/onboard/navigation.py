@@ -2,33 +2,34 @@
 
 import math
 from abc import abstractmethod
-from typing import Generic, TypeVar
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
-from .._math import sincos
-from ..fields import NOT_NEGATIVE, Scalar, scalar
-from ..motion.axes import Components, LocalAxes, VelocityAxes, cross
-from ..motion.dynamics import rates_under
-from ..motion.forces import about_velocity, air_data
-from ..motion.state import Controls, EntryState
+from ..fields import NOT_NEGATIVE, Flag, Scalar, scalar
+from ..motion.axes import cross
+from ..motion.state import EntryState
 from ..world.gravity import AbstractGravity
 from ..world.planet import Planet
-from ..world.vehicle import Vehicle
-from .measurement import AbstractAccelerometers
+from .inertial import (
+    Actual,
+    Gyroscopes,
+    KnowledgeError,
+    Navigated,
+    Sensed,
+    added,
+    believed_motion,
+    difference,
+    displaced,
+    local_velocity,
+    tilting,
+    with_velocity,
+)
+from .navigation_filter import Aiding, Knowledge, NavigationFilter
 from .sampling import normal_sample
-
-
-class Navigated(eqx.Module):
-    """State of the navigation, or its time derivative."""
-
-    state: EntryState
-    """What the vehicle believes of its position and velocity"""
-    tilt: Components
-    """Rotation from the actual axes of the vehicle to those that it believes, rad: its
-    components along axes that turn with the planet. The first axis points from its centre
-    to longitude zero on the equator, the third to the north pole"""
 
 
 State = TypeVar("State", bound=Navigated | None)
@@ -47,24 +48,38 @@ class AbstractNavigation(eqx.Module, Generic[State]):
         """Time from one `update` to the next, s; None if there is none."""
 
     @abstractmethod
-    def update(self, navigated: State, at: Scalar) -> State:
-        """The navigation after an update at a time, s, which is a multiple of the cycle."""
+    def begin(self, actual: Actual, navigated: State) -> Any:
+        """What the navigation holds from one `update` to the next, at the start of a
+        flight; None if it holds nothing."""
 
     @abstractmethod
-    def rate(
+    def update(
         self,
-        planet: Planet,
-        vehicle: Vehicle,
-        accelerometers: AbstractAccelerometers,
-        state: EntryState,
-        controls: Controls,
+        actual: Callable[[], Actual],
         navigated: State,
-    ) -> State:
+        aiding: Any,
+        at: Scalar,
+        due: Flag,
+    ) -> tuple[State, Any]:
+        """The navigation, and what it holds, after an update at a time.
+
+        **Arguments:**
+
+        - `actual`: returns the flight, of which the sensors measure.
+        - `at`: time, s, a multiple of the cycle.
+        - `due`: whether the flight goes on; if not, nothing may change.
+        """
+
+    @abstractmethod
+    def rate(self, actual: Actual, navigated: State, aiding: Any) -> State:
         """Time derivative of the navigation.
 
-        `planet`, `vehicle`, `state` and `controls` are the actual ones. They give what the
-        instruments sense.
+        `actual` gives what the instruments sense.
         """
+
+    def caveats(self, aiding: Any) -> dict[str, Scalar]:
+        """Caveats of the updates of a flight: see `Flight.caveats`."""
+        return {}
 
 
 class PerfectNavigation(AbstractNavigation[None]):
@@ -73,15 +88,18 @@ class PerfectNavigation(AbstractNavigation[None]):
     def start(self, planet: Planet, state: EntryState) -> None:
         return None
 
-    def rate(self, planet, vehicle, accelerometers, state, controls, navigated) -> None:
+    def rate(self, actual: Actual, navigated: None, aiding: None) -> None:
         return None
 
     @property
     def cycle(self) -> None:
         return None
 
-    def update(self, navigated: None, at: Scalar) -> None:
+    def begin(self, actual: Actual, navigated: None) -> None:
         return None
+
+    def update(self, actual, navigated: None, aiding: None, at: Scalar, due: Flag):
+        return None, None
 
     @property
     def knowledge(self) -> "KnowledgeError":
@@ -90,36 +108,6 @@ class PerfectNavigation(AbstractNavigation[None]):
             "navigation is PerfectNavigation, which has no knowledge error: give the "
             "scenario navigation=InertialNavigation()"
         )
-
-
-class KnowledgeError(eqx.Module):
-    """What the vehicle believes at the start minus what is: the knowledge error.
-
-    The delivery error, by which the vehicle itself is off, is a dispersion of
-    `initial_state`: the knowledge error does not move it.
-    """
-
-    east: Scalar = scalar(0.0, unit="m")
-    north: Scalar = scalar(0.0, unit="m")
-    up: Scalar = scalar(0.0, unit="m")
-    velocity_east: Scalar = scalar(0.0, unit="m/s")
-    velocity_north: Scalar = scalar(0.0, unit="m/s")
-    velocity_up: Scalar = scalar(0.0, unit="m/s")
-    tilt_east: Scalar = scalar(0.0, unit="rad")
-    """Rotation of the believed axes of the vehicle about the direction to the east"""
-    tilt_north: Scalar = scalar(0.0, unit="rad")
-    tilt_up: Scalar = scalar(0.0, unit="rad")
-
-
-class Gyroscopes(eqx.Module):
-    """Drift of three gyroscopes that are fixed to the vehicle: sensed rate minus actual."""
-
-    drift_roll: Scalar = scalar(0.0, unit="rad/s")
-    """About the axis forward"""
-    drift_pitch: Scalar = scalar(0.0, unit="rad/s")
-    """About the axis to the right"""
-    drift_yaw: Scalar = scalar(0.0, unit="rad/s")
-    """About the axis down"""
 
 
 class InertialNoise(eqx.Module):
@@ -165,124 +153,108 @@ class InertialNavigation(AbstractNavigation[Navigated]):
     """
 
     knowledge: KnowledgeError = eqx.field(default_factory=KnowledgeError)
+    """Error at the start"""
     gyroscopes: Gyroscopes = eqx.field(default_factory=Gyroscopes)
     gravity: AbstractGravity | None = None
     """Gravity that is known on board; None for the actual one"""
     noise: InertialNoise | None = None
     """Noise of the instruments; None if there is none"""
+    filter: NavigationFilter | None = None
+    """Filter that corrects the navigation by other sensors; None if there are none"""
+
+    def __check_init__(self):
+        if self.noise is None or self.filter is None:
+            return
+        if self.noise.cycle != self.filter.cycle:
+            raise ValueError(
+                f"the cycle of the noise is {self.noise.cycle} s and that of the filter "
+                f"{self.filter.cycle} s: take one cycle for both"
+            )
 
     @property
     def cycle(self) -> float | None:
+        if self.filter is not None:
+            return self.filter.cycle
         return None if self.noise is None else self.noise.cycle
 
-    def update(self, navigated: Navigated, at: Scalar) -> Navigated:
-        noise = self.noise
-        if noise is None:
-            return navigated
-        drawn = normal_sample(noise.seed, at)
-        root = math.sqrt(noise.cycle)
-        kick, turn = root * noise.velocity_random_walk, root * noise.angle_random_walk
-        state, (x, y, z) = navigated.state, navigated.tilt
-        nothing = jnp.zeros_like(state.velocity)
-        known = VelocityAxes.of(state).to_local(state.velocity, nothing, nothing)
-        east, north, up = (
-            v + kick * drawn(_FIRST_AXIS + i) for i, v in enumerate(known)
-        )
-        return Navigated(
-            _with_velocity(state, east, north, up),
-            (
-                x + turn * drawn(_FIRST_AXIS + 3),
-                y + turn * drawn(_FIRST_AXIS + 4),
-                z + turn * drawn(_FIRST_AXIS + 5),
-            ),
-        )
-
     def start(self, planet: Planet, state: EntryState) -> Navigated:
-        off = self.knowledge
-        per_radius = 1.0 / (planet.radius + state.altitude)
-        _, cos_latitude = sincos(state.latitude)
-        nothing = jnp.zeros_like(state.velocity)
-        velocity = state.velocity, nothing, nothing
-        east, north, up = VelocityAxes.of(state).to_local(*velocity)
-        believed = _with_velocity(
-            EntryState(
-                altitude=state.altitude + off.up,
-                longitude=state.longitude + off.east * per_radius / cos_latitude,
-                latitude=state.latitude + off.north * per_radius,
-                velocity=state.velocity,
-                flight_path_angle=state.flight_path_angle,
-                heading=state.heading,
-            ),
-            east + off.velocity_east,
-            north + off.velocity_north,
-            up + off.velocity_up,
-        )
-        tilt = LocalAxes.of(state).to_planet(off.tilt_east, off.tilt_north, off.tilt_up)
-        return Navigated(believed, tilt)
+        return displaced(planet, state, self.knowledge)
+
+    def begin(self, actual: Actual, navigated: Navigated) -> Aiding | None:
+        if self.filter is None:
+            return None
+        known = self._known(actual.planet)
+        return self.filter.begin(known, navigated, Sensed.of(actual))
+
+    def update(
+        self,
+        actual: Callable[[], Actual],
+        navigated: Navigated,
+        aiding: Aiding | None,
+        at: Scalar,
+        due: Flag,
+    ) -> tuple[Navigated, Aiding | None]:
+        if self.noise is not None:
+            kicked = _kicked(self.noise, navigated, at)
+            navigated = jax.tree.map(
+                lambda after, before: jnp.where(due, after, before), kicked, navigated
+            )
+        if self.filter is None or aiding is None:
+            return navigated, aiding
+        flight = actual()
+        known, sensed = self._known(flight.planet), Sensed.of(flight)
+        return self.filter.update(known, navigated, aiding, sensed, at, due)
 
     def rate(
+        self, actual: Actual, navigated: Navigated, aiding: Aiding | None
+    ) -> Navigated:
+        sensed, drift = Sensed.of(actual), self.gyroscopes
+        if aiding is not None:
+            sensed = sensed.corrected(aiding.accelerometers)
+            drift = jax.tree.map(jnp.subtract, drift, aiding.gyroscopes)
+        force = sensed.force_in_planet()
+        believed = added(force, cross(navigated.tilt, force))
+        planet = self._known(actual.planet)
+        turning = tilting(planet, sensed.drift_in_planet(drift), navigated.tilt)
+        return Navigated(believed_motion(planet, navigated.state, believed), turning)
+
+    def caveats(self, aiding: Aiding | None) -> dict[str, Scalar]:
+        if self.filter is None or aiding is None:
+            return {}
+        return self.filter.caveats(aiding)
+
+    def knowledge_of(
         self,
         planet: Planet,
-        vehicle: Vehicle,
-        accelerometers: AbstractAccelerometers,
-        state: EntryState,
-        controls: Controls,
+        actual: EntryState,
         navigated: Navigated,
-    ) -> Navigated:
-        air = air_data(planet, vehicle, state, controls.angle_of_attack)
-        force = accelerometers.read(air, None)
-        sine, cosine = sincos(controls.angle_of_attack)
-        drift = self.gyroscopes
-        velocity, place = VelocityAxes.of(state), LocalAxes.of(state)
-        # The axis forward is at the angle of attack above the velocity over the air.
-        turning = (
-            drift.drift_roll * cosine + drift.drift_yaw * sine,
-            drift.drift_roll * sine - drift.drift_yaw * cosine,
-            drift.drift_pitch,
-        )
+        aiding: Aiding | None,
+        at: Scalar,
+    ) -> Knowledge:
+        """The knowledge error of a flight at a time, s."""
+        if self.filter is None or aiding is None:
+            return Knowledge(difference(planet, actual, navigated))
+        return self.filter.knowledge_at(planet, actual, navigated, aiding, at)
 
-        def turned(along: Scalar, lifted: Scalar, side: Scalar | float) -> Components:
-            """In axes of the planet, from along the velocity over the air, along the lift
-            and to the right of both."""
-            above = lifted * controls.cos_bank - side * controls.sin_bank
-            right = lifted * controls.sin_bank + side * controls.cos_bank
-            ahead = about_velocity(planet.wind, state, along, above, right)
-            return place.to_planet(*velocity.to_local(*ahead))
-
-        sensed = turned(-force.drag, force.lift, force.side)
-        off = cross(navigated.tilt, sensed)
-        believed = (f + error for f, error in zip(sensed, off, strict=True))
-        here = navigated.state
-        force_here = LocalAxes.of(here).from_planet(*believed)
-        along, above, right = VelocityAxes.of(here).from_local(*force_here)
-        known = planet
-        if self.gravity is not None:
-            known = eqx.tree_at(lambda p: p.gravity, planet, self.gravity)
-        rates = rates_under(
-            known, here, along, above, right, rotation_rate=planet.rotation_rate
-        )
-        x, y, _ = navigated.tilt
-        wander = turned(*turning)
-        tilt = (
-            wander[0] + planet.rotation_rate * y,
-            wander[1] - planet.rotation_rate * x,
-            wander[2],
-        )
-        return Navigated(rates, tilt)
+    def _known(self, planet: Planet) -> Planet:
+        """The planet with the gravity that is known on board."""
+        if self.gravity is None:
+            return planet
+        return eqx.tree_at(lambda p: p.gravity, planet, self.gravity)
 
 
-def _with_velocity(
-    state: EntryState, east: Scalar, north: Scalar, up: Scalar
-) -> EntryState:
-    """The state with another velocity, m/s; its heading is nearest to that of `state`."""
-    ground = jnp.sqrt(east * east + north * north)
-    sine, cosine = sincos(state.heading)
-    turn = jnp.arctan2(east * cosine - north * sine, north * cosine + east * sine)
-    return EntryState(
-        altitude=state.altitude,
-        longitude=state.longitude,
-        latitude=state.latitude,
-        velocity=jnp.sqrt(ground * ground + up * up),
-        flight_path_angle=jnp.arctan2(up, ground),
-        heading=state.heading + turn,
+def _kicked(noise: InertialNoise, navigated: Navigated, at: Scalar) -> Navigated:
+    """The navigation after the noise of a cycle that ends at a time, s."""
+    drawn = normal_sample(noise.seed, at)
+    root = math.sqrt(noise.cycle)
+    kick, turn = root * noise.velocity_random_walk, root * noise.angle_random_walk
+    east, north, up = (
+        v + kick * drawn(_FIRST_AXIS + i)
+        for i, v in enumerate(local_velocity(navigated.state))
     )
+    x, y, z = (
+        angle + turn * drawn(_FIRST_AXIS + 3 + i)
+        for i, angle in enumerate(navigated.tilt)
+    )
+    state = with_velocity(navigated.state, east, north, up)
+    return Navigated(state, (x, y, z))

@@ -1,0 +1,474 @@
+"""An extended Kalman filter that corrects inertial navigation by measurements."""
+
+import dataclasses
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.core import Tracer
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from ..fields import NOT_NEGATIVE, Flag, Scalar, as_float_array, scalar
+from ..motion.axes import Components, cross
+from ..motion.state import EntryState
+from ..world.planet import Planet
+from .inertial import (
+    Gyroscopes,
+    KnowledgeError,
+    Navigated,
+    Sensed,
+    added,
+    believed_motion,
+    difference,
+    displaced,
+    tilting,
+)
+from .measurement import BodyAccelerometers
+from .navigation_sensors import MOST_VALUES, AbstractNavigationSensor, Believed
+from .sampling import normal_sample
+
+
+Covariance = Float[Array, "n n"]
+Rows = Float[Array, "k n"]
+
+MOTION = 9
+"""Number of errors of position, velocity and attitude, which come first"""
+
+
+class Estimate(eqx.Module):
+    """All that the filter estimates: its numbers are the coordinates of the covariance."""
+
+    navigated: Navigated
+    accelerometers: BodyAccelerometers
+    """Estimated errors"""
+    gyroscopes: Gyroscopes
+    """Estimated errors"""
+
+
+class Aiding(eqx.Module):
+    """What the filter holds from one update to the next."""
+
+    accelerometers: BodyAccelerometers
+    """Estimated errors"""
+    gyroscopes: Gyroscopes
+    """Estimated errors"""
+    covariance: Covariance
+    """Of an `Estimate` minus what is, its numbers in their order: state, tilt in axes of
+    the planet, and errors of the instruments"""
+    slopes: Rows
+    """Derivatives of the rates of the first nine of these errors, 1/s and so on"""
+    updated_at: Scalar
+    """Time of the last update, s"""
+    measured: dict[str, Scalar]
+    """Number of measured values so far, by sensor"""
+    rejected: dict[str, Scalar]
+    """Number of those that were rejected, by sensor"""
+
+
+class Knowledge(eqx.Module):
+    """The knowledge error of a flight, and what the filter says of it."""
+
+    error: KnowledgeError
+    """What the vehicle believes minus what is"""
+    deviation: KnowledgeError | None = None
+    """Standard deviations of the filter; None without one"""
+    normalised_error_squared: Scalar | None = None
+    """Square of the error of position, velocity and attitude, normalised by the covariance
+    of the filter. Its mean over many flights is 9 if the filter is consistent: see
+    `jentry.statistics.consistency`"""
+
+
+class NavigationFilter(eqx.Module):
+    """An extended Kalman filter on the errors of inertial navigation.
+
+    It estimates the errors of position, velocity and attitude, and all those of
+    `BodyAccelerometers` and `Gyroscopes`: 20 numbers. Their covariance follows the
+    equations of the navigation, whose derivatives JAX takes. After each measurement the
+    navigation is corrected. Each value of a measurement has a gate.
+
+    The standard deviations are what the vehicle assumes. The actual errors are those of
+    `InertialNavigation.knowledge`, its `gyroscopes` and `noise`, and of
+    `Scenario.accelerometers`: disperse them by the same numbers, and the filter is
+    consistent.
+
+    Reference: A. Gelb (editor), *Applied Optimal Estimation*, 1974, section 6.1; for the
+    errors, D. H. Titterton, J. L. Weston, *Strapdown Inertial Navigation Technology*,
+    2nd edition, 2004, chapter 12.
+    """
+
+    knowledge: KnowledgeError
+    """Standard deviations at the start; each must be positive"""
+    sensors: Mapping[str, AbstractNavigationSensor] = eqx.field(
+        converter=lambda sensors: dict(sorted(sensors.items()))
+    )
+    """Sensors by name"""
+    accelerometers: BodyAccelerometers = eqx.field(default_factory=BodyAccelerometers)
+    """Standard deviations of their errors"""
+    gyroscopes: Gyroscopes = eqx.field(default_factory=Gyroscopes)
+    """Standard deviations of their drifts"""
+    velocity_random_walk: Scalar = scalar(0.0, unit="m/s^1.5", range=NOT_NEGATIVE)
+    """Assumed one of `InertialNoise`"""
+    angle_random_walk: Scalar = scalar(0.0, unit="rad/s^0.5", range=NOT_NEGATIVE)
+    """Assumed one of `InertialNoise`"""
+    correlations: Any = eqx.field(
+        default=None, converter=lambda c: None if c is None else as_float_array(c)
+    )
+    """Correlations of the knowledge at the start, of shape (9, 9) in the order of its
+    fields; None if there are none"""
+    seed: Scalar = scalar(0.0, range=(0.0, 1.0), choice=True)
+    """A number between 0 and 1 that selects the noise of the sensors in this flight;
+    disperse it with `Uniform(0, 1)`"""
+    cycle: float = eqx.field(default=1.0, static=True)
+    """Time from one update to the next, s"""
+
+    def __check_init__(self):
+        if not 0.0 < self.cycle < math.inf:
+            raise ValueError(f"cycle is {self.cycle} s: it must be positive and finite")
+        for name, sensor in self.sensors.items():
+            if not name.isidentifier():
+                raise ValueError(
+                    f"sensors has the name {name!r}: it must be a word that a column of "
+                    "the results can have, such as altimeter"
+                )
+            every = sensor.cycle / self.cycle
+            if every < 1.0 - 1e-9 or abs(every - round(every)) > 1e-9:
+                raise ValueError(
+                    f"sensors.{name}.cycle is {sensor.cycle} s, and that of the filter "
+                    f"{self.cycle} s: a sensor measures at updates of the filter, so take "
+                    "a multiple"
+                )
+        check_filter(self)
+
+    def begin(self, planet: Planet, navigated: Navigated, sensed: Sensed) -> Aiding:
+        """The filter before the first update."""
+        state = navigated.state
+        exact = jax.tree.map(jnp.zeros_like, self.knowledge)
+        slopes = _derivatives(lambda off: displaced(planet, state, off), exact)
+        slopes = slopes * jnp.stack(jax.tree.leaves(self.knowledge))[None]
+        alike = jnp.eye(MOTION) if self.correlations is None else self.correlations
+        instruments = self.accelerometers, self.gyroscopes
+        sizes = jnp.stack(jax.tree.leaves(instruments))
+        count = MOTION + sizes.size
+        covariance = jnp.zeros((count, count))
+        covariance = covariance.at[:MOTION, :MOTION].set(slopes @ alike @ slopes.T)
+        covariance = covariance.at[MOTION:, MOTION:].set(jnp.diag(sizes**2))
+        zero = jnp.zeros_like(state.altitude)
+        accelerometers, gyroscopes = jax.tree.map(jnp.zeros_like, instruments)
+        aiding = Aiding(
+            accelerometers,
+            gyroscopes,
+            covariance,
+            jnp.zeros((MOTION, count)),
+            zero,
+            dict.fromkeys(self.sensors, zero),
+            dict.fromkeys(self.sensors, zero),
+        )
+        slopes = self._slopes(planet, navigated, aiding, sensed)
+        return dataclasses.replace(aiding, slopes=slopes)
+
+    def update(
+        self,
+        planet: Planet,
+        navigated: Navigated,
+        aiding: Aiding,
+        sensed: Sensed,
+        at: Scalar,
+        due: Flag,
+    ) -> tuple[Navigated, Aiding]:
+        """Navigation and filter after the measurements at a time, s, which is a multiple of
+        the cycle; unchanged if no update is due. `planet` is as known on board."""
+        slopes = self._slopes(planet, navigated, aiding, sensed)
+        slopes = jnp.where(due, slopes, aiding.slopes)
+        seconds = jnp.where(due, self.cycle, 0.0)
+        aiding = dataclasses.replace(
+            aiding,
+            covariance=self._after(aiding, slopes, navigated.state, seconds),
+            slopes=slopes,
+            updated_at=jnp.where(due, at, aiding.updated_at),
+        )
+        if not self.sensors:
+            return navigated, aiding
+        return self._corrected(planet, navigated, aiding, sensed, at, due)
+
+    def knowledge_at(
+        self,
+        planet: Planet,
+        actual: EntryState,
+        navigated: Navigated,
+        aiding: Aiding,
+        at: Scalar,
+    ) -> Knowledge:
+        """The knowledge error of a flight at a time, s, up to one cycle after an update."""
+        since, state = at - aiding.updated_at, navigated.state
+        covariance = self._after(aiding, aiding.slopes, state, since)
+        off = _derivatives(lambda n: difference(planet, state, n), _level(navigated))
+        spread = off @ covariance[:MOTION, :MOTION] @ off.T
+        sizes = jnp.sqrt(jnp.diag(spread))
+        error = difference(planet, actual, navigated)
+        share = jnp.stack(jax.tree.leaves(error)) / sizes
+        alike = spread / (sizes[:, None] * sizes[None])
+        return Knowledge(
+            error,
+            KnowledgeError(*(sizes[i] for i in range(MOTION))),
+            share @ jnp.linalg.solve(alike, share),
+        )
+
+    def caveats(self, aiding: Aiding) -> dict[str, Scalar]:
+        """Share of the measured values that were rejected, by the name of the caveat."""
+        return {
+            f"{name}_rejected": jnp.where(
+                aiding.measured[name] > 0.0,
+                count / jnp.maximum(aiding.measured[name], 1.0),
+                0.0,
+            )
+            for name, count in aiding.rejected.items()
+        }
+
+    def _slopes(
+        self, planet: Planet, navigated: Navigated, aiding: Aiding, sensed: Sensed
+    ) -> Rows:
+        """Derivatives of the rates of position, velocity and attitude."""
+
+        def rates(known: Estimate) -> Navigated:
+            # The vehicle turns what it senses by the axes that it believes.
+            tilts = navigated.tilt, known.navigated.tilt
+            force = sensed.corrected(known.accelerometers).force_in_planet()
+            force = _turned(force, *tilts)
+            drift = _turned(sensed.drift_in_planet(known.gyroscopes), *tilts)
+            turning = -drift[0], -drift[1], -drift[2]
+            return Navigated(
+                believed_motion(planet, known.navigated.state, force),
+                tilting(planet, turning, known.navigated.tilt),
+            )
+
+        return _derivatives(rates, _estimate(navigated, aiding))
+
+    def _after(
+        self, aiding: Aiding, slopes: Rows, state: EntryState, seconds: Scalar | float
+    ) -> Covariance:
+        """The covariance after a time, s; the transition to the second order in time."""
+        step = 0.5 * (aiding.slopes + slopes) * seconds
+        change = step + 0.5 * step[:, :MOTION] @ step
+        before = aiding.covariance
+        moved = change @ before
+        after = before.at[:MOTION].add(moved).at[:, :MOTION].add(moved.T)
+        grown = moved @ change.T + jnp.diag(self._walk(state) * seconds)
+        return after.at[:MOTION, :MOTION].add(grown)
+
+    def _walk(self, state: EntryState) -> Float[Array, " nine"]:
+        """Growth of the variances by the noise of the instruments, each per second."""
+        per_velocity = 1.0 / state.velocity
+        across = per_velocity / jnp.cos(state.flight_path_angle)
+        velocity, angle = self.velocity_random_walk, self.angle_random_walk
+        nothing = 0.0 * per_velocity
+        sizes = (
+            velocity,
+            velocity * per_velocity,
+            velocity * across,
+            angle,
+            angle,
+            angle,
+        )
+        return jnp.square(jnp.stack([nothing, nothing, nothing, *sizes]))
+
+    def _corrected(
+        self,
+        planet: Planet,
+        navigated: Navigated,
+        aiding: Aiding,
+        sensed: Sensed,
+        at: Scalar,
+        due: Flag,
+    ) -> tuple[Navigated, Aiding]:
+        taken = self._measured(planet, navigated, aiding, sensed, at, due)
+        count = aiding.covariance.shape[0]
+
+        def take(
+            known: tuple[Covariance, Array], value: "_Value"
+        ) -> tuple[tuple[Covariance, Array], Scalar]:
+            covariance, shift = known
+            along = covariance @ value.row
+            off = value.residual - value.row @ shift
+            variance = value.row @ along + value.deviation**2
+            near = off * off <= value.gate**2 * variance
+            gain = jnp.where(value.made & near, along / variance, 0.0)
+            # Both factors are of the same vector: the covariance stays symmetric.
+            covariance = covariance - variance * gain[:, None] * gain[None]
+            rejected = jnp.where(value.made & ~near, 1.0, 0.0)
+            return (covariance, shift + gain * off), rejected
+
+        known = aiding.covariance, jnp.zeros(count)
+        (covariance, shift), rejected = lax.scan(take, known, taken)
+        # The correction of the tilt adds to the actual one, of which a part remains.
+        known = Estimate(navigated, aiding.accelerometers, aiding.gyroscopes)
+        before, rebuilt = ravel_pytree(known)
+        after = rebuilt(before + shift)
+        made, refused = dict(aiding.measured), dict(aiding.rejected)
+        for place, name in enumerate(self.sensors):
+            own = slice(MOST_VALUES * place, MOST_VALUES * (place + 1))
+            made[name] = made[name] + jnp.sum(jnp.where(taken.made[own], 1.0, 0.0))
+            refused[name] = refused[name] + jnp.sum(jnp.asarray(rejected)[own])
+        held = Aiding(
+            after.accelerometers,
+            after.gyroscopes,
+            covariance,
+            aiding.slopes,
+            aiding.updated_at,
+            made,
+            refused,
+        )
+        return after.navigated, held
+
+    def _measured(
+        self,
+        planet: Planet,
+        navigated: Navigated,
+        aiding: Aiding,
+        sensed: Sensed,
+        at: Scalar,
+        due: Flag,
+    ) -> "_Value":
+        """The values of all sensors, `MOST_VALUES` of each, in their order."""
+        known, axes = _estimate(navigated, aiding), sensed.body_axes()
+        drawn = normal_sample(self.seed, at)
+        cycle = jnp.round(at / self.cycle).astype(int)
+
+        def believed(known: Estimate) -> Believed:
+            seen = axes.turned(navigated.tilt).turned(known.navigated.tilt)
+            angle, off = sensed.air.angle_of_attack, known.accelerometers
+            return Believed(planet, known.navigated.state, seen, off, angle)
+
+        def values(name: str, place: int) -> list[_Value]:
+            sensor = self.sensors[name]
+            first = _FIRST_AXIS + MOST_VALUES * place
+            measured = sensor.measured(sensed, lambda i: drawn(first + i), at)
+            here = believed(known)
+            expected, sizes = sensor.expected(here), sensor.deviations(here)
+            if not len(measured) == len(expected) == len(sizes) <= MOST_VALUES:
+                raise ValueError(
+                    f"sensors.{name} gives {len(measured)} measured values, "
+                    f"{len(expected)} expected ones and {len(sizes)} standard "
+                    f"deviations: give as many of each, up to {MOST_VALUES}"
+                )
+            own = cycle % round(sensor.cycle / self.cycle) == 0
+            made = due & own & sensor.senses(sensed)
+            rows = _derivatives(lambda known: sensor.expected(believed(known)), known)
+            empty = _Value(
+                0.0 * at, 0.0 * rows[0], 1.0 + 0.0 * at, sensor.gate, made & False
+            )
+            full = [
+                _Value(
+                    jnp.where(made, measured[i] - expected[i], 0.0),
+                    jnp.where(made, rows[i], 0.0),
+                    sizes[i],
+                    sensor.gate,
+                    made,
+                )
+                for i in range(len(measured))
+            ]
+            return full + (MOST_VALUES - len(full)) * [empty]
+
+        each = [v for i, name in enumerate(self.sensors) for v in values(name, i)]
+        return jax.tree.map(lambda *x: jnp.stack(x), *each)
+
+
+class _Value(NamedTuple):
+    """One measured value."""
+
+    residual: Scalar
+    """Measured minus expected"""
+    row: Float[Array, " n"]
+    """Derivatives of the expected value"""
+    deviation: Scalar
+    gate: Scalar
+    made: Any
+    """Whether there is a measurement"""
+
+
+_FIRST_AXIS = 11
+"""First noise axis, after those of the inertial noise: the noise differs for equal seeds"""
+
+
+def _level(navigated: Navigated) -> Navigated:
+    """What the vehicle believes: it knows of no tilt."""
+    zero = 0.0 * navigated.state.altitude
+    return Navigated(navigated.state, (zero, zero, zero))
+
+
+def _estimate(navigated: Navigated, aiding: Aiding) -> Estimate:
+    return Estimate(_level(navigated), aiding.accelerometers, aiding.gyroscopes)
+
+
+def _turned(vector: Components, *tilts: Components) -> Components:
+    """A vector after small rotations, one after the other."""
+    for tilt in tilts:
+        vector = added(vector, cross(tilt, vector))
+    return vector
+
+
+def _derivatives(function: Callable[[Any], Any], at: Any) -> Rows:
+    """Derivatives of the numbers that a function returns, one row for each, by `jvp`."""
+    leaves, structure = jax.tree.flatten(jax.tree.map(jnp.asarray, at))
+
+    def push(direction: Array) -> list[Array]:
+        tangents = jax.tree.unflatten(structure, list(direction))
+        at = jax.tree.unflatten(structure, leaves)
+        return jax.tree.leaves(jax.jvp(function, (at,), (tangents,))[1])
+
+    return jnp.stack(jax.vmap(push)(jnp.eye(len(leaves))))
+
+
+def check_filter(given: NavigationFilter) -> None:
+    """Refuse a filter whose covariance is not positive, now or after a measurement."""
+    for field in dataclasses.fields(given.knowledge):
+        size = _number(getattr(given.knowledge, field.name))
+        if size is not None and not size > 0.0:
+            raise ValueError(
+                f"knowledge.{field.name} of the filter is {size:g}: it is a standard "
+                "deviation, which must be positive"
+            )
+    for kind in ("accelerometers", "gyroscopes"):
+        for field in dataclasses.fields(getattr(given, kind)):
+            size = _number(getattr(getattr(given, kind), field.name))
+            if size is not None and not size >= 0.0:
+                raise ValueError(
+                    f"{kind}.{field.name} of the filter is {size:g}: it is a standard "
+                    "deviation, which must not be negative"
+                )
+    for name, sensor in given.sensors.items():
+        noise, assumed = (getattr(sensor, n, None) for n in ("noise", "assumed"))
+        size = _number(noise if assumed is None else assumed)
+        if size is not None and not size > 0.0:
+            raise ValueError(
+                f"the filter assumes that the noise of sensors.{name} is {size:g}: it "
+                f"must be positive; give {type(sensor).__name__}(..., assumed=...)"
+            )
+    matrix = given.correlations
+    if matrix is None or isinstance(matrix, Tracer) or np.ndim(matrix) > 2:
+        return
+    table = np.asarray(matrix)
+    if table.shape != (MOTION, MOTION):
+        raise ValueError(
+            f"correlations of the filter has the shape {table.shape}: it must be "
+            f"{(MOTION, MOTION)}"
+        )
+    symmetric = np.allclose(np.diag(table), 1.0) and np.allclose(table, table.T)
+    least = float(np.linalg.eigvalsh(0.5 * (table + table.T))[0])
+    if not (symmetric and least > 0.0):
+        raise ValueError(
+            "correlations of the filter must be symmetric, with ones on the diagonal and "
+            f"positive eigenvalues: the least is {least:.3g}"
+        )
+
+
+def _number(value: Any) -> float | None:
+    """The number, if it is known and is one."""
+    if value is None or isinstance(value, Tracer) or np.ndim(value):
+        return None
+    return float(value) if isinstance(value, Array | float) else None

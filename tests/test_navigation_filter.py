@@ -1,0 +1,415 @@
+"""The navigation filter: covariance, measurements, gates, and consistency."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from helpers import ConstantBank, mars_planet, mars_scenario, mars_vehicle
+
+from jentry import fly
+from jentry.analysis.local_derivatives import fly_points
+from jentry.campaign import Dispersion, Normal, monte_carlo
+from jentry.flight import FixedStep
+from jentry.flight.over_index import fly_over
+from jentry.flight.scenario import check
+from jentry.motion import Controls, EntryDynamics, EntryState, TimeIndex
+from jentry.onboard import (
+    Actual,
+    Altimeter,
+    Believed,
+    BodyAccelerometers,
+    DopplerVelocity,
+    DragAltitude,
+    FlowSensors,
+    FlowVelocity,
+    Gyroscopes,
+    InertialNavigation,
+    InertialNoise,
+    KnowledgeError,
+    NavigationFilter,
+    OnboardModel,
+    Sensed,
+    TerrainPosition,
+)
+from jentry.onboard.inertial import difference
+from jentry.onboard.navigation_filter import Estimate
+from jentry.statistics import consistency
+from jentry.units import degree, km
+from jentry.world import ConstantWind
+
+
+KNOWN = KnowledgeError(1e3, 800.0, 600.0, 1.0, 0.8, 0.6, 1e-3, 8e-4, 6e-4)
+SENSING = BodyAccelerometers(1e-3, 2e-3, 3e-3, 1e-4, 2e-4, 1e-4, 2e-4, 3e-4)
+TURNING = Gyroscopes(1e-6, 2e-6, 3e-6)
+WALKS = 1e-3, 1e-6
+NAMES = [field.name for field in dataclasses.fields(KNOWN)]
+
+ALTIMETER = Altimeter(10.0, 60 * km, cycle=1.0)
+TERRAIN = TerrainPosition(30.0, 60 * km, cycle=2.0)
+DOPPLER = DopplerVelocity(0.1, 40 * km, cycle=1.0)
+ON_BOARD = OnboardModel(mars_planet(), mars_vehicle())
+DRAG = DragAltitude(ON_BOARD, 0.05, 1.0, cycle=1.0)
+
+
+def filtering(sensors, **given):
+    return NavigationFilter(KNOWN, sensors, SENSING, TURNING, *WALKS, **given)
+
+
+def aided(sensors, seconds=150.0, noise=True, **given):
+    """A banked flight over a planet that turns, at an angle of attack."""
+    planet = dataclasses.replace(mars_planet(), rotation_rate=7.0882e-5)
+    vehicle = eqx.tree_at(
+        lambda v: v.trim_angle_of_attack, mars_vehicle(), jnp.asarray(-0.2)
+    )
+    return dataclasses.replace(
+        mars_scenario(ConstantBank(0.9), dynamics=EntryDynamics(), time_limit=seconds),
+        planet=planet,
+        vehicle=vehicle,
+        initial_state=EntryState(70 * km, 0.3, 0.5, 5500.0, -12 * degree, 70 * degree),
+        navigation=InertialNavigation(
+            noise=InertialNoise(*WALKS) if noise else None,
+            filter=filtering(sensors, **given),
+        ),
+        accelerometers=BodyAccelerometers(),
+    )
+
+
+def errors_of(scenario):
+    """All errors that the filter estimates: knowledge, accelerometers, gyroscopes."""
+    navigation = scenario.navigation
+    return navigation.knowledge, scenario.accelerometers, navigation.gyroscopes
+
+
+def drawn(scenario, key):
+    """The scenario with errors as large as its filter assumes."""
+    tree = KNOWN, SENSING, TURNING
+    sizes, structure = jax.tree.flatten(tree)
+    numbers, seeds = jax.random.split(key)
+    errors = jax.random.normal(numbers, (len(sizes),)) * jnp.stack(sizes)
+    seeds = jax.random.uniform(seeds, (2,))
+    scenario = eqx.tree_at(
+        errors_of, scenario, jax.tree.unflatten(structure, list(errors))
+    )
+    lens = lambda s: (s.navigation.noise.seed, s.navigation.filter.seed)
+    return eqx.tree_at(lens, scenario, (seeds[0], seeds[1]))
+
+
+# One update, without a flight.
+
+
+def here(scenario, altitude=30 * km, **off):
+    """Filter, and what it holds, senses and believes at a point of the flight."""
+    state = dataclasses.replace(
+        scenario.initial_state,
+        altitude=jnp.asarray(altitude),
+        velocity=jnp.asarray(3e3),
+    )
+    controls = Controls.from_bank(jnp.asarray(0.9), jnp.asarray(-0.2))
+    actual = Actual(
+        scenario.planet,
+        scenario.vehicle,
+        state,
+        controls,
+        scenario.accelerometers,
+        scenario.flow_sensors,
+    )
+    navigation = scenario.navigation
+    navigation = eqx.tree_at(lambda n: n.knowledge, navigation, KnowledgeError(**off))
+    navigated = navigation.start(scenario.planet, state)
+    aiding = navigation.begin(actual, navigated)
+    return navigation, actual, navigated, aiding
+
+
+def updated(scenario, at=1.0, altitude=30 * km, **off):
+    navigation, actual, navigated, aiding = here(scenario, altitude, **off)
+    given = navigated, aiding, jnp.asarray(at), jnp.asarray(True)
+    return (navigated, aiding), navigation.update(lambda: actual, *given)
+
+
+def test_a_measurement_is_weighed_as_by_the_information():
+    """The inverse of the covariance grows by H' H / r^2: the other form of the filter."""
+    quiet = Altimeter(1e-9, 60 * km, cycle=1.0, assumed=300.0)
+    (_, _), (_, alone) = updated(aided({}, noise=False), up=500.0)
+    (before, _), (after, held) = updated(aided({"a": quiet}, noise=False), up=500.0)
+    before_it, after_it = np.asarray(alone.covariance), np.asarray(held.covariance)
+    scale = np.sqrt(np.diag(before_it))
+    units = scale * scale[:, None]
+    information = np.linalg.inv(before_it / units)
+    information[0, 0] += (scale[0] / 300.0) ** 2
+    expected = np.linalg.inv(information) * units
+    np.testing.assert_allclose(after_it / units, expected / units, rtol=0, atol=1e-9)
+    # The altitude was believed 500 m too high.
+    gain = expected[:, 0] / 300.0**2
+    shift = np.array(
+        [
+            float(a - b)
+            for a, b in zip(
+                jax.tree.leaves(Estimate(after, held.accelerometers, held.gyroscopes)),
+                jax.tree.leaves(Estimate(before, *zeros())),
+                strict=True,
+            )
+        ]
+    )
+    np.testing.assert_allclose(shift / scale, -500.0 * gain / scale, atol=1e-6)
+    assert abs(shift[0]) > 300.0
+
+
+def zeros():
+    return jax.tree.map(jnp.zeros_like, (SENSING, TURNING))
+
+
+def test_the_covariance_starts_as_stated():
+    """Back in local axes it is the square of the standard deviations, and correlated."""
+    alike = np.eye(9)
+    alike[0, 3] = alike[3, 0] = 0.6
+    scenario = aided({}, correlations=alike)
+    _, actual, navigated, aiding = here(scenario)
+
+    def local(numbers):
+        state, tilt = EntryState(*numbers[:6]), tuple(numbers[6:])
+        there = dataclasses.replace(navigated, state=state, tilt=tilt)
+        return jnp.stack(
+            jax.tree.leaves(difference(actual.planet, navigated.state, there))
+        )
+
+    turn = np.asarray(jax.jacfwd(local)(jnp.stack(jax.tree.leaves(navigated))))
+    found = turn @ np.asarray(aiding.covariance)[:9, :9] @ turn.T
+    sizes = np.array(jax.tree.leaves(KNOWN))
+    np.testing.assert_allclose(found / sizes / sizes[:, None], alike, atol=1e-9)
+    instruments = np.array(jax.tree.leaves((SENSING, TURNING)))
+    np.testing.assert_allclose(
+        np.asarray(aiding.covariance)[9:, 9:], np.diag(instruments**2), atol=1e-30
+    )
+
+
+SENSORS = {
+    "altimeter": (ALTIMETER, 1),
+    "terrain": (TERRAIN, 2),
+    "doppler": (dataclasses.replace(DOPPLER, noise=1e-9, assumed=0.1), 3),
+    "drag": (DRAG, 1),
+    "flow": (FlowVelocity(1.0, cycle=1.0), 3),
+}
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_a_sensor_expects_what_it_measures(name):
+    """With exact knowledge and no noise: over still air, and to rounding."""
+    sensor, count = SENSORS[name]
+    if hasattr(sensor, "noise"):
+        assumed = sensor.noise if sensor.assumed is None else sensor.assumed
+        sensor = dataclasses.replace(sensor, noise=0.0, assumed=assumed)
+    scenario = dataclasses.replace(
+        aided({name: sensor}), flow_sensors=FlowSensors(largest_mach=1e3)
+    )
+    trim = scenario.vehicle.trim_angle_of_attack
+    _, actual, navigated, _ = here(scenario)
+    sensed = Sensed.of(actual)
+    values = sensor.measured(sensed, lambda axis: 1.0, jnp.asarray(1.0))
+    exact = Believed(
+        scenario.planet,
+        navigated.state,
+        sensed.body_axes(),
+        BodyAccelerometers(),
+        trim,
+    )
+    expected = sensor.expected(exact)
+    assert len(values) == len(expected) == len(sensor.deviations(exact)) == count
+    np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-9)
+
+
+def test_an_outlier_is_rejected_and_counted():
+    """A measurement 100 km off changes nothing; its share of rejected values is one."""
+    lying = dataclasses.replace(ALTIMETER, bias=100 * km)
+    (_, _), (alone, _) = updated(aided({}))
+    (_, _), (after, held) = updated(aided({"altimeter": lying}))
+    for a, b in zip(jax.tree.leaves(alone), jax.tree.leaves(after), strict=True):
+        assert float(a) == float(b)
+    scenario = aided({"altimeter": lying})
+    assert scenario.navigation.caveats(held) == {"altimeter_rejected": 1.0}
+    (_, _), (_, held) = updated(aided({"altimeter": ALTIMETER}))
+    assert scenario.navigation.caveats(held) == {"altimeter_rejected": 0.0}
+    assert float(held.measured["altimeter"]) == 1.0
+
+
+def test_a_sensor_measures_at_its_own_times_and_places():
+    for at, altitude, count in ((1.0, 30.0, 0), (2.0, 30.0, 2), (2.0, 61.0, 0)):
+        _, (_, held) = updated(aided({"terrain": TERRAIN}), at, altitude * km)
+        assert float(held.measured["terrain"]) == count, (at, altitude)
+
+
+# Flights.
+
+
+@pytest.fixture(scope="module")
+def flown():
+    """Compiled flights of 16 draws, of one structure."""
+    return eqx.filter_jit(
+        lambda scenario, keys: jax.vmap(
+            lambda key: fly(drawn(scenario, key), FixedStep(0.5))
+        )(keys)
+    )
+
+
+def test_the_filter_corrects_a_flight(flown):
+    """Errors of kilometres become as small as the sensors are accurate, and the covariance
+    says so: of 16 flights, normalised errors within a bound of one in a million."""
+    flights = flown(
+        aided({"altimeter": ALTIMETER, "doppler": DOPPLER, "terrain": TERRAIN}),
+        jax.random.split(jax.random.key(0), 16),
+    )
+    error, sizes = flights.knowledge.error, flights.knowledge.deviation
+    for name, least, most in (
+        ("up", 0.5, 10.0),
+        ("east", 1.0, 30.0),
+        ("velocity_north", 0.01, 0.3),
+    ):
+        size = np.asarray(getattr(sizes, name))
+        assert np.all((size > least) & (size < most)), (name, size)
+        assert np.all(np.abs(np.asarray(getattr(error, name))) < 6.0 * size), name
+    found = flights.knowledge.normalised_error_squared
+    assert consistency(found, confidence=1.0 - 1e-6).holds
+    off = flights.navigated.altitude - flights.state.altitude
+    np.testing.assert_allclose(error.up, off, rtol=0, atol=1e-9)
+    assert set(flights.caveats) == {
+        "altimeter_rejected",
+        "doppler_rejected",
+        "terrain_rejected",
+    }
+
+
+@pytest.mark.slow
+def test_the_covariance_is_that_of_the_derivatives_of_the_flight():
+    """Without sensors and noise: J C J', with J from exact derivatives of a whole flight
+    with respect to its 20 errors. The filter steps by one second to the second order."""
+    scenario = eqx.tree_at(
+        lambda s: (
+            s.navigation.filter.velocity_random_walk,
+            s.navigation.filter.angle_random_walk,
+        ),
+        aided({}, noise=False),
+        (jnp.asarray(0.0), jnp.asarray(0.0)),
+    )
+    sizes, structure = jax.tree.flatten((KNOWN, SENSING, TURNING))
+
+    @jax.jit
+    def end(values):
+        errors = jax.tree.unflatten(structure, list(values))
+        known = fly(eqx.tree_at(errors_of, scenario, errors), FixedStep(0.5)).knowledge
+        assert known is not None
+        return jnp.stack(jax.tree.leaves(known.error)), known.deviation
+
+    slopes, _ = jax.jit(jax.jacfwd(end))(jnp.zeros(20))
+    expected = np.sqrt(np.sum(np.square(slopes * np.array(sizes)), axis=1))
+    _, found = end(jnp.zeros(20))
+    np.testing.assert_allclose(jax.tree.leaves(found), expected, rtol=2e-3)
+
+
+SETS = {
+    "inertial": {},
+    "altimeter": {"altimeter": ALTIMETER},
+    "terrain": {"terrain": TERRAIN},
+    "Doppler": {"doppler": DOPPLER},
+    "drag": {"drag": DRAG},
+    "all": {"altimeter": ALTIMETER, "doppler": DOPPLER, "terrain": TERRAIN},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SETS)
+def test_the_filter_is_consistent(name):
+    """2000 flights with errors as assumed: the average normalised error squared is within
+    its 99 % bounds. The seed was not chosen: it is the number of the session's day."""
+    many = jax.jit(
+        jax.vmap(lambda key: fly(drawn(aided(SETS[name]), key), FixedStep(0.5)))
+    )
+    values = []
+    for block in range(20):
+        keys = jax.random.split(jax.random.key(28 + block), 100)
+        values.append(many(keys).knowledge.normalised_error_squared)
+    test = consistency(np.concatenate(values))
+    assert test.holds, test
+
+
+@pytest.mark.slow
+def test_a_wrong_density_makes_the_drag_a_liar():
+    """A density 10 % above the model, and 5 % assumed as if independent: the filter
+    believes too much of itself."""
+    scenario = aided(SETS["drag"])
+    scenario = eqx.tree_at(lambda s: s.planet.density_scale, scenario, jnp.asarray(1.1))
+    many = jax.jit(jax.vmap(lambda key: fly(drawn(scenario, key), FixedStep(0.5))))
+    values = many(jax.random.split(jax.random.key(28), 100)).knowledge
+    test = consistency(values.normalised_error_squared)
+    assert test.average > test.upper
+
+
+def test_bounds_are_those_of_chi_square():
+    """2000 flights of nine errors: 9 within 2.7 % by the normal limit of chi-square."""
+    test = consistency(np.full(2000, 9.0))
+    width = 2.576 * np.sqrt(2.0 * 9.0 / 2000.0)
+    assert test.lower == pytest.approx(9.0 - width, abs=0.01)
+    assert test.upper == pytest.approx(9.0 + width, abs=0.01)
+    assert test.holds and not consistency(np.full(2000, 9.4)).holds
+    for wrong in ([], [np.nan], [-1.0]):
+        with pytest.raises(ValueError, match="flights|finite"):
+            consistency(np.array(wrong))
+    with pytest.raises(ValueError, match="confidence is 1"):
+        consistency(np.ones(3), confidence=1.0)
+
+
+# Refusals.
+
+
+def test_what_is_no_filter_is_refused():
+    with pytest.raises(ValueError, match=r"cycle of the Altimeter is nan s"):
+        Altimeter(10.0, 60 * km)
+    with pytest.raises(ValueError, match=r"sensors\.a\.cycle is 0\.5 s.*multiple"):
+        filtering({"a": dataclasses.replace(ALTIMETER, cycle=0.5)})
+    with pytest.raises(ValueError, match=r"knowledge\.up of the filter is 0"):
+        NavigationFilter(KnowledgeError(*2 * [1.0]), {})
+    with pytest.raises(ValueError, match=r"noise of sensors\.a is 0"):
+        filtering({"a": dataclasses.replace(ALTIMETER, noise=0.0)})
+    bad = np.eye(9)
+    bad[0, 1] = bad[1, 0] = 1.2
+    with pytest.raises(ValueError, match=r"positive eigenvalues: the least is -0\.2"):
+        filtering({}, correlations=bad)
+    with pytest.raises(ValueError, match=r"shape \(3, 3\)"):
+        filtering({}, correlations=np.eye(3))
+    with pytest.raises(
+        ValueError, match=r"noise is 2\.0 s and that of the filter 1\.0"
+    ):
+        InertialNavigation(noise=InertialNoise(*WALKS, cycle=2.0), filter=filtering({}))
+    with pytest.raises(ValueError, match=r"negative"):
+        NavigationFilter(KNOWN, {}, gyroscopes=Gyroscopes(-1.0))
+    with pytest.raises(ValueError, match=r"has the name 'a b'"):
+        filtering({"a b": ALTIMETER})
+    scenario = eqx.tree_at(
+        lambda s: s.navigation.filter.knowledge.up, aided({}), jnp.asarray(-1.0)
+    )
+    with pytest.raises(ValueError, match=r"knowledge\.up of the filter is -1"):
+        check(scenario)
+    with pytest.raises(ValueError, match=r"give it flow_sensors=FlowSensors"):
+        fly(aided({"flow": FlowVelocity(1.0, cycle=1.0)}))
+    windy = dataclasses.replace(mars_planet(), wind=ConstantWind(10.0, 0.0, 0.0))
+    with pytest.raises(ValueError, match="air to be still"):
+        DragAltitude(OnboardModel(windy, mars_vehicle()), 0.1, 1.0, cycle=1.0)
+
+
+def test_noise_of_sensors_differs_from_run_to_run():
+    """One seed for all runs is refused."""
+    dispersions = {
+        "v": Dispersion(lambda s: s.initial_state.velocity, Normal(5500.0, 1.0))
+    }
+    scenario = aided({"altimeter": ALTIMETER}, noise=False)
+    with pytest.raises(ValueError, match=r"navigation\.filter\.seed by Uniform"):
+        monte_carlo(scenario, dispersions, key=jax.random.key(0), runs=2)
+
+
+def test_what_does_not_know_of_updates_refuses_them():
+    scenario = aided({})
+    with pytest.raises(ValueError, match=r"has a filter"):
+        fly_points(scenario, TimeIndex(), 3, FixedStep(0.5))
+    with pytest.raises(ValueError, match=r"updated every 1\.0 s"):
+        fly_over(scenario, TimeIndex(), 10.0, 10)
