@@ -59,8 +59,8 @@ class Aiding(eqx.Module):
     gyroscopes: Gyroscopes
     """Estimated errors"""
     covariance: Covariance
-    """Of an `Estimate` minus what is, its numbers in their order: state, tilt in axes of
-    the planet, and errors of the instruments"""
+    """Covariance of an `Estimate` minus what is, its numbers in their order: state, tilt in
+    axes of the planet, and errors of the instruments"""
     slopes: Rows
     """Derivatives of the rates of the first nine of these errors, 1/s and so on"""
     updated_at: Scalar
