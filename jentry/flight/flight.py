@@ -32,6 +32,7 @@ from .closed_loop import (
     command,
     constrained,
     first_moving,
+    path_constraints,
     select,
     start,
 )
@@ -87,6 +88,9 @@ class Flight(eqx.Module):
     caveat: m, rad, or Mach numbers. They have no derivative"""
     navigated: EntryState | None = None
     """State that the vehicle believes at the end; None with perfect navigation"""
+    at_end: ConstraintValues = eqx.field(default_factory=lambda: ConstraintValues({}))
+    """Values at the end of the path constraints in `scenario.values_at_end`, such as the
+    Mach number and the dynamic pressure at which a parachute opens"""
 
 
 @needs_float64
@@ -158,6 +162,7 @@ def fly(
         history=kept,
         beyond_tables=distances,
         navigated=_navigated(end.lane.moving),
+        at_end=_at_end(scenario, end.lane),
     )
 
 
@@ -202,6 +207,17 @@ def caveat_words(
     number, shown = at_edge(distance, unit)
     shown = "" if shown == "1" else f" {shown}"
     return f"{words}, and by up to {float(number):.3g}{shown}"
+
+
+def _at_end(scenario: Scenario, lane: Lane) -> ConstraintValues:
+    names = scenario.values_at_end
+    if not names:
+        return ConstraintValues({})
+    values = path_constraints(scenario, lane.flown, lane.moving, lane.held)
+    units = {
+        n: each.shown_unit or each.unit for n, each in scenario.constraints.items()
+    }
+    return ConstraintValues({name: values[name] for name in names}, units)
 
 
 def _navigated(moving: Moving) -> EntryState | None:
