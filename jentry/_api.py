@@ -70,11 +70,13 @@ from .flight import (
     Termination as Termination,
     VelocityAbove as VelocityAbove,
     VelocityBelow as VelocityBelow,
+    believed_misses as believed_misses,
     check as check,
     fly as fly,
     fly_over as fly_over,
     has_end as has_end,
     misses as misses,
+    navigation_errors as navigation_errors,
 )
 from .guidance import (
     AbstractBankLaw as AbstractBankLaw,
@@ -121,6 +123,7 @@ from .motion import (
     EquatorialDynamics as EquatorialDynamics,
     IdealAttitude as IdealAttitude,
     LoadFactor as LoadFactor,
+    MachNumber as MachNumber,
     PathPoint as PathPoint,
     Response as Response,
     SecondOrderAttitude as SecondOrderAttitude,

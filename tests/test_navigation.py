@@ -17,7 +17,6 @@ from scipy.spatial.transform import Rotation
 from jentry import find_mission, fly
 from jentry._integrate import runge_kutta
 from jentry.campaign import Dispersion, Normal, monte_carlo
-from jentry.campaign.results import dataset
 from jentry.flight import (
     Crossing,
     EnergyBelow,
@@ -555,7 +554,7 @@ def test_range_to_go_is_the_arc_to_the_place():
     assert float(found) == pytest.approx(float(planet.radius) * angle, rel=1e-12)
 
 
-# Derivatives, and campaigns.
+# Derivatives.
 
 
 def end_by_belief(scenario):
@@ -600,34 +599,6 @@ def test_derivatives_reach_every_error():
         found = forward[:, place] * size
         assert np.abs(found).max() > 0.0
         np.testing.assert_allclose(found, expected, rtol=1e-5, atol=2e-10)
-
-
-def test_a_campaign_keeps_what_each_vehicle_believes():
-    """Knowledge and delivery apart: the believed start is off by both."""
-    scenario = windy(
-        InertialNavigation(), PerfectAccelerometers(), "bank profile", 40.0
-    )
-    table = {
-        "delivery": Dispersion(
-            lambda s: s.initial_state.altitude,
-            Normal(0.0, 500.0),
-            apply=lambda a, b: a + b,
-        ),
-        "knowledge": Dispersion(
-            lambda s: s.navigation.knowledge.up, Normal(0.0, 100.0)
-        ),
-    }
-    found = monte_carlo(
-        scenario, table, jax.random.key(0), 32, solver=FixedStep(0.5), history=10.0
-    )
-    results = dataset(scenario, found, 10.0)
-    off = results["navigated_altitude"] - results["altitude"]
-    knowledge = found.inputs["navigation.knowledge.up"]
-    np.testing.assert_allclose(off.values[:, 0], knowledge, atol=1e-8)
-    assert results["end_navigated_altitude"].attrs["units"] == "m"
-    ends = results["end_navigated_altitude"] - results["end_altitude"]
-    assert np.all(np.isfinite(ends)) and np.corrcoef(ends, knowledge)[0, 1] > 0.999
-    assert abs(np.corrcoef(results["end_altitude"], knowledge)[0, 1]) < 0.6
 
 
 # Bad input.

@@ -103,7 +103,7 @@ def test_runs_that_are_not_finite_are_left_out_and_counted(runs):
     outcome[5:8] = [Outcome.NOT_FINITE, Outcome.SINGULAR, Outcome.BEGAN_BEYOND_END]
     lost = runs.assign(downrange_error=("run", errors), outcome=("run", outcome))
     figures = figures_of(lost, lost)  # and no nominal flight
-    assert set(figures) == set(USUAL) - {"corridor", "drag_deviation"}
+    assert set(figures) == set(USUAL) - {"corridor", "drag_deviation", "navigation"}
     for name, figure in figures.items():
         assert (
             figure.get_supxlabel()

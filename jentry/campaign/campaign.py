@@ -24,7 +24,7 @@ from ..addresses import (
 from ..flight.cycle import Plan
 from ..flight.duplicate_numbers import require_both
 from ..flight.flight import Flight, fly, warn_of
-from ..flight.miss import Misses, misses
+from ..flight.miss import Misses, believed_misses, misses, navigation_errors
 from ..flight.scenario import Scenario, check_values, checked, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
@@ -61,6 +61,10 @@ class Campaign(eqx.Module):
     """Values of the dispersed leaves, by address"""
     flights: Flight
     misses: Misses
+    believed_misses: Misses | None = None
+    """None with perfect navigation: see the function of this name"""
+    navigation_errors: Misses | None = None
+    """None with perfect navigation: see the function of this name"""
     flown_on: str = eqx.field(default="", static=True)
     """The GPU, and whether kernels or XLA flew there; empty for the processor"""
 
@@ -99,14 +103,16 @@ class Campaign(eqx.Module):
             count = int(np.sum(results["outcome"].values == code))
             lines.append(f"{count} of {len(self.runs)} {Outcome(int(code)).message}")
         columns = "mean", "std", "minimum", "maximum"
-        lines.append(f"{'':26}" + "".join(f"{name:>14}" for name in columns))
-        for name in filter(is_output, map(str, kept.data_vars)):
+        names = list(filter(is_output, map(str, kept.data_vars)))
+        width = max([26, *map(len, names)])
+        lines.append(" " * width + "".join(f"{name:>14}" for name in columns))
+        for name in names:
             values, unit = shown(kept[name])
             if values.size:
                 spread = np.std(values, ddof=1) if values.size > 1 else np.nan
                 numbers = values.mean(), spread, values.min(), values.max()
                 cells = "".join(f"{number:14.6g}" for number in numbers)
-                lines.append(f"{in_words(name):26}{cells} {unit}")
+                lines.append(f"{in_words(name):{width}}{cells} {unit}")
         return "\n".join(lines)
 
 
@@ -366,10 +372,28 @@ def _blocks(
 
 def _fly_one(
     shared: tuple[Scenario, AbstractSolver, float | None], inputs: dict[str, Array]
-) -> tuple[Flight, Misses]:
+) -> tuple[Flight, Misses, Misses | None, Misses | None]:
     scenario, solver, history = shared
     flight, dispersed = fly_run(scenario, inputs, solver, history)
-    return flight, misses(dispersed, flight)
+    return flight, *errors_of(dispersed, flight)
+
+
+def errors_of(
+    scenario: Scenario, flight: Flight
+) -> tuple[Misses, Misses | None, Misses | None]:
+    """Misses of a flight, those that the vehicle believes, and errors of its navigation."""
+    return (
+        misses(scenario, flight),
+        believed_misses(scenario, flight),
+        navigation_errors(scenario, flight),
+    )
+
+
+def campaign_of_one(scenario: Scenario, flight: Flight) -> Campaign:
+    """One flight as a campaign of one run, without inputs."""
+    flown = flight, *eqx.filter_jit(errors_of)(scenario, flight)
+    flown = jax.tree.map(lambda x: np.asarray(x)[None], flown)
+    return Campaign(np.arange(1), {}, *flown)
 
 
 def fly_run(

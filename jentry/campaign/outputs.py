@@ -27,19 +27,46 @@ def error_of(miss: str) -> str:
     return MISS_DISTANCE if miss == "distance" else f"{miss}_error"
 
 
+_BELIEVED, _NAVIGATION = "believed_", "navigation_"
+
+
+def believed(error: str) -> str:
+    """Name in results of an error that the vehicle believes to have."""
+    return f"{_BELIEVED}{error}"
+
+
+def navigation_error_of(component: str) -> str:
+    """Name in results of an error of the navigation at the end, believed minus actual."""
+    return f"{_NAVIGATION}{error_of(component)}"
+
+
 def peak_of(constraint: str) -> str:
     """Name in results of the peak of a path constraint."""
     return f"peak_{constraint}"
 
 
 def is_error(name: str) -> bool:
-    """Whether a variable of results is an error, actual minus desired."""
+    """Whether a variable of results is an error, which has a sign: see `difference_of`."""
     return "." not in name and name.endswith(error_of(""))
+
+
+def is_of_navigation(name: str) -> bool:
+    """Whether an error in results is one of `believed` or of `navigation_error_of`."""
+    return "." not in name and name.startswith((_BELIEVED, _NAVIGATION))
+
+
+def difference_of(error: str) -> str:
+    """Text that says of which two values an error in results is the difference."""
+    if error.startswith(_BELIEVED):
+        return "believed minus desired"
+    if error.startswith(_NAVIGATION):
+        return "believed minus actual"
+    return "actual minus desired"
 
 
 def is_output(name: str) -> bool:
     """Whether a variable of results belongs to the end of a flight or is a peak."""
-    begins = at_end(""), peak_of(""), MISS_DISTANCE
+    begins = at_end(""), peak_of(""), MISS_DISTANCE, believed(MISS_DISTANCE)
     return "." not in name and (name.startswith(begins) or is_error(name))
 
 

@@ -1,24 +1,35 @@
 """Results of campaigns as an `xarray.Dataset`, with units and long names."""
 
 import dataclasses
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
 import jax
 import numpy as np
 
 from .._printed import in_words
 from ..addresses import field_metadata, unit_of
 from ..fields import Scalar, units_of
-from ..flight.closed_loop import Instant
+from ..flight.closed_loop import Instant, first_moving
 from ..flight.flight import Flight, History
-from ..flight.miss import Misses, misses
+from ..flight.miss import Misses
 from ..flight.scenario import Scenario
 from ..flight.termination import Outcome
 from ..motion.constraints import AbstractPathConstraint
 from ..motion.state import Controls, EntryState
 from ..world.tabulated import distance_of, unit_of_caveat
-from .campaign import Campaign
-from .outputs import at_end, error_of, is_error, navigated, peak_of
+from .campaign import Campaign, errors_of
+from .outputs import (
+    at_end,
+    believed,
+    difference_of,
+    error_of,
+    is_error,
+    navigated,
+    navigation_error_of,
+    peak_of,
+)
 
 
 if TYPE_CHECKING:
@@ -34,9 +45,13 @@ def _angles(controls: Controls) -> dict[str, Scalar]:
 
 def _of(constraint: AbstractPathConstraint) -> dict[str, Any]:
     """Attributes of the variable of a path constraint."""
-    limit, shown = constraint.limit, constraint.shown_unit
-    found = {} if limit is None else {"limit": float(limit)}
-    return found if shown is None else found | {"shown_units": shown}
+    limit = {} if constraint.limit is None else {"limit": float(constraint.limit)}
+    return limit | _shown(constraint)
+
+
+def _shown(constraint: AbstractPathConstraint) -> dict[str, str]:
+    shown = constraint.shown_unit
+    return {} if shown is None else {"shown_units": shown}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -50,27 +65,52 @@ class OutputNamed:
 
     def __call__(self, scenario: Scenario, flight: Flight) -> Scalar:
         outputs = {at_end("time"): flight.time}
-        for component in units_of(EntryState):
-            outputs[at_end(component)] = getattr(flight.state, component)
         for constraint, peak in flight.peaks.items():
             outputs[peak_of(constraint)] = peak
+        for component in units_of(EntryState):
+            outputs[at_end(component)] = getattr(flight.state, component)
+            if flight.navigated is not None:
+                known = getattr(flight.navigated, component)
+                outputs[at_end(navigated(component))] = known
+        for constraint, value in flight.at_end.items():
+            outputs[at_end(constraint)] = value
         if self.name in outputs:
             return outputs[self.name]
-        # Misses are computed only if requested: a miss distance may have no derivative.
-        missed = misses(scenario, flight)
-        for miss in units_of(Misses):
-            if error_of(miss) == self.name:
-                return getattr(missed, miss)
+        # Errors are computed only if requested: a miss distance may have no derivative.
+        for name, errors, component in _errors(*errors_of(scenario, flight)):
+            if name == self.name:
+                return getattr(errors, component)
         raise ValueError(f"no output {self.name} of one flight has a derivative")
+
+
+def _errors(
+    missed: Misses, known: Misses | None, off: Misses | None
+) -> Iterator[tuple[str, Misses, str]]:
+    """Names of errors in results, each with the object that has it and its field there.
+
+    **Arguments:** what `errors_of` returns.
+    """
+    for component in units_of(Misses):
+        miss = error_of(component)
+        yield miss, missed, component
+        if known is not None:
+            yield believed(miss), known, component
+        if off is not None and component != "distance":
+            yield navigation_error_of(component), off, component
 
 
 def output_names(scenario: Scenario) -> list[str]:
     """Names of the outputs of a scenario in results, without a flight."""
     states = list(units_of(EntryState))
-    found = [at_end(name) for name in ("time", *states)]
+    found = [at_end(name) for name in ("time", *states, *scenario.values_at_end)]
+    believes = eqx.filter_eval_shape(first_moving, scenario).navigated is not None
+    if believes:
+        found += [at_end(navigated(name)) for name in states]
     for miss in units_of(Misses):
         aimed = miss == "distance" or getattr(scenario.target, miss) is not None
         found += [error_of(miss)] if aimed else []
+        found += [believed(error_of(miss))] if aimed and believes else []
+        found += [navigation_error_of(miss)] if believes and miss != "distance" else []
     for name in scenario.constraints:
         found.append(peak_of(name))
         if name in scenario.located_peaks:
@@ -88,7 +128,9 @@ def dataset(
     not zero, the law did not work as intended in the run, or the run left a table.
 
     Dimensions: run, and time for histories with the interval `history` (s). Errors are
-    actual minus desired. Names and units are those of the fields of the flight.
+    actual minus desired. If navigation is not perfect, `believed_..._error` are believed
+    minus desired, and `navigation_..._error` believed minus actual. Names and units are
+    those of the fields of the flight.
     """
     import xarray
 
@@ -129,12 +171,17 @@ def dataset(
         if flights.navigated is not None:
             known, believed = getattr(flights.navigated, name), navigated(name)
             put(at_end(believed), known, unit, f"{in_words(believed)} at the end")
-    for miss, unit in units_of(Misses).items():
-        values, name = getattr(campaign.misses, miss), error_of(miss)
+    for name, values in flights.at_end.items():
+        constraint, words = scenario.constraints[name], f"{in_words(name)} at the end"
+        put(at_end(name), values, constraint.unit, words, **_shown(constraint))
+    of_all = campaign.misses, campaign.believed_misses, campaign.navigation_errors
+    for name, errors, component in _errors(*of_all):
+        values = getattr(errors, component)
         if values is not None:
-            signed = {"comment": "actual minus desired"} if is_error(name) else {}
-            if miss in ("downrange", "crossrange"):
+            signed = {"comment": difference_of(name)} if is_error(name) else {}
+            if component in ("downrange", "crossrange"):
                 signed["counted_from"] = scenario.target.counted_from
+            unit = units_of(Misses)[component]
             put(name, values, unit, in_words(name), **signed)
     for name, peak in flights.peaks.items():
         constraint, words = scenario.constraints[name], in_words(peak_of(name))

@@ -13,17 +13,15 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jax
 import numpy as np
 
 from .._files import remove_unfinished, write_whole
 from .._setup import needs_float64
 from ..flight.flight import Flight
-from ..flight.miss import misses
 from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
 from .batch import device_of
-from .campaign import Campaign, fly_in_blocks
+from .campaign import Campaign, campaign_of_one, fly_in_blocks
 from .description import describe, scalars_of
 from .dispersions import Dispersion, key_of, numbers_of_streams
 from .errors import CampaignError
@@ -175,10 +173,7 @@ def write_flight(
     **labels: Any,
 ) -> None:
     """Write one flight as a campaign of one run, a netCDF file."""
-    flown = flight, misses(scenario, flight)
-    block = Campaign(
-        np.arange(1), {}, *jax.tree.map(lambda x: np.asarray(x)[None], flown)
-    )
+    block = campaign_of_one(scenario, flight)
     description = describe(scenario, None, 0, solver, history, None, **labels)
     write_campaign(path, scenario, block, description)
 

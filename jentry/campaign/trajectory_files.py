@@ -7,18 +7,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-import equinox as eqx
-import jax
 import numpy as np
 
 from .._files import write_whole
 from ..fields import units_of
 from ..flight.flight import Flight
-from ..flight.miss import misses
 from ..flight.scenario import Scenario
 from ..motion.state import EntryState
 from ..units import at_edge
-from .campaign import Campaign
+from .campaign import campaign_of_one
 from .outputs import at_end
 from .results import dataset
 
@@ -70,10 +67,7 @@ def write_trajectory(
             f"the history has the shape {time.shape}: give one flight; for many, give the "
             "results of their campaign to `write_trajectories`"
         )
-    flown = flight, eqx.filter_jit(misses)(scenario, flight)
-    one = Campaign(
-        np.arange(1), {}, *jax.tree.map(lambda x: np.asarray(x)[None], flown)
-    )
+    one = campaign_of_one(scenario, flight)
     interval = float(f"{time[1] - time[0]:.12g}")  # without its rounding
     results = dataset(scenario, one, interval)
     write_trajectories(results, path, globe_of(float(scenario.planet.radius)), start)

@@ -8,7 +8,13 @@ from rich.console import Console
 from rich.table import Table
 
 from .._printed import in_words
-from ..campaign.outputs import MISS_DISTANCE, is_error, peak_of
+from ..campaign.outputs import (
+    MISS_DISTANCE,
+    believed,
+    is_error,
+    is_of_navigation,
+    peak_of,
+)
 from ..campaign.populations import population, sets_of
 from ..flight.flight import caveat_words
 from ..flight.solver import FixedStep
@@ -91,6 +97,8 @@ def print_summary(
         _print_statistics(console, title, summary.statistics)
         _print_intervals(console, summary.statistics)
     if summary.statistics:
+        if summary.of_navigation:
+            console.print(summary.of_navigation)
         if summary.counted_from:
             console.print(f"downrange and crossrange: {summary.counted_from}")
         if summary.caution:
@@ -149,10 +157,11 @@ def _print_aims(
     percentiles = [p for p in of_all if of_all != PERCENTILES or p in _SHOWN]
     heads = ["", "unit", "mean", "std", *(f"{p:.10g} %" for p in percentiles)]
     heads += ["maximum", *(["over"] if limits else [])]
-    rows, still, others = [], [], 0
+    rows, still, others, shown = [], [], 0, ""
     for each in signed.values():
         size = sizes.get(each.name, each)
-        counts = each.name in (MISS_DISTANCE, *aims, *limits) or is_error(each.name)
+        named = MISS_DISTANCE, believed(MISS_DISTANCE), *aims, *limits
+        counts = each.name in named or is_error(each.name)
         if not counts:
             others += 1
         elif each.maximum - each.minimum < _STILL:
@@ -165,7 +174,12 @@ def _print_aims(
             if limits:
                 beyond = limits.get(each.name)
                 cells.append("" if beyond is None else f"{beyond}")
-            rows.append((each.words, size.shown_unit, *cells))
+            # Below the actual error the names of the others need not repeat its name.
+            of_whom, _, error = each.name.partition("_")
+            below = is_of_navigation(each.name) and error == shown
+            shown = shown if below else each.name
+            words = f"  {of_whom}" if below else each.words
+            rows.append((words, size.shown_unit, *cells))
     table = Table(box=SIMPLE_HEAD, show_edge=False, pad_edge=False)
     table.add_column(heads[0], max_width=23)
     for head in heads[1:]:

@@ -117,10 +117,11 @@ def _statistics(summary: Summary) -> str:
         intervals = each.mean, each.standard_deviation, *each.percentiles.values()
         cells = (_cell(interval, size) for interval in intervals)
         rows.append((escape(each.words), escape(each.shown_unit), *extremes, *cells))
+    navigation = f"{summary.of_navigation}. " if summary.of_navigation else ""
     return (
         f"<h2>Statistics of {summary.finite} finite flights</h2>\n"
         f"{_table(heads, rows)}"
-        '<p class="note">Errors are actual minus desired. Small: intervals of '
+        f'<p class="note">Errors are actual minus desired. {navigation}Small: intervals of '
         f"{CONFIDENCE:.0%}; mean and standard deviation by "
         f"{escape(METHODS['mean'])}, percentiles by {escape(METHODS['percentiles'])}; "
         "none where the runs are too few."

@@ -13,7 +13,7 @@ from ..fields import units_of
 from ..flight.closed_loop import Instant
 from ..flight.effect import unfelt
 from ..flight.flight import Flight, caveat_sentence
-from ..flight.miss import Misses, misses
+from ..flight.miss import Misses, believed_misses, misses
 from ..flight.scenario import Scenario, allowed
 from ..flight.termination import Outcome, has_end
 from ..missions.mission import Mission
@@ -71,18 +71,26 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     # A flight that stopped otherwise met no end condition.
     met = has_end(outcome) or outcome == Outcome.BEGAN_BEYOND_END
     ended_by = scenario.termination.names[int(flight.ended_by)]
-    table = new_table("", "value", "unit")
+    known = flight.navigated
+    table = new_table("", "value", "unit", *([] if known is None else ["believed"]))
     table.add_row("time", f"{float(flight.time):.4f}", units_of(Flight)["time"])
     table.add_section()
     for name, unit in units_of(EntryState).items():
-        _add_number(table, in_words(name), getattr(flight.state, name), unit)
+        believed = None if known is None else getattr(known, name)
+        _add_number(table, in_words(name), getattr(flight.state, name), unit, believed)
     if has_end(outcome):
         table.add_section()
         missed = misses(scenario, flight)
+        reported = believed_misses(scenario, flight)
         for name, unit in units_of(Misses).items():
             value = getattr(missed, name)
+            believed = None if reported is None else getattr(reported, name)
             if value is not None:
-                _add_number(table, in_words(error_of(name)), value, unit)
+                _add_number(table, in_words(error_of(name)), value, unit, believed)
+        for name, value in flight.at_end.items():
+            constraint = scenario.constraints[name]
+            unit = constraint.shown_unit or constraint.unit
+            _add_number(table, f"{in_words(name)} at the end", value, unit)
         table.add_section()
         for name, peak in flight.peaks.items():
             _add_peak(table, name, scenario.constraints[name], peak)
@@ -97,6 +105,8 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
     title = f"{mission.name}: {outcome.message}" + (f" ({ended_by})" if met else "")
     console = new_console()
     print_under(console, title, table)
+    if known is not None:
+        console.print("believed: what the vehicle would report of its end")
     console.print(f"downrange and crossrange: {scenario.target.counted_from}")
     for name, share in flight.caveats.items():
         if share > 0.0:
@@ -105,9 +115,12 @@ def print_flight(mission: Mission, scenario: Scenario, flight: Flight) -> None:
             )
 
 
-def _add_number(table: Table, words: str, value, unit: str) -> None:
-    number, shown_unit = at_edge(value, unit)
-    table.add_row(words, f"{float(number):z.6f}", shown_unit)
+def _add_number(table: Table, words: str, value, unit: str, believed=None) -> None:
+    """Add a row with a number, and with what the vehicle believes of it, if anything."""
+    numbers = [value] if believed is None else [value, believed]
+    shown, shown_unit = at_edge([float(x) for x in numbers], unit)
+    number, *known = (f"{x:z.6f}" for x in shown)
+    table.add_row(words, number, shown_unit, *known)
 
 
 def _add_peak(

@@ -2,7 +2,12 @@
 
 from .closed_loop import Instant as Instant
 from .flight import Flight as Flight, History as History, fly as fly
-from .miss import Misses as Misses, misses as misses
+from .miss import (
+    Misses as Misses,
+    believed_misses as believed_misses,
+    misses as misses,
+    navigation_errors as navigation_errors,
+)
 from .over_index import IndexedEnd as IndexedEnd, fly_over as fly_over
 from .scenario import Scenario as Scenario, Target as Target, check as check
 from .solver import Adaptive as Adaptive, FixedStep as FixedStep

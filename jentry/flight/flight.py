@@ -34,6 +34,7 @@ from .closed_loop import (
     constrained,
     first_moving,
     knowledge,
+    path_constraints,
     select,
     start,
 )
@@ -93,6 +94,9 @@ class Flight(eqx.Module):
     """State that the vehicle believes at the end; None with perfect navigation"""
     knowledge: Knowledge | None = None
     """Knowledge error at the end; None with perfect navigation"""
+    at_end: ConstraintValues = eqx.field(default_factory=lambda: ConstraintValues({}))
+    """Values at the end of the path constraints in `scenario.values_at_end`, such as the
+    Mach number and the dynamic pressure at which a parachute opens"""
 
 
 @needs_float64
@@ -165,6 +169,7 @@ def fly(
         beyond_tables=distances,
         navigated=_navigated(end.lane.moving),
         knowledge=knowledge(scenario, end.lane),
+        at_end=_at_end(scenario, end.lane),
     )
 
 
@@ -209,6 +214,17 @@ def caveat_words(
     number, shown = at_edge(distance, unit)
     shown = "" if shown == "1" else f" {shown}"
     return f"{words}, and by up to {float(number):.3g}{shown}"
+
+
+def _at_end(scenario: Scenario, lane: Lane) -> ConstraintValues:
+    names = scenario.values_at_end
+    if not names:
+        return ConstraintValues({})
+    values = path_constraints(scenario, lane.flown, lane.moving, lane.held)
+    units = {
+        n: each.shown_unit or each.unit for n, each in scenario.constraints.items()
+    }
+    return ConstraintValues({name: values[name] for name in names}, units)
 
 
 def _navigated(moving: Moving) -> EntryState | None:

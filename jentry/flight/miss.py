@@ -7,12 +7,17 @@ from jaxtyping import Array
 from .._printed import as_text
 from ..fields import Scalar, in_unit, output
 from ..motion.quantities import ground_track
+from ..motion.state import EntryState
 from .flight import Flight
-from .scenario import Scenario
+from .scenario import Scenario, Target
 
 
 class Misses(eqx.Module):
-    """Errors at the end of the flight, actual minus desired."""
+    """Errors at the end of the flight, actual minus desired.
+
+    Those of `believed_misses` are believed minus desired, and those of `navigation_errors`
+    believed minus actual.
+    """
 
     downrange: Scalar = output(unit="m")
     """Error along the entry direction; positive is too far"""
@@ -44,9 +49,50 @@ def misses(scenario: Scenario, flight: Flight) -> Misses:
     Errors of downrange and heading are wrapped to the shorter way around. The errors of a
     flight without an end (`has_end(flight.outcome)` is false) have no meaning.
     """
-    target, end = scenario.target, flight.state
-    origin = scenario.initial_state if target.origin is None else target.origin
-    downrange, crossrange = ground_track(scenario.planet, origin, end)
+    return _errors(scenario, scenario.target, flight.state)
+
+
+def believed_misses(scenario: Scenario, flight: Flight) -> Misses | None:
+    """Errors that the vehicle would report: `misses` of the state that it believes.
+
+    They are believed minus desired. None with perfect navigation, where they are the
+    actual ones. A target without an origin is counted from the actual start.
+    """
+    if flight.navigated is None:
+        return None
+    return _errors(scenario, scenario.target, flight.navigated)
+
+
+def navigation_errors(scenario: Scenario, flight: Flight) -> Misses | None:
+    """Errors of the navigation at the end of a flight, believed minus actual.
+
+    Downrange and crossrange are along and across the entry direction, as in `misses`.
+    Flight-path angle and heading do not depend on the target. None with perfect navigation.
+    """
+    if flight.navigated is None:
+        return None
+    end, target = flight.state, scenario.target
+    downrange, crossrange = ground_track(scenario.planet, _origin(scenario), end)
+    actual = Target(
+        altitude=end.altitude,
+        velocity=end.velocity,
+        downrange=downrange,
+        crossrange=crossrange,
+        flight_path_angle=end.flight_path_angle,
+        heading=end.heading,
+        origin=target.origin,
+    )
+    return _errors(scenario, actual, flight.navigated)
+
+
+def _origin(scenario: Scenario) -> EntryState:
+    origin = scenario.target.origin
+    return scenario.initial_state if origin is None else origin
+
+
+def _errors(scenario: Scenario, target: Target, end: EntryState) -> Misses:
+    """Errors of a state, from the origin of the scenario, with respect to a target."""
+    downrange, crossrange = ground_track(scenario.planet, _origin(scenario), end)
     circumference = 2.0 * jnp.pi * scenario.planet.radius
     return Misses(
         downrange=_nearest(downrange - target.downrange, circumference),

@@ -17,7 +17,7 @@ from ..addresses import (
     unit_of,
     with_leaves,
 )
-from ..fields import QUARTER, Scalar, optional_scalar, scalar
+from ..fields import QUARTER, Scalar, optional_scalar, scalar, units_of
 from ..guidance.aim import Aim, TargetOfScenario, is_aim, told
 from ..guidance.lateral import HeadingCorridor
 from ..guidance.law import (
@@ -113,6 +113,9 @@ class Scenario(eqx.Module):
     """Path constraints that are evaluated in flight, by name: see `Flight.peaks`"""
     located_peaks: tuple[str, ...] = eqx.field(default=(), static=True)
     """Names of the path constraints whose peaks are located: see `Flight.at_peaks`"""
+    values_at_end: tuple[str, ...] = eqx.field(default=(), static=True)
+    """Names of the path constraints whose values at the end are outputs: see
+    `Flight.at_end`"""
     step: float | None = eqx.field(default=None, static=True)
     """Length of the steps of a `FixedStep` that states none, s. If this is None too, a step
     is 0.1 s. For a law with a guidance cycle that varies, which holds its command, it is
@@ -299,11 +302,18 @@ def _check_constraints(scenario: Scenario) -> None:
                 f"constraints.{name}: {type(constraint).__name__} has no unit; state "
                 'that of its value in the class, such as unit = "W/m2", or "1"'
             )
-    for name in scenario.located_peaks:
-        if name not in known:
+    for field in ("located_peaks", "values_at_end"):
+        for name in getattr(scenario, field):
+            if name not in known:
+                raise ValueError(
+                    f"{field} has {name!r}, which is no constraint of the scenario: "
+                    f"choose from {', '.join(known)}"
+                )
+    for name in scenario.values_at_end:
+        if name in ("time", *units_of(EntryState)) or name.startswith("navigated_"):
             raise ValueError(
-                f"located_peaks has {name!r}, which is no constraint of the scenario: "
-                f"choose from {', '.join(known)}"
+                f"values_at_end has {name!r}: the results have another end_{name}; give "
+                "this constraint another name"
             )
 
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..fields import QUARTER, Scalar, scalar
-from ..motion.quantities import energy
+from ..motion.quantities import arc_to, direction_to, energy
 from ..motion.state import EntryState
 from ..onboard.track import Track
 from ..world.planet import Planet
@@ -243,11 +243,8 @@ class RangeToGoBelow(AbstractEndCondition):
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
     def margin(self, state: EntryState, planet: Planet) -> Scalar:
-        north = jnp.sin(0.5 * (state.latitude - self.latitude))
-        east = jnp.sin(0.5 * (state.longitude - self.longitude))
-        cosines = jnp.cos(state.latitude) * jnp.cos(self.latitude)
-        half = jnp.sqrt(north * north + cosines * east * east)
-        return 2.0 * planet.radius * jnp.arcsin(half) - self.range
+        arc = arc_to(*direction_to(self.longitude, self.latitude, state))
+        return planet.radius * arc - self.range
 
 
 def _margin(

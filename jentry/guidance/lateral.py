@@ -14,7 +14,7 @@ from jax.core import Tracer
 
 from .._math import sincos
 from ..fields import NOT_NEGATIVE, QUARTER, Scalar, Vector, scalar, table
-from ..motion.quantities import ground_track
+from ..motion.quantities import arc_to, direction_to, ground_track
 from ..motion.state import Controls, EntryState
 from ..onboard.measurement import Measurement
 from ..world.planet import Planet
@@ -213,7 +213,7 @@ class HeadingCorridor(AbstractCorridor):
 
         Positive if the target is to the right.
         """
-        ahead, right, _ = self._direction(state)
+        ahead, right, _ = direction_to(self.longitude, self.latitude, state)
         return jnp.arctan2(right, ahead)
 
     def update(
@@ -224,26 +224,12 @@ class HeadingCorridor(AbstractCorridor):
         destination: Destination | None,
     ) -> Scalar:
         state = measurement.state
-        ahead, right, down = self._direction(state)
-        distance = self.radius * jnp.arctan2(
-            jnp.sqrt(ahead * ahead + right * right), down
-        )
+        ahead, right, up = direction_to(self.longitude, self.latitude, state)
+        distance = self.radius * arc_to(ahead, right, up)
         # As a length, in which smooth switching measures how far a limit is exceeded.
         miss = jnp.arctan2(right, ahead) * distance
         half_width = self.half_width(state.velocity) * distance
         return reverse_bank(side, miss, half_width, self.switching)
-
-    def _direction(self, state: EntryState) -> tuple[Scalar, Scalar, Scalar]:
-        """Components of the unit vector to the target: ahead, to the right, upwards."""
-        sin_there, cos_there = sincos(self.latitude)
-        sin_here, cos_here = sincos(state.latitude)
-        sin_between, cos_between = sincos(self.longitude - state.longitude)
-        sin_heading, cos_heading = sincos(state.heading)
-        east = cos_there * sin_between
-        north = sin_there * cos_here - cos_there * sin_here * cos_between
-        up = sin_there * sin_here + cos_there * cos_here * cos_between
-        ahead = east * sin_heading + north * cos_heading
-        return ahead, east * cos_heading - north * sin_heading, up
 
 
 class CountedSide(eqx.Module):

@@ -17,6 +17,7 @@ from .constraints import (
     HeatLoad as HeatLoad,
     HeatRate as HeatRate,
     LoadFactor as LoadFactor,
+    MachNumber as MachNumber,
     NormalLoadFactor as NormalLoadFactor,
     PathPoint as PathPoint,
     excesses as excesses,

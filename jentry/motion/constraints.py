@@ -125,6 +125,16 @@ class DynamicPressure(AbstractConstraint):
         return point.air.dynamic_pressure
 
 
+class MachNumber(AbstractConstraint):
+    """Mach number: speed relative to the air in units of the speed of sound."""
+
+    limit: Scalar | None = optional_scalar()
+    unit = "1"
+
+    def value(self, point: PathPoint) -> Scalar:
+        return point.air.mach
+
+
 class HeatRate(AbstractConstraint):
     """Convective heat rate at the stagnation point: `convective_heat_rate`."""
 

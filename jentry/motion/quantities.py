@@ -68,6 +68,29 @@ def _direction(longitude: Scalar, latitude: Scalar) -> tuple:
     return cos_latitude * cos_longitude, cos_latitude * sin_longitude, sin_latitude
 
 
+def direction_to(
+    longitude: Scalar, latitude: Scalar, state: EntryState
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Unit vector from the centre of the planet to a place, in axes of the vehicle.
+
+    Its components are ahead, along the heading over the ground, to the right, and up.
+    """
+    sin_there, cos_there = sincos(latitude)
+    sin_here, cos_here = sincos(state.latitude)
+    sin_between, cos_between = sincos(longitude - state.longitude)
+    sin_heading, cos_heading = sincos(state.heading)
+    east = cos_there * sin_between
+    north = sin_there * cos_here - cos_there * sin_here * cos_between
+    up = sin_there * sin_here + cos_there * cos_here * cos_between
+    ahead = east * sin_heading + north * cos_heading
+    return ahead, east * cos_heading - north * sin_heading, up
+
+
+def arc_to(ahead: Scalar, right: Scalar, up: Scalar) -> Scalar:
+    """Angle of the great circle from the vehicle to a place, rad, by its `direction_to`."""
+    return jnp.arctan2(jnp.sqrt(ahead * ahead + right * right), up)
+
+
 def ground_track(
     planet: Planet, origin: EntryState, state: EntryState
 ) -> tuple[Scalar, Scalar]:

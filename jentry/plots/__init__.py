@@ -11,3 +11,4 @@ from .campaign import (
     save_figures as save_figures,
 )
 from .figure_data import FigureData as FigureData
+from .navigation import draw_navigation_errors as draw_navigation_errors

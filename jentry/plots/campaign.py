@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Optional
 
 from .._files import write_whole
-from ..campaign.outputs import error_of
+from ..campaign.outputs import error_of, navigated
 from . import errors, glide
 from .entry_corridor import corridor
 from .figure_data import FigureData
+from .navigation import draw_navigation_errors
 from .style import in_style, legend, panelled
 from .trajectories import ALTITUDE, BANK, DRAG, Trajectory, draw_deviation
 
@@ -109,14 +110,25 @@ def overview(data: FigureData) -> "matplotlib.figure.Figure | None":
     return data.noted(figure)
 
 
+def navigation(data: FigureData) -> "matplotlib.figure.Figure | None":
+    """Errors of the navigation over time; None where it is perfect."""
+    runs, scenario = data.trajectories, data.scenario
+    if runs is None or scenario is None or navigated("altitude") not in runs:
+        return None
+    figure = draw_navigation_errors(scenario, runs, data.title)
+    return data.noted(figure, histories=True)
+
+
 HISTORIES: Mapping[str, DrawFigure] = {
     "drag": functools.partial(_of_trajectories, DRAG),
     "drag_deviation": drag_deviation,
     "altitude": functools.partial(_of_trajectories, ALTITUDE),
     "bank": functools.partial(_of_trajectories, BANK),
     "corridor": corridor,
+    "navigation": navigation,
 }
-"""Percentile bands of the runs at equal velocity, and the bank of some runs over time"""
+"""Percentile bands of the runs at equal velocity, the bank of some runs over time, and the
+errors of a navigation that is not perfect"""
 
 USUAL: Mapping[str, DrawFigure] = {
     **HISTORIES,

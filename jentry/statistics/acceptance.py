@@ -18,7 +18,7 @@ import numpy as np
 
 from .._printed import in_words
 from ..addresses import nearest
-from ..campaign.outputs import is_error
+from ..campaign.outputs import difference_of, is_error
 from ..campaign.results import output_names
 from ..flight.closed_loop import caveat_names
 from ..flight.scenario import Scenario
@@ -131,8 +131,8 @@ class Requirement:
         if is_error(self.quantity) and not self.magnitude:
             words = in_words(self.quantity)
             return (
-                f"the {words} has a sign, actual minus desired: |{self.quantity}| asks "
-                "about its magnitude"
+                f"the {words} has a sign, {difference_of(self.quantity)}: "
+                f"|{self.quantity}| asks about its magnitude"
             )
         return None
 

@@ -12,7 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..addresses import nearest
-from ..campaign.outputs import MISS_DISTANCE, edge_of, is_error, is_output
+from ..campaign.outputs import (
+    MISS_DISTANCE,
+    edge_of,
+    is_error,
+    is_of_navigation,
+    is_output,
+)
 from ..campaign.populations import finite_flights
 from ..flight.termination import Outcome
 from .comparison import Comparison, TooFewFlights, are_pairs, compared, quantity, words
@@ -253,7 +259,7 @@ def shared_runs(campaigns: "Mapping[str, xarray.Dataset]") -> np.ndarray:
 def usual_outputs(campaigns: "Mapping[str, xarray.Dataset]") -> list[str]:
     """Outputs that are compared by default.
 
-    They are the miss distance and the errors that all campaigns have and that exceed
+    They are the miss distance and the actual errors that all campaigns have and that exceed
     rounding in one of them. If there is none, they are all common outputs.
 
     **Raises:** `ValueError` if the campaigns have no output in common.
@@ -268,7 +274,7 @@ def usual_outputs(campaigns: "Mapping[str, xarray.Dataset]") -> list[str]:
         if any(float(abs(x[name]).max()) > _ROUNDING for x in campaigns.values())
     ]
     found = [name for name in spread if name == MISS_DISTANCE]
-    found += [name for name in spread if is_error(name)]
+    found += [n for n in spread if is_error(n) and not is_of_navigation(n)]
     found = found or names
     if not found:
         raise ValueError("the campaigns have no output in common")

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .._printed import in_words
-from ..campaign.outputs import at_end, is_error, is_output, shown, unit_size
+from ..campaign.outputs import (
+    at_end,
+    is_error,
+    is_of_navigation,
+    is_output,
+    navigated,
+    shown,
+    unit_size,
+)
 from ..campaign.populations import finite_flights
 from ..fields import units_of
 from ..flight.termination import Outcome
@@ -37,7 +45,11 @@ PERCENTILES = (1.0, 5.0, 50.0, 95.0, 99.0)
 RADII = (50.0, 90.0, 99.0)
 """Percentages of the circular errors and of the ellipses"""
 
-END_STATE = {at_end(name) for name in units_of(EntryState)}
+END_STATE = {
+    at_end(name)
+    for component in units_of(EntryState)
+    for name in (component, navigated(component))
+}
 """Outputs without statistics here: the errors of the end state replace them"""
 
 
@@ -126,6 +138,16 @@ class Summary:
     verdicts: list[Verdict]
     counted_from: str | None = None
     """Description of the origin of downrange and crossrange errors"""
+
+    @property
+    def of_navigation(self) -> str | None:
+        """Text that describes the errors of the navigation; None if it is perfect."""
+        if any(is_of_navigation(each.name) for each in self.statistics):
+            return (
+                "believed: errors that the vehicle would report, believed minus desired; "
+                "navigation: believed minus actual"
+            )
+        return None
 
     @property
     def caution(self) -> str | None:
