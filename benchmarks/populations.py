@@ -272,11 +272,17 @@ ROWS = {
         ("predictor-corrector world in-plane", "independent"),
         ("predictor-corrector-network world in-plane", "independent"),
         ("predictor-corrector-network", "independent"),
+        ("range-tracking world inertial", "lift-to-drag-held-and-knowledge"),
+        ("predictor-corrector world inertial", "lift-to-drag-held-and-knowledge"),
     ),
-    "sx-2": tuple(
-        (choice, dispersions)
-        for dispersions in ("initial-errors", "air-and-vehicle")
-        for choice in ("full", "predictor-corrector")
+    "sx-2": (
+        *(
+            (choice, dispersions)
+            for dispersions in ("initial-errors", "air-and-vehicle")
+            for choice in ("full", "predictor-corrector")
+        ),
+        ("predictor-corrector", "everything"),
+        ("predictor-corrector world inertial", "everything-and-knowledge"),
     ),
     "x-33": tuple(
         (choice, dispersions)
@@ -289,9 +295,12 @@ ROWS = {
             *CROSSINGS["x-33"],
         )
     ),
-    "rlv": tuple(
-        (choice, "table-1")
-        for choice in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
+    "rlv": (
+        *(
+            (choice, "table-1")
+            for choice in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
+        ),
+        ("predictor-corrector world inertial", "table-1-and-knowledge"),
     ),
     "apollo-10": (
         ("predictor-corrector", "everything"),
@@ -300,6 +309,7 @@ ROWS = {
         ("predictor-corrector case skip", "everything"),
         ("unlimited", "everything"),
         ("predictor-corrector world us-1976", "everything"),
+        ("predictor-corrector world inertial", "everything-and-knowledge"),
     ),
     "cav-h-glide": (
         ("predictor-corrector", "everything"),
@@ -310,6 +320,7 @@ ROWS = {
         ("undamped-unlimited", "everything"),
         ("predictor-corrector world at-rest", "everything"),
         ("predictor-corrector world us-1976", "everything"),
+        ("predictor-corrector world inertial", "everything-and-knowledge"),
     ),
     "mars-drag-tracking": tuple(
         (choice, "lift-to-drag-held")

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from .._computed_once import computed_once
 from ..campaign.dispersions import Dispersion
@@ -12,14 +12,15 @@ from ..campaign.distributions import Normal, Uniform
 from ..flight.closed_loop import guidance_period
 from ..flight.scenario import Scenario
 from ..onboard.measurement import BodyAccelerometers, PerfectAccelerometers
-from ..onboard.navigation import InertialNavigation, InertialNoise
+from ..onboard.navigation import InertialNavigation, InertialNoise, PerfectNavigation
 from ..units import degree, hour, micro_g
 
 
 SHUTTLE_TILT = 0.26 * degree / 3.0
-"""Standard deviation of the attitude of the Space Shuttle at its entry, rad: "accurate to
-within 0.26 degree at the 400,000 foot altitude entry interface" (abstract of "Shuttle Orbiter
-Stellar-Inertial Reference System"). We read it as three sigma about each axis"""
+"""Standard deviation of the attitude of the Space Shuttle at its entry, rad:
+"accurate to within 0.26 degree at the 400,000 foot altitude entry interface"
+(abstract of "Shuttle Orbiter Stellar-Inertial Reference System"). We read it as
+three sigma about each axis"""
 
 
 class Errors(NamedTuple):
@@ -120,12 +121,26 @@ class Inertial:
             ("drift", "navigation.gyroscopes.drift_", _TURNS, errors.drift),
         ):
             for end in ends:
-                lens = attrgetter(address + end)
-                table[f"{words} {end}"] = Dispersion(lens, Normal(0.0, size))
-        seed = Dispersion(lambda s: s.navigation.noise.seed, Uniform(0.0, 1.0))
+                lens, normal = _lens(address + end), Normal(0.0, size)
+                table[f"{words} {end}"] = Dispersion(lens, normal)
+        seed = Dispersion(_lens("navigation.noise.seed"), Uniform(0.0, 1.0))
         return table | {"navigation noise": seed}
 
     @computed_once
     def usual_and_knowledge(self) -> dict[str, Dispersion]:
         """The usual dispersions and `knowledge` together, for the world `inertial`."""
         return dict(self.usual()) | self.knowledge()
+
+
+def _lens(address: str) -> Callable[[Any], Any]:
+    part = attrgetter(address)
+
+    def lens(scenario: Any) -> Any:
+        if isinstance(scenario.navigation, PerfectNavigation):
+            raise ValueError(
+                f"navigation is PerfectNavigation, without {address}: choose the world "
+                "inertial, --world inertial"
+            )
+        return part(scenario)
+
+    return lens

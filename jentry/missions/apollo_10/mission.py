@@ -20,13 +20,14 @@ NAVIGATION = Inertial(
     decided=(),
     usual=everything,
 )
-"""Attitude: half a minute of arc, one sigma, for the alignment of the inertial unit of the
-command module (Apollo Data Priority Coordination, memorandum 69-PA-T-34A, 25 February 1969).
-Bias: 0.003 ft/s2, above which the compensation was to be updated (memorandum 69-PA-T-72A, 6 May
-1969); we read it as three sigma. The other numbers are chosen; scale error, misalignment and
-random walk of the attitude are those of `Errors`. The instruments of the capsule were on a
-stable platform; here they are fixed to the capsule. The flight ends at an actual altitude,
-chosen as that of a barometric switch"""
+"""Attitude: half a minute of arc, one sigma, for the alignment of the inertial unit
+of the command module (Apollo Data Priority Coordination, memorandum 69-PA-T-34A, 25
+February 1969). Bias: 0.003 ft/s2, above which the compensation was to be updated
+(memorandum 69-PA-T-72A, 6 May 1969); we read it as three sigma. The other numbers
+are chosen; scale error, misalignment and random walk of the attitude are those of
+`Errors`. The instruments of the capsule were on a stable platform; here they are
+fixed to the capsule. The flight ends at an actual altitude, chosen as that of a
+barometric switch"""
 
 
 MISSION = Mission(

@@ -114,11 +114,11 @@ NAVIGATION = Inertial(
     decided=("velocity", "altitude"),
     usual=lift_to_drag_held,
 )
-"""Position and velocity: 2.8 km and 2 m/s, which the Mars Science Laboratory was required to
-know at its entry (T. J. Martin-Mur and others, "Mars Science Laboratory Navigation Results",
-2012, abstract). We read them as three sigma along each axis. The attitude is chosen. The
-instruments are those of `Errors`. At the end the vehicle opens its parachute, by the velocity
-or the altitude that it believes"""
+"""Position and velocity: 2.8 km and 2 m/s, which the Mars Science Laboratory was
+required to know at its entry (T. J. Martin-Mur and others, "Mars Science Laboratory
+Navigation Results", 2012, abstract). We read them as three sigma along each axis.
+The attitude is chosen. The instruments are those of `Errors`. At the end the vehicle
+opens its parachute, by the velocity or the altitude that it believes"""
 
 
 MISSION = Mission(
