@@ -281,7 +281,6 @@ ROWS = {
             for dispersions in ("initial-errors", "air-and-vehicle")
             for choice in ("full", "predictor-corrector")
         ),
-        ("predictor-corrector", "everything"),
         ("predictor-corrector world inertial", "everything-and-knowledge"),
     ),
     "x-33": tuple(

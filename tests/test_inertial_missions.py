@@ -26,7 +26,7 @@ MISSIONS = {
 
 SLOW = [
     pytest.param(name, marks=pytest.mark.slow)
-    if name in ("cav-h-glide", "sx-2", "rlv")
+    if name != "mars-range-tracking"
     else name
     for name in MISSIONS
 ]
