@@ -176,3 +176,14 @@ def test_what_is_said_of_the_mars_lander():
     assert_says("the position is known to 0.93 km along each axis", 2.8 / 3.0)
     perfect = [means(mission, law, usual, spreads[0])[0] for law in laws]
     assert_says("the downrange errors are 0.0020 and 0.019 km", *perfect)
+
+
+def test_what_is_said_of_apollo_10():
+    headings = "miss, median, km", "within 1 km, %"
+    law = "predictor-corrector"
+    perfect = means("apollo-10", law, "everything", *headings)
+    known = f"{law} world inertial", "everything-and-knowledge"
+    inertial = means("apollo-10", *known, *headings)
+    said = "the median of the miss is 1.07 km in place of 0.47 km, and 47 % of the"
+    assert_says(said, inertial[0], perfect[0], inertial[1])
+    assert_says("within 1 km in place of 98 %", 1, perfect[1])
