@@ -187,3 +187,13 @@ def test_what_is_said_of_apollo_10():
     said = "the median of the miss is 1.07 km in place of 0.47 km, and 47 % of the"
     assert_says(said, inertial[0], perfect[0], inertial[1])
     assert_says("within 1 km in place of 98 %", 1, perfect[1])
+
+
+def test_what_is_said_of_sx_2():
+    headings = "downrange error, median, km", "crossrange error, median, km"
+    law = "predictor-corrector"
+    known = f"{law} world inertial", "everything-and-knowledge"
+    said = "the medians of downrange and crossrange error are 1.32 and 2.27 km"
+    assert_says(said, *means("sx-2", *known, *headings))
+    perfect = means("sx-2", law, "air-and-vehicle", *headings)
+    assert_says("in place of 0.0045 and 0.028 km under", *perfect)
