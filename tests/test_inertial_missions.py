@@ -197,3 +197,19 @@ def test_what_is_said_of_sx_2():
     assert_says(said, *means("sx-2", *known, *headings))
     perfect = means("sx-2", law, "air-and-vehicle", *headings)
     assert_says("in place of 0.0045 and 0.028 km under", *perfect)
+
+
+def test_what_is_said_of_the_glide():
+    headings = "miss over ground, median, km", "beyond a limit, %"
+    law = "predictor-corrector"
+    known = f"{law} world inertial", "everything-and-knowledge"
+    median, beyond = means("cav-h-glide", *known, *headings)
+    assert beyond == 0.0
+    assert_says("The median of the miss over ground is 0.89 km", median)
+    perfect = means("cav-h-glide", law, "everything", *headings)[:1]
+    assert_says("place of 0.068 km with perfect navigation", *perfect)
+    largest = "miss over ground, maximum, km"
+    most = np.max(populations.saved()["cav-h-glide", *known, largest])
+    assert_says("the largest of 800 flights is 18 km", 800, most)
+    growth = np.sqrt(6378137.0**3 / 2.0 / 3.986e14)
+    assert_says("by a factor of e in 9.5 minutes", growth / 60.0)
