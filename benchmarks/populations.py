@@ -294,12 +294,9 @@ ROWS = {
             *CROSSINGS["x-33"],
         )
     ),
-    "rlv": (
-        *(
-            (choice, "table-1")
-            for choice in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
-        ),
-        ("predictor-corrector world inertial", "table-1-and-knowledge"),
+    "rlv": tuple(
+        (choice, "table-1")
+        for choice in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
     ),
     "apollo-10": (
         ("predictor-corrector", "everything"),
