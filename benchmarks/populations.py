@@ -272,11 +272,16 @@ ROWS = {
         ("predictor-corrector world in-plane", "independent"),
         ("predictor-corrector-network world in-plane", "independent"),
         ("predictor-corrector-network", "independent"),
+        ("range-tracking world inertial", "lift-to-drag-held-and-knowledge"),
+        ("predictor-corrector world inertial", "lift-to-drag-held-and-knowledge"),
     ),
-    "sx-2": tuple(
-        (choice, dispersions)
-        for dispersions in ("initial-errors", "air-and-vehicle")
-        for choice in ("full", "predictor-corrector")
+    "sx-2": (
+        *(
+            (choice, dispersions)
+            for dispersions in ("initial-errors", "air-and-vehicle")
+            for choice in ("full", "predictor-corrector")
+        ),
+        ("predictor-corrector world inertial", "everything-and-knowledge"),
     ),
     "x-33": tuple(
         (choice, dispersions)
@@ -300,6 +305,7 @@ ROWS = {
         ("predictor-corrector case skip", "everything"),
         ("unlimited", "everything"),
         ("predictor-corrector world us-1976", "everything"),
+        ("predictor-corrector world inertial", "everything-and-knowledge"),
     ),
     "cav-h-glide": (
         ("predictor-corrector", "everything"),
@@ -310,6 +316,7 @@ ROWS = {
         ("undamped-unlimited", "everything"),
         ("predictor-corrector world at-rest", "everything"),
         ("predictor-corrector world us-1976", "everything"),
+        ("predictor-corrector world inertial", "everything-and-knowledge"),
     ),
     "mars-drag-tracking": tuple(
         (choice, "lift-to-drag-held")

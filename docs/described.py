@@ -1,10 +1,13 @@
 """What the program says of itself: options of its commands, choices of its missions."""
 
+import math
+
 import typer
 
 from jentry.cli.entry import app
 from jentry.cli.mission_report import sentence
 from jentry.missions import find_mission
+from jentry.units import degree, hour, micro_g
 
 
 def markdown_table(heading: list[str], rows: list[list[str]]) -> str:
@@ -55,3 +58,30 @@ def choices_of(name: str) -> str:
             rows = [[f"`{key}`", sentence(function)] for key, function in named.items()]
             parts.append(markdown_table([f"`{option}`", "Meaning"], rows))
     return "\n\n".join(parts)
+
+
+_ERRORS = {
+    "position": ("position at the start, m", 1.0),
+    "velocity": ("velocity at the start, m/s", 1.0),
+    "tilt": ("attitude at the start, degrees", degree),
+    "bias": ("bias of the accelerometers, micro-g", micro_g),
+    "scale_error": ("scale error of the accelerometers, 1e-6", 1e-6),
+    "misalignment": ("misalignment of the accelerometers, 1e-6 rad", 1e-6),
+    "drift": ("drift of the gyroscopes, degrees/h", degree / hour),
+    "velocity_random_walk": ("random walk of the velocity after 1 s, mm/s", 1e-3),
+    "angle_random_walk": (
+        "random walk of the attitude after 1 h, degrees",
+        degree / math.sqrt(hour),
+    ),
+}
+"""By field of `jentry.missions.inertial.Errors`: words with a unit, and its SI value"""
+
+
+def errors_of(name: str) -> str:
+    """Standard deviations of the errors of the inertial navigation of a mission."""
+    errors = find_mission(name).worlds["inertial"].__self__.errors
+    rows = [
+        [words, f"{getattr(errors, field) / size:.3g}"]
+        for field, (words, size) in _ERRORS.items()
+    ]
+    return markdown_table(["error of each axis", "standard deviation"], rows)

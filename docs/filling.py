@@ -2,20 +2,21 @@
 
 import re
 
-from described import choices_of, options_of
+from described import choices_of, errors_of, options_of
 from tables import table
 
 
 _TABLE = re.compile(r"^```table\n(.*?)^```$", re.M | re.S)
-_FROM_PROGRAM = re.compile(r"^\{\{ (options|choices) (\S+) \}\}$", re.M)
-_MADE = {"options": options_of, "choices": choices_of}
+_FROM_PROGRAM = re.compile(r"^\{\{ (options|choices|errors) (\S+) \}\}$", re.M)
+_MADE = {"options": options_of, "choices": choices_of, "errors": errors_of}
 
 
 def filled(text: str) -> str:
     """A page with its tables, options and choices.
 
     A block ```` ```table ```` becomes a table (see `table`), and a line `{{ options fly }}`
-    or `{{ choices x-33 }}` the options of a command or the choices of a mission.
+    or `{{ choices x-33 }}` the options of a command or the choices of a mission. A line
+    `{{ errors sx-2 }}` becomes the errors of the inertial navigation of a mission.
 
     **Raises:** `ValueError` or `KeyError` for what does not exist.
     """

@@ -76,7 +76,11 @@ def readings_by_variant(mission):
     found = {}
     # Those that move much first: their choices have what the others move as well.
     for reading in sorted(mission.dispersions, key=lambda r: -size(mission, r)):
-        variant = next(v for v in (*found, *choices(mission)) if takes(v, reading))
+        worlds = (
+            f"{law} world {world}" for law in mission.laws for world in mission.worlds
+        )
+        every = *found, *choices(mission), *worlds
+        variant = next(v for v in every if takes(v, reading))
         found.setdefault(variant, []).append(reading)
     return found
 

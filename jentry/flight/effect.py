@@ -19,6 +19,7 @@ from .closed_loop import (
     Moving,
     constrained,
     decide,
+    navigate,
     path_constraints,
     start,
     vector_field,
@@ -136,7 +137,10 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
 
 def _guidance(scenario: Scenario) -> Any:
     """All results of one guidance cycle."""
-    lane = decide(scenario, start(scenario, 1.0), None)
+    lane = start(scenario, 1.0)
+    if scenario.navigation.cycle is not None:
+        lane = navigate(scenario, lane, None)
+    lane = decide(scenario, lane, None)
     law = scenario.law
     return (
         lane,

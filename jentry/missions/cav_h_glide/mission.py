@@ -1,6 +1,8 @@
 """The mission CAV-H glide: its laws, its worlds and its dispersions."""
 
 from ...plots import GLIDE
+from ...units import degree
+from ..inertial import Errors, Inertial
 from ..mission import Mission
 from ..npcg_toolbox import through_us_1976
 from .dispersions import air_and_vehicle, entry_errors, everything
@@ -11,6 +13,16 @@ from .scenario import (
     undamped,
     undamped_unlimited,
 )
+
+
+NAVIGATION = Inertial(
+    Errors(position=30.0 / 3.0, velocity=0.1 / 3.0, tilt=0.02 * degree / 3.0),
+    decided=("energy",),
+    usual=everything,
+)
+"""No navigation of this glider is published. Knowledge is chosen: the booster receives
+navigation satellites and sees stars until it releases the glider. The instruments are those
+of `Errors`. The guided flight ends at the energy that the vehicle believes"""
 
 
 MISSION = Mission(
@@ -24,7 +36,11 @@ MISSION = Mission(
         "undamped": undamped,
         "undamped-unlimited": undamped_unlimited,
     },
-    worlds={"us-1976": through_us_1976, "at-rest": at_rest},
+    worlds={
+        "us-1976": through_us_1976,
+        "at-rest": at_rest,
+        "inertial": NAVIGATION.world,
+    },
     former_variants={
         name: f"predictor-corrector world {name}" for name in ("us-1976", "at-rest")
     },
@@ -32,6 +48,8 @@ MISSION = Mission(
         "everything": everything,
         "entry-errors": entry_errors,
         "air-and-vehicle": air_and_vehicle,
+        "knowledge": NAVIGATION.knowledge,
+        "everything-and-knowledge": NAVIGATION.usual_and_knowledge,
     },
     gains=("guidance.shape.final", "guidance.damping.ratio"),
     figures=GLIDE,

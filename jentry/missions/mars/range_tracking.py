@@ -21,7 +21,8 @@ from ...onboard.model import OnboardModel
 from ...onboard.profiles import PolynomialProfile, QuinticProfile
 from ...onboard.reference import DragReference
 from ...planning.reference_flight import ReferenceFlight, open_loop, plan_drag_reference
-from ...units import km
+from ...units import degree, km
+from ..inertial import Errors, Inertial
 from ..mission import Mission
 from . import predictor_corrector
 from .drag_tracking import (
@@ -104,6 +105,22 @@ def in_plane(scenario: Scenario) -> Scenario:
     return dataclasses.replace(flat, guidance=law)
 
 
+NAVIGATION = Inertial(
+    Errors(
+        position=2.8 * km / 3.0,
+        velocity=2.0 / 3.0,
+        tilt=0.1 * degree / 3.0,
+    ),
+    decided=("velocity", "altitude"),
+    usual=lift_to_drag_held,
+)
+"""Position and velocity: 2.8 km and 2 m/s, which the Mars Science Laboratory was
+required to know at its entry (T. J. Martin-Mur and others, "Mars Science Laboratory
+Navigation Results", 2012, abstract). We read them as three sigma along each axis.
+The attitude is chosen. The instruments are those of `Errors`. At the end the vehicle
+opens its parachute, by the velocity or the altitude that it believes"""
+
+
 MISSION = Mission(
     name="mars-range-tracking",
     title="Mars lander, drag tracking scaled to the range to go, with bank reversals",
@@ -114,7 +131,7 @@ MISSION = Mission(
         "predictor-corrector": predictor_corrector.guided,
         "predictor-corrector-network": predictor_corrector.networked,
     },
-    worlds={"in-plane": in_plane},
+    worlds={"in-plane": in_plane, "inertial": NAVIGATION.world},
     former_variants={
         "three-dimensional": "range-tracking",
         "in-plane": "range-tracking world in-plane",
@@ -125,6 +142,8 @@ MISSION = Mission(
     dispersions={
         "lift-to-drag-held": lift_to_drag_held,
         "independent": independent,
+        "knowledge": NAVIGATION.knowledge,
+        "lift-to-drag-held-and-knowledge": NAVIGATION.usual_and_knowledge,
     },
     train=predictor_corrector.train,
 )

@@ -1,6 +1,8 @@
 """The mission RLV: both laws of the paper, with attitudes of several bandwidths."""
 
 from ...plots.campaign import HISTORIES, overview
+from ...units import km
+from ..inertial import SHUTTLE_TILT, Errors, Inertial
 from ..mission import Mission, PublishedValue
 from . import crossings, figures, predictor_corrector
 from .dispersions import atmosphere, table_1, table_1_estimated_angle, table_1_noise
@@ -16,6 +18,16 @@ from .scenario import (
     shuttle_as_flown,
     shuttle_quarter,
 )
+
+
+NAVIGATION = Inertial(
+    Errors(position=1.0 * km / 3.0, velocity=1.0 / 3.0, tilt=SHUTTLE_TILT),
+    decided=("velocity",),
+    usual=table_1,
+)
+"""Attitude of the Space Shuttle at its entry. Position and velocity are chosen. The
+instruments are those of `Errors`. The guided flight ends at the velocity that the vehicle
+believes"""
 
 
 MISSION = Mission(
@@ -39,7 +51,12 @@ MISSION = Mission(
         "pseudospectral-with-range": crossings.pseudospectral_with_range,
         "feedback-linearization": crossings.feedback_linearization,
     },
-    worlds={"attitude-3": attitude_3, "attitude-8": attitude_8, "noise": noise},
+    worlds={
+        "attitude-3": attitude_3,
+        "attitude-8": attitude_8,
+        "noise": noise,
+        "inertial": NAVIGATION.world,
+    },
     former_variants={
         "r5": "modulation",
         "a8": "modulation-fast-observer world attitude-8",
@@ -52,6 +69,8 @@ MISSION = Mission(
         "table-1-noise": table_1_noise,
         "table-1-estimated-angle": table_1_estimated_angle,
         "atmosphere": atmosphere,
+        "knowledge": NAVIGATION.knowledge,
+        "table-1-and-knowledge": NAVIGATION.usual_and_knowledge,
     },
     gains=(
         # `scheduled_at` is left out: it multiplies two of these.

@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 
 from ...flight.scenario import Scenario
-from ...units import nautical_mile
+from ...units import km, nautical_mile
+from ..inertial import SHUTTLE_TILT, Errors, Inertial
 from ..mission import Change, Mission, PublishedValue
 from . import predictor_corrector
 from .dispersions import (
@@ -61,6 +62,16 @@ def _largest(name: str, variable: str) -> PublishedValue:
     )
 
 
+NAVIGATION = Inertial(
+    Errors(position=1.0 * km / 3.0, velocity=1.0 / 3.0, tilt=SHUTTLE_TILT),
+    decided=("energy",),
+    usual=everything,
+)
+"""Attitude of the Space Shuttle at its entry. Position and velocity are chosen. The
+instruments are those of `Errors`. The guided flight ends at the energy that the vehicle
+believes, where terminal area energy management begins"""
+
+
 MISSION = Mission(
     name="sx-2",
     title="SX-2, ground-track tracking by feedback linearization, angle of attack and "
@@ -79,12 +90,15 @@ MISSION = Mission(
         "figures": figures,
         **{name: _case(name, errors) for name, errors in cases().items()},
     },
+    worlds={"inertial": NAVIGATION.world},
     former_variants={name: f"full case {name}" for name in ("figures", *cases())},
     dispersions={
         "initial-errors": initial_errors,
         "one-at-a-time": one_at_a_time,
         "air-and-vehicle": air_and_vehicle,
         "everything": everything,
+        "knowledge": NAVIGATION.knowledge,
+        "everything-and-knowledge": NAVIGATION.usual_and_knowledge,
     },
     gains=("guidance.gains",),
     published=(
