@@ -424,7 +424,7 @@ def test_noise_is_a_random_walk_of_velocity_and_attitude():
     @jax.jit
     @jax.vmap
     def off(seed):
-        mine = eqx.tree_at(lambda s: s.navigation.noise.seed, scenario, seed)
+        mine = eqx.tree_at(lambda s: s.navigation.seed, scenario, seed)
         flight = fly(mine, FixedStep(1.0))
         known, truth = flight.navigated, flight.state
         rise = known.velocity * jnp.sin(known.flight_path_angle)
@@ -453,7 +453,7 @@ def test_the_axes_of_the_noise_are_independent_and_as_large_as_stated():
     steps = jax.jit(
         jax.vmap(
             lambda seed: eqx.tree_at(
-                lambda n: n.noise.seed, InertialNavigation(noise=WALK), seed
+                lambda n: n.seed, InertialNavigation(noise=WALK), seed
             ).update(lambda: None, known, None, jnp.asarray(2.0), jnp.asarray(True))[0]
         )
     )(jnp.linspace(0.0, 1.0, 4000, endpoint=False))

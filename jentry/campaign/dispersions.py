@@ -303,12 +303,12 @@ def check_dispersions(
 _NOISES = {
     "accelerometers.noise": "accelerometers.noise_seed",
     "flow_sensors.noise": "flow_sensors.noise_seed",
-    "navigation.noise.velocity_random_walk": "navigation.noise.seed",
-    "navigation.noise.angle_random_walk": "navigation.noise.seed",
+    "navigation.noise.velocity_random_walk": "navigation.seed",
+    "navigation.noise.angle_random_walk": "navigation.seed",
 }
 """Address of the seed of each noise, by that of its size"""
 
-_SENSORS, _THEIR_SEED = "navigation.filter.sensors.", "navigation.filter.seed"
+_SENSORS, _THEIR_SEED = "navigation.filter.sensors.", "navigation.seed"
 
 
 def _noises(leaves: Mapping[str, Array]) -> dict[str, str]:

@@ -123,7 +123,7 @@ class Inertial:
             for end in ends:
                 lens, normal = _lens(address + end), Normal(0.0, size)
                 table[f"{words} {end}"] = Dispersion(lens, normal)
-        seed = Dispersion(_lens("navigation.noise.seed"), Uniform(0.0, 1.0))
+        seed = Dispersion(_lens("navigation.seed"), Uniform(0.0, 1.0))
         return table | {"navigation noise": seed}
 
     @computed_once

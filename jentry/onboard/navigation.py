@@ -121,9 +121,6 @@ class InertialNoise(eqx.Module):
     grows with the square root of time"""
     angle_random_walk: Scalar = scalar(0.0, unit="rad/s^0.5", range=NOT_NEGATIVE)
     """Standard deviation of each component of the tilt after 1 s, rad"""
-    seed: Scalar = scalar(0.0, range=(0.0, 1.0), choice=True)
-    """A number between 0 and 1 that selects the noise of this flight; disperse it with
-    `Uniform(0, 1)`"""
     cycle: float = eqx.field(default=1.0, static=True)
     """Time from one sample to the next, s"""
 
@@ -161,6 +158,9 @@ class InertialNavigation(AbstractNavigation[Navigated]):
     """Noise of the instruments; None if there is none"""
     filter: NavigationFilter | None = None
     """Filter that corrects the navigation by other sensors; None if there are none"""
+    seed: Scalar = scalar(0.0, range=(0.0, 1.0), choice=True)
+    """A number between 0 and 1 that selects the noise of this flight, of the instruments
+    and of the other sensors; disperse it with `Uniform(0, 1)`"""
 
     def __check_init__(self):
         if self.noise is None or self.filter is None:
@@ -195,7 +195,8 @@ class InertialNavigation(AbstractNavigation[Navigated]):
         due: Flag,
     ) -> tuple[Navigated, Aiding | None]:
         if self.noise is not None:
-            kicked = _kicked(self.noise, navigated, at)
+            drawn = normal_sample(self.seed, at)
+            kicked = _kicked(self.noise, navigated, drawn)
             navigated = jax.tree.map(
                 lambda after, before: jnp.where(due, after, before), kicked, navigated
             )
@@ -203,7 +204,8 @@ class InertialNavigation(AbstractNavigation[Navigated]):
             return navigated, aiding
         flight = actual()
         known, sensed = self._known(flight.planet), Sensed.of(flight)
-        return self.filter.update(known, navigated, aiding, sensed, at, due)
+        drawn = normal_sample(self.seed, at)
+        return self.filter.update(known, navigated, aiding, sensed, at, due, drawn)
 
     def rate(
         self, actual: Actual, navigated: Navigated, aiding: Aiding | None
@@ -243,9 +245,10 @@ class InertialNavigation(AbstractNavigation[Navigated]):
         return eqx.tree_at(lambda p: p.gravity, planet, self.gravity)
 
 
-def _kicked(noise: InertialNoise, navigated: Navigated, at: Scalar) -> Navigated:
-    """The navigation after the noise of a cycle that ends at a time, s."""
-    drawn = normal_sample(noise.seed, at)
+def _kicked(
+    noise: InertialNoise, navigated: Navigated, drawn: Callable[[int], Scalar]
+) -> Navigated:
+    """The navigation after the noise of a cycle."""
     root = math.sqrt(noise.cycle)
     kick, turn = root * noise.velocity_random_walk, root * noise.angle_random_walk
     east, north, up = (

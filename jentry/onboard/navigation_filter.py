@@ -31,7 +31,6 @@ from .inertial import (
 )
 from .measurement import BodyAccelerometers
 from .navigation_sensors import MOST_VALUES, AbstractNavigationSensor, Believed
-from .sampling import normal_sample
 
 
 Covariance = Float[Array, "n n"]
@@ -121,9 +120,6 @@ class NavigationFilter(eqx.Module):
     )
     """Correlations of the knowledge at the start, of shape (9, 9) in the order of its
     fields; None if there are none"""
-    seed: Scalar = scalar(0.0, range=(0.0, 1.0), choice=True)
-    """A number between 0 and 1 that selects the noise of the sensors in this flight;
-    disperse it with `Uniform(0, 1)`"""
     cycle: float = eqx.field(default=1.0, static=True)
     """Time from one update to the next, s"""
 
@@ -180,9 +176,17 @@ class NavigationFilter(eqx.Module):
         sensed: Sensed,
         at: Scalar,
         due: Flag,
+        drawn: Callable[[int], Scalar],
     ) -> tuple[Navigated, Aiding]:
-        """Navigation and filter after the measurements at a time, s, which is a multiple of
-        the cycle; unchanged if no update is due. `planet` is as known on board."""
+        """Navigation and filter after the measurements at a time.
+
+        **Arguments:**
+
+        - `planet`: as known on board.
+        - `at`: time, s, a multiple of the cycle.
+        - `due`: whether there is an update; if not, nothing changes.
+        - `drawn`: standard normal numbers of this time, by their axis.
+        """
         slopes = self._slopes(planet, navigated, aiding, sensed)
         slopes = jnp.where(due, slopes, aiding.slopes)
         seconds = jnp.where(due, self.cycle, 0.0)
@@ -194,7 +198,8 @@ class NavigationFilter(eqx.Module):
         )
         if not self.sensors:
             return navigated, aiding
-        return self._corrected(planet, navigated, aiding, sensed, at, due)
+        taken = self._measured(planet, navigated, aiding, sensed, at, due, drawn)
+        return self._corrected(navigated, aiding, taken)
 
     def knowledge_at(
         self,
@@ -278,15 +283,9 @@ class NavigationFilter(eqx.Module):
         return jnp.square(jnp.stack([nothing, nothing, nothing, *sizes]))
 
     def _corrected(
-        self,
-        planet: Planet,
-        navigated: Navigated,
-        aiding: Aiding,
-        sensed: Sensed,
-        at: Scalar,
-        due: Flag,
+        self, navigated: Navigated, aiding: Aiding, taken: "_Value"
     ) -> tuple[Navigated, Aiding]:
-        taken = self._measured(planet, navigated, aiding, sensed, at, due)
+        """Navigation and filter after the measured values."""
         count = aiding.covariance.shape[0]
 
         def take(
@@ -333,10 +332,10 @@ class NavigationFilter(eqx.Module):
         sensed: Sensed,
         at: Scalar,
         due: Flag,
+        drawn: Callable[[int], Scalar],
     ) -> "_Value":
         """The values of all sensors, `MOST_VALUES` of each, in their order."""
         known, axes = _estimate(navigated, aiding), sensed.body_axes()
-        drawn = normal_sample(self.seed, at)
         cycle = jnp.round(at / self.cycle).astype(int)
 
         def believed(known: Estimate) -> Believed:
