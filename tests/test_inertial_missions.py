@@ -253,6 +253,13 @@ def test_what_is_said_of_the_mars_lander():
     said = "standard deviations of downrange and crossrange error are 0.90 and 0.93 km"
     assert_says(said, *predicted)
     assert_says("and with range tracking 1.01 and 0.96 km", *tracked)
+    predicted, tracked = (
+        means(mission, f"{law} world aided", f"{usual}-and-knowledge", *spreads)
+        for law in laws
+    )
+    said = "of downrange and crossrange error then fall to 0.029 and 0.014 km"
+    assert_says(said, *predicted)
+    assert_says("tracking to 0.038 and 0.232 km", *tracked)
     assert_says("the position is known to 0.93 km along each axis", 2.8 / 3.0)
     perfect = [means(mission, law, usual, spreads[0])[0] for law in laws]
     assert_says("the downrange errors are 0.0020 and 0.019 km", *perfect)
