@@ -282,6 +282,8 @@ def test_what_is_said_of_sx_2():
     known = f"{law} world inertial", "everything-and-knowledge"
     said = "the medians of downrange and crossrange error are 1.32 and 2.27 km"
     assert_says(said, *means("sx-2", *known, *headings))
+    aided = means("sx-2", f"{law} world aided", known[1], *headings)
+    assert_says("crossrange error are then 0.112 and 0.114 km", *aided)
     perfect = means("sx-2", law, "air-and-vehicle", *headings)
     assert_says("in place of 0.0045 and 0.028 km under", *perfect)
 
