@@ -274,6 +274,8 @@ ROWS = {
         ("predictor-corrector-network", "independent"),
         ("range-tracking world inertial", "lift-to-drag-held-and-knowledge"),
         ("predictor-corrector world inertial", "lift-to-drag-held-and-knowledge"),
+        ("range-tracking world aided", "lift-to-drag-held-and-knowledge"),
+        ("predictor-corrector world aided", "lift-to-drag-held-and-knowledge"),
     ),
     "sx-2": (
         *(
@@ -282,6 +284,7 @@ ROWS = {
             for choice in ("full", "predictor-corrector")
         ),
         ("predictor-corrector world inertial", "everything-and-knowledge"),
+        ("predictor-corrector world aided", "everything-and-knowledge"),
     ),
     "x-33": tuple(
         (choice, dispersions)

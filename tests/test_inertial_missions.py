@@ -1,4 +1,4 @@
-"""The world `inertial` of the missions, and the knowledge errors for it."""
+"""The worlds `inertial` and `aided` of the missions, and their knowledge errors."""
 
 import dataclasses
 
@@ -99,13 +99,91 @@ def test_the_set_reaches_every_error_and_no_other_leaf(name):
 def test_every_law_takes_the_world(name):
     """Whatever its guidance cycle is, the random walks are added in a cycle that fits."""
     mission = find_mission(name)
-    for law in mission.laws:
-        scenario = mission.scenario(law, world="inertial")
-        Plan.of(scenario, FixedStep(), None)
-        by = {n for n, c in scenario.termination.conditions.items() if c.by != "truth"}
-        assert by == DECIDED[name]
     both = mission.dispersion_table(MISSIONS[name])
-    check_dispersions(mission.scenario(world="inertial"), both)
+    for world in ("inertial", "aided"):
+        for law in mission.laws:
+            scenario = mission.scenario(law, world=world)
+            Plan.of(scenario, FixedStep(), None)
+            ends = scenario.termination.conditions
+            assert {n for n, c in ends.items() if c.by != "truth"} == DECIDED[name]
+        check_dispersions(mission.scenario(world=world), both)
+
+
+@pytest.mark.parametrize("name", SLOW)
+def test_the_filter_assumes_the_deviations_of_the_set(name):
+    mission = find_mission(name)
+    scenario = mission.scenario(world="aided")
+    aiding = scenario.navigation.filter
+    assumed = {
+        "navigation.knowledge.": aiding.knowledge,
+        "accelerometers.": aiding.accelerometers,
+        "navigation.gyroscopes.": aiding.gyroscopes,
+    }
+    for start, deviations in assumed.items():
+        for end, size in leaves_by_address(deviations).items():
+            (found,) = (
+                dispersion.distribution.moments()[1]
+                for each, dispersion in mission.dispersion_table("knowledge").items()
+                if addresses_of_dispersion(scenario, each, dispersion) == [start + end]
+            )
+            assert float(size) == float(found) > 0.0, start + end
+    for walk in ("velocity_random_walk", "angle_random_walk"):
+        assert float(getattr(aiding, walk)) == float(
+            getattr(scenario.navigation.noise, walk)
+        )
+
+
+def test_the_filter_of_the_mars_lander_finds_its_errors():
+    """One standard deviation of each error of position and velocity at the start."""
+    mission, left = find_mission("mars-range-tracking"), {}
+    radius = float(mission.scenario().planet.radius)
+    for world in ("inertial", "aided"):
+        scenario = mission.scenario(world=world)
+        names = [
+            f"{words} {end}"
+            for words in ("position", "velocity")
+            for end in ("east", "north", "up")
+        ]
+        off = eqx.tree_at(
+            lambda s: [
+                *(
+                    getattr(s.navigation.knowledge, end)
+                    for end in "east north up".split()
+                ),
+                *(
+                    getattr(s.navigation.knowledge, f"velocity_{end}")
+                    for end in "east north up".split()
+                ),
+                s.navigation.seed,
+            ],
+            scenario,
+            [jnp.asarray(deviation(mission, n)) for n in names] + [jnp.asarray(0.5)],
+        )
+        flight = fly_compiled(off)
+        assert int(flight.outcome) == Outcome.REACHED
+        believed, actual = flight.navigated, flight.state
+        east = (believed.longitude - actual.longitude) * np.cos(actual.latitude)
+        north, up = (
+            believed.latitude - actual.latitude,
+            believed.altitude - actual.altitude,
+        )
+        left[world] = np.linalg.norm([radius * east, radius * north, up])
+    # The altimeter errs by 67 m in each of a few dozen measurements.
+    assert left["inertial"] > 1500.0
+    assert left["aided"] < 67.0
+
+
+@pytest.mark.slow
+def test_the_altitude_from_drag_is_not_believed_too_much():
+    """All its measurements together know the density no better than one."""
+    mission = find_mission("cav-h-glide")
+    scenario = mission.scenario(world="aided")
+    drag = scenario.navigation.filter.sensors["drag"]
+    assert drag.cycle == 10.0
+    flown = 2000.0
+    share = np.sqrt(0.30**2 + 0.10**2 + 0.05**2) / 3.0
+    together = float(drag.assumed) / np.sqrt(flown / drag.cycle)
+    assert together == pytest.approx(share)
 
 
 def deviation(mission, name):
@@ -175,6 +253,13 @@ def test_what_is_said_of_the_mars_lander():
     said = "standard deviations of downrange and crossrange error are 0.90 and 0.93 km"
     assert_says(said, *predicted)
     assert_says("and with range tracking 1.01 and 0.96 km", *tracked)
+    predicted, tracked = (
+        means(mission, f"{law} world aided", f"{usual}-and-knowledge", *spreads)
+        for law in laws
+    )
+    said = "of downrange and crossrange error then fall to 0.029 and 0.014 km"
+    assert_says(said, *predicted)
+    assert_says("tracking to 0.038 and 0.232 km", *tracked)
     assert_says("the position is known to 0.93 km along each axis", 2.8 / 3.0)
     perfect = [means(mission, law, usual, spreads[0])[0] for law in laws]
     assert_says("the downrange errors are 0.0020 and 0.019 km", *perfect)
@@ -197,6 +282,8 @@ def test_what_is_said_of_sx_2():
     known = f"{law} world inertial", "everything-and-knowledge"
     said = "the medians of downrange and crossrange error are 1.32 and 2.27 km"
     assert_says(said, *means("sx-2", *known, *headings))
+    aided = means("sx-2", f"{law} world aided", known[1], *headings)
+    assert_says("crossrange error are then 0.112 and 0.114 km", *aided)
     perfect = means("sx-2", law, "air-and-vehicle", *headings)
     assert_says("in place of 0.0045 and 0.028 km under", *perfect)
 

@@ -1,4 +1,4 @@
-"""Inertial navigation of the missions: the world `inertial` and the dispersions for it."""
+"""Inertial navigation of the missions: worlds `inertial` and `aided`, and dispersions."""
 
 import dataclasses
 import math
@@ -11,9 +11,18 @@ from ..campaign.dispersions import Dispersion
 from ..campaign.distributions import Normal, Uniform
 from ..flight.closed_loop import guidance_period
 from ..flight.scenario import Scenario
+from ..onboard.inertial import Gyroscopes, KnowledgeError
 from ..onboard.measurement import BodyAccelerometers, PerfectAccelerometers
+from ..onboard.model import OnboardModel
 from ..onboard.navigation import InertialNavigation, InertialNoise, PerfectNavigation
-from ..units import degree, hour, micro_g
+from ..onboard.navigation_filter import NavigationFilter
+from ..onboard.navigation_sensors import (
+    AbstractNavigationSensor,
+    Altimeter,
+    DragAltitude,
+    TerrainPosition,
+)
+from ..units import degree, foot, hour, micro_g, nautical_mile
 
 
 SHUTTLE_TILT = 0.26 * degree / 3.0
@@ -51,6 +60,96 @@ class Errors(NamedTuple):
     angle_random_walk: float = 0.002 * degree / math.sqrt(hour)
     """Random walk of the attitude, in rad and s"""
 
+    def filter(
+        self, cycle: float, sensors: Mapping[str, AbstractNavigationSensor]
+    ) -> NavigationFilter:
+        """A filter that assumes these standard deviations, with a cycle, s."""
+        start = self.position, self.velocity, self.tilt
+        return NavigationFilter(
+            KnowledgeError(*(size for size in start for _ in _LOCAL)),
+            sensors,
+            BodyAccelerometers(
+                *(self.bias for _ in _BODY),
+                *(self.scale_error for _ in _SCALED),
+                *(self.misalignment for _ in _TURNS),
+            ),
+            Gyroscopes(*(self.drift for _ in _TURNS)),
+            self.velocity_random_walk,
+            self.angle_random_walk,
+            cycle=cycle,
+        )
+
+
+Sensors = dict[str, AbstractNavigationSensor]
+
+
+def near(cycle: float, seconds: float) -> float:
+    """The multiple of a cycle (s) that is nearest to a time, s; at least the cycle."""
+    return cycle * max(1, round(seconds / cycle))
+
+
+def doubt(dispersions: Mapping[str, Dispersion], *names: str) -> float:
+    """Standard deviation of the product of dispersed factors, as a share of it."""
+    moments = (dispersions[name].distribution.moments() for name in names)
+    return math.hypot(*(float(size) / float(mean) for mean, size in moments))
+
+
+def drag_altitude(
+    model: OnboardModel, doubt: float, lasting: float, cycle: float
+) -> DragAltitude:
+    """Altitude from drag, about every 10 s while the drag exceeds 1 m/s2; both chosen.
+
+    The dispersions change the density by one factor in the whole flight: many measurements
+    know the altitude no better than one. The filter takes them to be independent, so it
+    assumes the deviation of one times the square root of their number. Accelerometers have
+    their own errors, so the sensor has no noise.
+
+    **Arguments:**
+
+    - `model`: planet and vehicle as known on board.
+    - `doubt`: standard deviation of density, drag coefficient and mass together, as a share
+      of the drag.
+    - `lasting`: usual time of a flight, s.
+    - `cycle`: that of the filter, s.
+    """
+    every = near(cycle, 10.0)
+    assumed = doubt * math.sqrt(max(1.0, lasting / every))
+    return DragAltitude(model, 0.0, 1.0, assumed=assumed, cycle=every)
+
+
+def shuttle_sensors(
+    model: OnboardModel, doubt: float, lasting: float, cycle: float
+) -> Sensors:
+    """Sensors of the Space Shuttle, with the arguments of `drag_altitude`.
+
+    Altitude from drag in the radio blackout (NASA CR-141765, 1974), and the position by the
+    radio beacons TACAN "from altitudes of about 150,000 feet" (abstract of "Data management
+    of Shuttle radiofrequency navigation aids", 1982). Their noise is chosen: half a
+    nautical mile at three sigma along each axis over the ground, each second. The Shuttle
+    measured distance and bearing instead.
+    """
+    return {
+        "drag": drag_altitude(model, doubt, lasting, cycle),
+        "tacan": TerrainPosition(
+            0.5 * nautical_mile / 3.0, 150_000 * foot, cycle=near(cycle, 1.0)
+        ),
+    }
+
+
+def satellite_sensors(cycle: float) -> Sensors:
+    """A receiver of navigation satellites below 40 km: position and altitude.
+
+    Orion has such a receiver at its entry (A. Barth and others, "Post-Flight Analysis of
+    the Guidance, Navigation and Control Performance During Orion Exploration Flight Test
+    1", AAS 15-134, 2015). Its noise of 10 m along each axis, and the altitude below which
+    the radio blackout is over, are chosen.
+    """
+    below, every = 40e3, near(cycle, 1.0)
+    return {
+        "satellites": TerrainPosition(10.0, below, cycle=every),
+        "satellite_altitude": Altimeter(10.0, below, cycle=every),
+    }
+
 
 _LOCAL = "east", "north", "up"
 _BODY = "forward", "right", "down"
@@ -60,13 +159,16 @@ _TURNS = "roll", "pitch", "yaw"
 
 @dataclasses.dataclass(frozen=True)
 class Inertial:
-    """The inertial navigation of a mission: a world, and dispersions of its errors."""
+    """The inertial navigation of a mission: two worlds, and dispersions of its errors."""
 
     errors: Errors
     decided: tuple[str, ...]
     """Names of the end conditions that the vehicle decides by what it believes"""
     usual: Callable[[], Mapping[str, Dispersion]]
     """Function that returns the usual dispersions of the mission"""
+    sensors: Callable[[float], Sensors]
+    """Function that returns the sensors of the world `aided` by name, for the cycle of the
+    filter, s"""
 
     def world(self, scenario: Scenario) -> Scenario:
         """Inertial navigation in place of a perfect one; its errors are in `knowledge`.
@@ -101,9 +203,24 @@ class Inertial:
             ),
         )
 
+    def aided(self, scenario: Scenario) -> Scenario:
+        """The world `inertial`, whose navigation a filter corrects by the sensors.
+
+        The filter assumes the standard deviations of `errors`, by which `knowledge`
+        disperses. Raises `ValueError` like `world`.
+        """
+        scenario = self.world(scenario)
+        navigation = scenario.navigation
+        assert isinstance(navigation, InertialNavigation)
+        assert navigation.noise is not None
+        cycle = navigation.noise.cycle
+        aiding = self.errors.filter(cycle, self.sensors(cycle))
+        navigation = dataclasses.replace(navigation, filter=aiding)
+        return dataclasses.replace(scenario, navigation=navigation)
+
     @computed_once
     def knowledge(self) -> dict[str, Dispersion]:
-        """Errors of the inertial navigation alone, for the world `inertial`."""
+        """Errors of the inertial navigation alone, for both worlds."""
         errors = self.errors
         table = {}
         for words, address, ends, size in (
@@ -128,7 +245,7 @@ class Inertial:
 
     @computed_once
     def usual_and_knowledge(self) -> dict[str, Dispersion]:
-        """The usual dispersions and `knowledge` together, for the world `inertial`."""
+        """The usual dispersions and `knowledge` together, for both worlds."""
         return dict(self.usual()) | self.knowledge()
 
 
@@ -139,7 +256,7 @@ def _lens(address: str) -> Callable[[Any], Any]:
         if isinstance(scenario.navigation, PerfectNavigation):
             raise ValueError(
                 f"navigation is PerfectNavigation, without {address}: choose the world "
-                "inertial, --world inertial"
+                "inertial or aided, such as --world inertial"
             )
         return part(scenario)
 

@@ -1,7 +1,7 @@
 """The mission Apollo 10: its laws, a case, a world and its dispersions."""
 
 from ...units import degree, foot, hour, km
-from ..inertial import Errors, Inertial
+from ..inertial import Errors, Inertial, satellite_sensors
 from ..mission import Mission
 from ..npcg_toolbox import through_us_1976
 from .dispersions import air_and_vehicle, entry_errors, everything
@@ -19,6 +19,7 @@ NAVIGATION = Inertial(
     ),
     decided=(),
     usual=everything,
+    sensors=satellite_sensors,
 )
 """Attitude: half a minute of arc, one sigma, for the alignment of the inertial unit
 of the command module (Apollo Data Priority Coordination, memorandum 69-PA-T-34A, 25
@@ -37,7 +38,11 @@ MISSION = Mission(
     "as in the NPCG Toolbox of Lee, Lee and Wie",
     laws={"predictor-corrector": guided, "unlimited": unlimited},
     cases={"skip": skip},
-    worlds={"us-1976": through_us_1976, "inertial": NAVIGATION.world},
+    worlds={
+        "us-1976": through_us_1976,
+        "inertial": NAVIGATION.world,
+        "aided": NAVIGATION.aided,
+    },
     former_variants={
         "skip": "predictor-corrector case skip",
         "us-1976": "predictor-corrector world us-1976",

@@ -18,11 +18,12 @@ from ...motion.dynamics import EntryDynamics, EquatorialDynamics
 from ...motion.index import EnergyIndex
 from ...motion.quantities import ground_track
 from ...onboard.model import OnboardModel
+from ...onboard.navigation_sensors import Altimeter, TerrainPosition
 from ...onboard.profiles import PolynomialProfile, QuinticProfile
 from ...onboard.reference import DragReference
 from ...planning.reference_flight import ReferenceFlight, open_loop, plan_drag_reference
 from ...units import degree, km
-from ..inertial import Errors, Inertial
+from ..inertial import Errors, Inertial, Sensors, near
 from ..mission import Mission
 from . import predictor_corrector
 from .drag_tracking import (
@@ -105,6 +106,23 @@ def in_plane(scenario: Scenario) -> Scenario:
     return dataclasses.replace(flat, guidance=law)
 
 
+def _sensors(cycle: float) -> Sensors:
+    """Sensors of a future lander: the present ones see the ground after the parachute.
+
+    Position: 40 m, required of the Lander Vision System of Mars 2020 (field test of May
+    2019, 43rd Annual AAS Guidance, Navigation and Control Conference, 2020, abstract).
+    Altimeter: 2 % of the range, at 10 km, of the radar of the Mars Science Laboratory (B.
+    D. Pollard, C. W. Chen, "A Radar Terminal Descent Sensor for the Mars Science Laboratory
+    mission", 2009, abstract). We read both as three sigma along each axis. That they
+    measure below 30 km, through the heat shield, and each second is chosen.
+    """
+    below, every = 30.0 * km, near(cycle, 1.0)
+    return {
+        "terrain": TerrainPosition(40.0 / 3.0, below, cycle=every),
+        "altimeter": Altimeter(0.02 * 10.0 * km / 3.0, below, cycle=every),
+    }
+
+
 NAVIGATION = Inertial(
     Errors(
         position=2.8 * km / 3.0,
@@ -113,6 +131,7 @@ NAVIGATION = Inertial(
     ),
     decided=("velocity", "altitude"),
     usual=lift_to_drag_held,
+    sensors=_sensors,
 )
 """Position and velocity: 2.8 km and 2 m/s, which the Mars Science Laboratory was
 required to know at its entry (T. J. Martin-Mur and others, "Mars Science Laboratory
@@ -131,7 +150,11 @@ MISSION = Mission(
         "predictor-corrector": predictor_corrector.guided,
         "predictor-corrector-network": predictor_corrector.networked,
     },
-    worlds={"in-plane": in_plane, "inertial": NAVIGATION.world},
+    worlds={
+        "in-plane": in_plane,
+        "inertial": NAVIGATION.world,
+        "aided": NAVIGATION.aided,
+    },
     former_variants={
         "three-dimensional": "range-tracking",
         "in-plane": "range-tracking world in-plane",

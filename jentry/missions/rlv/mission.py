@@ -1,8 +1,10 @@
 """The mission RLV: both laws of the paper, with attitudes of several bandwidths."""
 
+import math
+
 from ...plots.campaign import HISTORIES, overview
 from ...units import km
-from ..inertial import SHUTTLE_TILT, Errors, Inertial
+from ..inertial import SHUTTLE_TILT, Errors, Inertial, Sensors, doubt, shuttle_sensors
 from ..mission import Mission, PublishedValue
 from . import crossings, figures, predictor_corrector
 from .dispersions import atmosphere, table_1, table_1_estimated_angle, table_1_noise
@@ -11,6 +13,7 @@ from .scenario import (
     attitude_8,
     lag_inverted,
     lag_inverted_fast,
+    model,
     modulation,
     modulation_fast_observer,
     noise,
@@ -20,10 +23,18 @@ from .scenario import (
 )
 
 
+def _sensors(cycle: float) -> Sensors:
+    """The share of the density is that of its trend at 80 km, where it is 25 % at 3 sigma;
+    that of waves is small beside it."""
+    share = math.hypot(0.25 / 3.0, doubt(table_1(), "drag"))
+    return shuttle_sensors(model(), share, 1300.0, cycle)
+
+
 NAVIGATION = Inertial(
     Errors(position=1.0 * km / 3.0, velocity=1.0 / 3.0, tilt=SHUTTLE_TILT),
     decided=("velocity",),
     usual=table_1,
+    sensors=_sensors,
 )
 """Attitude of the Space Shuttle at its entry. Position and velocity are chosen. The
 instruments are those of `Errors`. The guided flight ends at the velocity that the vehicle
@@ -56,6 +67,7 @@ MISSION = Mission(
         "attitude-8": attitude_8,
         "noise": noise,
         "inertial": NAVIGATION.world,
+        "aided": NAVIGATION.aided,
     },
     former_variants={
         "r5": "modulation",

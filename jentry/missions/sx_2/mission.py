@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 
 from ...flight.scenario import Scenario
+from ...onboard.model import OnboardModel
 from ...units import km, nautical_mile
-from ..inertial import SHUTTLE_TILT, Errors, Inertial
+from ..inertial import SHUTTLE_TILT, Errors, Inertial, Sensors, doubt, shuttle_sensors
 from ..mission import Change, Mission, PublishedValue
 from . import predictor_corrector
 from .dispersions import (
@@ -17,7 +18,7 @@ from .dispersions import (
     off_by,
     one_at_a_time,
 )
-from .scenario import full, measured, replanned, scheduled, small_angle
+from .scenario import earth, full, measured, replanned, scheduled, small_angle, vehicle
 
 
 def _off(**errors: float) -> Change:
@@ -62,10 +63,16 @@ def _largest(name: str, variable: str) -> PublishedValue:
     )
 
 
+def _sensors(cycle: float) -> Sensors:
+    share = doubt(everything(), "density", "drag")
+    return shuttle_sensors(OnboardModel(earth(), vehicle()), share, 700.0, cycle)
+
+
 NAVIGATION = Inertial(
     Errors(position=1.0 * km / 3.0, velocity=1.0 / 3.0, tilt=SHUTTLE_TILT),
     decided=("energy",),
     usual=everything,
+    sensors=_sensors,
 )
 """Attitude of the Space Shuttle at its entry. Position and velocity are chosen. The
 instruments are those of `Errors`. The guided flight ends at the energy that the vehicle
@@ -90,7 +97,7 @@ MISSION = Mission(
         "figures": figures,
         **{name: _case(name, errors) for name, errors in cases().items()},
     },
-    worlds={"inertial": NAVIGATION.world},
+    worlds={"inertial": NAVIGATION.world, "aided": NAVIGATION.aided},
     former_variants={name: f"full case {name}" for name in ("figures", *cases())},
     dispersions={
         "initial-errors": initial_errors,
