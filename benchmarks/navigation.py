@@ -9,7 +9,7 @@
 - `linear`: standard deviations of the end by linear covariance, over those of flights with
   the same draws, with the usual dispersions and those of knowledge at a tenth and at full
   size. The random walks of the navigation have a seed, and no output is linear in a seed:
-  it stays the same in all flights of this part.
+  this part is without them.
 - `miss`: the standard deviation of the miss, of the error of the navigation at the end and
   of the miss that the vehicle believes.
 - `trigger`: a flight that the believed velocity ends, beside the same flight that the
@@ -37,7 +37,13 @@ import numpy as np
 from records import Cell, save
 
 import jentry
-from jentry import believed_misses, linear_covariance, misses, navigation_errors
+from jentry import (
+    InertialNavigation,
+    believed_misses,
+    linear_covariance,
+    misses,
+    navigation_errors,
+)
 from jentry.campaign import Dispersion, monte_carlo
 from jentry.campaign.dispersions import scaled_dispersions
 from jentry.flight import (
@@ -96,6 +102,7 @@ def at_the_end(scenario, flight) -> dict[str, jax.Array]:
 
 def linear(mission: str, runs: int, seed: int, mode: str, size: str) -> list[Cell]:
     scenario = find_mission(mission).scenario(LINEAR[mission], world="inertial")
+    scenario = dataclasses.replace(scenario, navigation=InertialNavigation())
     dispersions = dispersed(mission, "inertial")
     del dispersions[SEED]
     found = linear_covariance(
@@ -199,10 +206,10 @@ def trigger(ranged: bool, runs: int, seed: int) -> list[Cell]:
         for column, values, unit, decimals in (
             ("downrange, std, km", campaign.misses.downrange, km, 3),
             ("altitude, std, km", flights.state.altitude, km, 3),
-            ("Mach number, std", flights.values_at_end["mach"], 1.0, 4),
+            ("Mach number, std", flights.at_end["mach"], 1.0, 4),
             (
                 "dynamic pressure, std, Pa",
-                flights.values_at_end["dynamic_pressure"],
+                flights.at_end["dynamic_pressure"],
                 1.0,
                 1,
             ),
