@@ -97,3 +97,26 @@ def test_the_program_in_c_flies_as_scipy_does(benchmark, monkeypatch):
     ends = np.array(comparators.c_flights(*given, **two))
     truth = np.array(comparators.scipy_flights(*given, **two, tolerance=1e-8))
     np.testing.assert_allclose(ends, truth, rtol=0, atol=0.05)
+
+
+def test_a_part_of_the_navigation_that_does_not_exist_is_refused(monkeypatch, capsys):
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    import navigation
+
+    monkeypatch.setattr(sys, "argv", ["navigation.py", "linaer"])
+    with pytest.raises(SystemExit):
+        navigation.main()
+    assert "no such part: ['linaer']" in capsys.readouterr().err
+
+
+def test_saved_tables_of_the_navigation_are_of_its_parts(monkeypatch):
+    """A miss that navigation alone makes is as large as its error (issue 43: to 5 %)."""
+    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
+    import navigation
+    import records
+
+    tables = records.load(navigation.SAVED)
+    assert {name.split(",")[0] for name in tables} <= set(navigation.PARTS)
+    law = tables["miss, predictor-corrector"].cells
+    ratios = [x.value for x in law if x.column == "miss over navigation error"]
+    np.testing.assert_allclose(ratios, [1.0, 1.0], atol=0.05)

@@ -1,0 +1,319 @@
+"""What inertial navigation does to misses, triggers and time, in the world `inertial`.
+
+    python benchmarks/navigation.py linear --missions mars-range-tracking --runs 10000
+    python benchmarks/navigation.py miss --runs 2000
+    python benchmarks/navigation.py trigger --runs 2000
+    python benchmarks/navigation.py cost --world inertial
+    python benchmarks/navigation.py linear miss trigger cost --save
+
+- `linear`: standard deviations of the end by linear covariance, over those of flights with
+  the same draws, with the usual dispersions and those of knowledge at a tenth and at full
+  size. The random walks of the navigation have a seed, and no output is linear in a seed:
+  this part is without them.
+- `miss`: the standard deviation of the miss, of the error of the navigation at the end and
+  of the miss that the vehicle believes.
+- `trigger`: a flight that the believed velocity ends, beside the same flight that the
+  believed range to go ends. Both end at the same point without errors.
+- `cost`: flights a second and the time of the first answer from an empty cache, with a
+  world over those without it. Campaigns with and without alternate; ratios are of medians.
+
+`navigation.csv` beside this file has the tables, in the form of `records.py`: `--save`
+replaces those that are measured.
+"""
+
+import argparse
+import dataclasses
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import jax
+import numpy as np
+from records import Cell, save
+
+import jentry
+from jentry import (
+    InertialNavigation,
+    believed_misses,
+    linear_covariance,
+    misses,
+    navigation_errors,
+)
+from jentry.campaign import Dispersion, monte_carlo
+from jentry.campaign.dispersions import scaled_dispersions
+from jentry.flight import (
+    AltitudeBelow,
+    RangeToGoBelow,
+    VelocityBelow,
+    has_end,
+)
+from jentry.missions import find_mission
+from jentry.motion.constraints import DynamicPressure, MachNumber
+from jentry.units import km
+
+
+SAVED = Path(__file__).with_suffix(".csv")
+PARTS = "linear", "miss", "trigger", "cost"
+SEED = "navigation noise"
+"""The dispersion of the seed of the random walks"""
+USUAL = {
+    "mars-range-tracking": "lift-to-drag-held",
+    "sx-2": "everything",
+    "apollo-10": "everything",
+}
+LINEAR = {"mars-range-tracking": "range-tracking", "apollo-10": "predictor-corrector"}
+MISS = "range-tracking", "predictor-corrector"
+ALONG = "downrange", "crossrange", "altitude", "velocity"
+TRIGGER_RANGE = 20.0 * km
+"""Range to go at the end of the part `trigger`: larger than the crossrange errors, as a
+flight that passes the target at a larger distance does not end"""
+SIZES = {"a tenth": 0.1, "full size": 1.0}
+
+
+def deviation(values) -> float:
+    return float(np.std(np.asarray(values), ddof=1))
+
+
+def dispersed(mission: str, world: str | None) -> dict[str, Dispersion]:
+    """The usual dispersions of a mission, with those of knowledge in a world."""
+    name = USUAL[mission] + ("" if world is None else "-and-knowledge")
+    return dict(find_mission(mission).dispersions[name]())
+
+
+def at_the_end(scenario, flight) -> dict[str, jax.Array]:
+    """Errors at the end along and across the entry: actual, believed, and believed minus
+    actual."""
+    errors = {
+        "true": misses(scenario, flight),
+        "believed": believed_misses(scenario, flight),
+        "navigation": navigation_errors(scenario, flight),
+    }
+    return {
+        f"{who} {what}": getattr(found, what)
+        for who, found in errors.items()
+        for what in ALONG
+    }
+
+
+def linear(mission: str, runs: int, seed: int, mode: str, size: str) -> list[Cell]:
+    scenario = find_mission(mission).scenario(LINEAR[mission], world="inertial")
+    scenario = dataclasses.replace(scenario, navigation=InertialNavigation())
+    dispersions = dispersed(mission, "inertial")
+    del dispersions[SEED]
+    found = linear_covariance(
+        scenario,
+        scaled_dispersions(dispersions, SIZES[size]),
+        at_the_end,
+        key=jax.random.key(seed),
+        runs=runs,
+        mode=mode,
+    )
+    print(
+        f"{mission}, {size}: {found.runs} flights, {found.failed} failed, ends by "
+        f"{list(found.models)}, without a model {found.without_model}"
+    )
+    heading = f"{size}, {mode}, {found.runs} flights"
+    return [
+        Cell(f"`{mission}`, {output}", f"{heading}, predicted over flown", x.ratio, 4)
+        for output, x in found.spreads.items()
+    ]
+
+
+def ended(scenario, dispersions, seed: int, runs: int):
+    """A campaign, and which of its flights have an end."""
+    campaign = monte_carlo(scenario, dispersions, jax.random.key(seed), runs)
+    return campaign, np.asarray(has_end(campaign.flights.outcome))
+
+
+def miss(law: str, runs: int, seed: int) -> list[Cell]:
+    mission = "mars-range-tracking"
+    scenario = find_mission(mission).scenario(law, world="inertial")
+    campaign, have = ended(scenario, dispersed(mission, "inertial"), seed, runs)
+    cells = []
+    for what in ("downrange", "crossrange"):
+        row = f"{law}, {what}, {np.sum(have)} flights"
+        actual, believed, errors = (
+            deviation(np.asarray(getattr(found, what))[have])
+            for found in (
+                campaign.misses,
+                campaign.believed_misses,
+                campaign.navigation_errors,
+            )
+        )
+        cells += [
+            Cell(row, "miss, std, m", actual, 1),
+            Cell(row, "navigation error, std, m", errors, 1),
+            Cell(row, "believed miss, std, m", believed, 1),
+            Cell(row, "miss over navigation error", actual / errors, 4),
+        ]
+    return cells
+
+
+def triggered(ranged: bool):
+    """The Mars flight with each of the two triggers, by trigger.
+
+    `ranged` leaves the law its control of the range; otherwise it tracks its drag over the
+    energy alone, by a scale that is held from the start.
+    """
+    scenario = find_mission("mars-range-tracking").scenario(
+        "range-tracking", world="inertial"
+    )
+    law = scenario.guidance
+    if not ranged:
+        held = dataclasses.replace(law.limits, last_range=scenario.target.downrange * 2)
+        law = dataclasses.replace(law, limits=held)
+    target, start = scenario.target, scenario.initial_state
+    # The entry is due east over the equator of a planet at rest.
+    longitude = start.longitude + target.downrange / scenario.planet.radius
+    to_go = RangeToGoBelow(TRIGGER_RANGE, longitude, start.latitude, by="navigation")
+    constraints = {"mach": MachNumber(), "dynamic_pressure": DynamicPressure()}
+
+    def ending(condition):
+        conditions = dict(scenario.termination.conditions)
+        del conditions["velocity"]
+        conditions |= {"trigger": condition, "altitude": AltitudeBelow(2.0 * km)}
+        return dataclasses.replace(
+            scenario,
+            guidance=law,
+            constraints=constraints,
+            values_at_end=tuple(constraints),
+            termination=dataclasses.replace(
+                scenario.termination, conditions=conditions
+            ),
+        )
+
+    by_range = ending(to_go)
+    velocity = jentry.fly(by_range).state.velocity
+    by_velocity = ending(VelocityBelow(velocity, by="navigation"))
+    return {"velocity": by_velocity, "range to go": by_range}
+
+
+def trigger(ranged: bool, runs: int, seed: int) -> list[Cell]:
+    dispersions = dispersed("mars-range-tracking", "inertial")
+    law = "range tracking" if ranged else "drag tracking"
+    cells = []
+    for name, scenario in triggered(ranged).items():
+        campaign, have = ended(scenario, dispersions, seed, runs)
+        flights = campaign.flights
+        place = scenario.termination.names.index("trigger")
+        have &= np.asarray(flights.ended_by) == place
+        row = f"{law}, {name}, {np.sum(have)} of {runs} flights"
+        for column, values, unit, decimals in (
+            ("downrange, std, km", campaign.misses.downrange, km, 3),
+            ("altitude, std, km", flights.state.altitude, km, 3),
+            ("Mach number, std", flights.at_end["mach"], 1.0, 4),
+            (
+                "dynamic pressure, std, Pa",
+                flights.at_end["dynamic_pressure"],
+                1.0,
+                1,
+            ),
+        ):
+            of_trigger = np.asarray(values)[have] / unit
+            cells.append(Cell(row, column, deviation(of_trigger), decimals))
+    return cells
+
+
+def first_answer(mission: str, world: str | None, runs: int) -> float:
+    """Seconds of a process that begins with an empty cache."""
+    name = USUAL[mission] + ("" if world is None else "-and-knowledge")
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-m", "jentry", "monte-carlo", mission]
+        command += ["--runs", str(runs), "--dispersions", name, "--no-figures"]
+        command += ["--out", str(Path(folder) / "campaign")]
+        command += [] if world is None else ["--world", world]
+        environment = {**os.environ, "JENTRY_CACHE": str(Path(folder) / "cache")}
+        begin = time.perf_counter()
+        subprocess.run(command, env=environment, check=True, capture_output=True)
+        return time.perf_counter() - begin
+
+
+def seconds_of(mission: str, world: str | None, runs: int) -> Callable[[int], float]:
+    """Function of a seed that returns the seconds of a campaign; compiled already."""
+    scenario = find_mission(mission).scenario(world=world)
+    dispersions = dispersed(mission, world)
+    monte_carlo(scenario, dispersions, jax.random.key(0), runs)
+
+    def seconds(seed: int) -> float:
+        begin = time.perf_counter()
+        monte_carlo(scenario, dispersions, jax.random.key(seed), runs)
+        return time.perf_counter() - begin
+
+    return seconds
+
+
+def cost(mission: str, world: str, runs: int, rounds: int, first: bool) -> list[Cell]:
+    timed = {name: seconds_of(mission, name, runs) for name in (None, world)}
+    spent = {name: [] for name in timed}
+    answers = {name: [] for name in timed}
+    for number in range(rounds):
+        for name, seconds in timed.items():
+            spent[name].append(seconds(1 + number))
+    for _ in range(rounds if first else 0):
+        for name in timed:
+            answers[name].append(first_answer(mission, name, 64))
+    without, within = (statistics.median(x) for x in spent.values())
+    row = f"`{mission}`, `{world}`"
+    cells = [Cell(row, f"flights a second, ratio, {runs} flights", without / within, 3)]
+    if first:
+        without, within = (statistics.median(x) for x in answers.values())
+        cells.append(Cell(row, "first answer, ratio", within / without, 3))
+    return cells
+
+
+def measured(options: argparse.Namespace) -> Iterator[tuple[str, list[Cell]]]:
+    """Names of tables and their cells, each as soon as it is measured."""
+    missions, runs, seed = options.missions or list(USUAL), options.runs, options.seed
+    for part in options.parts or PARTS:
+        if part == "linear":
+            for mission in (m for m in missions if m in LINEAR):
+                for size in SIZES:
+                    cells = linear(mission, runs, seed, options.mode, size)
+                    yield f"linear, {mission}, {size}", cells
+        elif part == "miss":
+            for law in MISS:
+                yield f"miss, {law}", miss(law, runs, seed)
+        elif part == "trigger":
+            for ranged in (False, True):
+                law = "range tracking" if ranged else "drag tracking"
+                yield f"trigger, {law}", trigger(ranged, runs, seed)
+        else:
+            for mission in missions:
+                of = cost(
+                    mission, options.world, runs, options.rounds, not options.no_first
+                )
+                yield f"cost, {mission}, {options.world}", of
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
+    parser.add_argument("--missions", nargs="+", choices=list(USUAL), metavar="MISSION")
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--mode", choices=("exact", "difference"), default="difference")
+    parser.add_argument("--world", default="inertial", help="of the part cost")
+    parser.add_argument("--rounds", type=int, default=3, help="of the part cost")
+    parser.add_argument(
+        "--no-first", action="store_true", help="part cost without first answers"
+    )
+    parser.add_argument("--save", action="store_true", help=f"to {SAVED.name}")
+    options = parser.parse_args()
+    unknown = [part for part in options.parts if part not in PARTS]
+    if unknown:
+        parser.error(f"no such part: {unknown}; there are {list(PARTS)}")
+    jentry.setup()
+    for name, cells in measured(options):
+        for cell in cells:
+            print(f"{cell.row:60} {cell.column:50} {cell.value:12.5g}", flush=True)
+        if options.save:
+            save(SAVED, name, cells)
+
+
+if __name__ == "__main__":
+    main()
