@@ -12,6 +12,7 @@ from helpers import ConstantBank, mars_planet, mars_scenario, mars_vehicle
 from jentry import fly
 from jentry.analysis.local_derivatives import fly_points
 from jentry.campaign import Dispersion, Normal, monte_carlo
+from jentry.campaign.results import OutputNamed, output_names
 from jentry.flight import FixedStep
 from jentry.flight.over_index import fly_over
 from jentry.flight.scenario import check
@@ -34,7 +35,7 @@ from jentry.onboard import (
     Sensed,
     TerrainPosition,
 )
-from jentry.onboard.inertial import difference
+from jentry.onboard.inertial import difference, displaced
 from jentry.onboard.navigation_filter import Estimate
 from jentry.statistics import consistency
 from jentry.units import degree, km
@@ -160,12 +161,8 @@ def zeros():
     return jax.tree.map(jnp.zeros_like, (SENSING, TURNING))
 
 
-def test_the_covariance_starts_as_stated():
-    """Back in local axes it is the square of the standard deviations, and correlated."""
-    alike = np.eye(9)
-    alike[0, 3] = alike[3, 0] = 0.6
-    scenario = aided({}, correlations=alike)
-    _, actual, navigated, aiding = here(scenario)
+def in_local_axes(actual, navigated, covariance):
+    """The covariance of position, velocity and attitude, east, north and up."""
 
     def local(numbers):
         state, tilt = EntryState(*numbers[:6]), tuple(numbers[6:])
@@ -175,13 +172,89 @@ def test_the_covariance_starts_as_stated():
         )
 
     turn = np.asarray(jax.jacfwd(local)(jnp.stack(jax.tree.leaves(navigated))))
-    found = turn @ np.asarray(aiding.covariance)[:9, :9] @ turn.T
+    return turn @ np.asarray(covariance)[:9, :9] @ turn.T
+
+
+def test_the_covariance_starts_as_stated():
+    """Back in local axes it is the square of the standard deviations, and correlated."""
+    alike = np.eye(9)
+    alike[0, 3] = alike[3, 0] = 0.6
+    scenario = aided({}, correlations=alike)
+    _, actual, navigated, aiding = here(scenario)
+
+    found = in_local_axes(actual, navigated, aiding.covariance)
     sizes = np.array(jax.tree.leaves(KNOWN))
     np.testing.assert_allclose(found / sizes / sizes[:, None], alike, atol=1e-9)
     instruments = np.array(jax.tree.leaves((SENSING, TURNING)))
     np.testing.assert_allclose(
         np.asarray(aiding.covariance)[9:, 9:], np.diag(instruments**2), atol=1e-30
     )
+
+
+def test_random_walks_grow_alike_in_all_directions():
+    """In one second by their squares, in local axes."""
+    scenario = aided({}, noise=False)
+    walks = lambda s: (
+        s.navigation.filter.velocity_random_walk,
+        s.navigation.filter.angle_random_walk,
+    )
+    still = eqx.tree_at(walks, scenario, 2 * (jnp.zeros(()),))
+    _, actual, navigated, _ = here(scenario)
+    (_, with_them), (_, without) = (updated(s)[1] for s in (scenario, still))
+    growth = np.asarray(with_them.covariance) - np.asarray(without.covariance)
+    found = in_local_axes(actual, navigated, growth)
+    expected = np.repeat([0.0, WALKS[0] ** 2, WALKS[1] ** 2], 3)
+    sizes = np.repeat([1.0, *WALKS], 3)
+    np.testing.assert_allclose(
+        found / sizes / sizes[:, None], np.diag(expected / sizes**2), atol=1e-3
+    )
+
+
+def test_what_is_not_due_changes_nothing():
+    navigation, actual, navigated, aiding = here(aided({"a": ALTIMETER}), up=500.0)
+    given = navigated, aiding, jnp.asarray(1.0), jnp.asarray(False)
+    after = navigation.update(lambda: actual, *given)
+    before = jax.tree.leaves((navigated, aiding))
+    for a, b in zip(before, jax.tree.leaves(after), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_the_difference_is_the_inverse_of_the_displacement():
+    """Also where the longitude passes half a turn."""
+    planet = mars_planet()
+    state = EntryState(30 * km, np.pi - 1e-6, 0.5, 3e3, -0.1, 1.2)
+    believed = displaced(planet, state, KNOWN)
+    lens = lambda n: n.state.longitude
+    for turns in (0.0, 2.0 * np.pi):
+        there = eqx.tree_at(lens, believed, believed.state.longitude - turns)
+        found = difference(planet, state, there)
+        np.testing.assert_allclose(
+            jax.tree.leaves(found), jax.tree.leaves(KNOWN), rtol=1e-6
+        )
+
+
+def test_errors_of_sensors_have_their_sizes():
+    """Over the ground in metres, and of the altitude."""
+    _, actual, _, _ = here(aided({}))
+    sensed, zero = Sensed.of(actual), jnp.asarray(0.0)
+    state, radius = actual.state, float(actual.planet.radius)
+    camera = TerrainPosition(30.0, 60 * km, 100.0, -200.0, cycle=1.0)
+    east, north = camera.measured(sensed, lambda axis: 1.0 + axis, zero)
+    circle = radius * np.cos(float(state.latitude))
+    assert (float(east) - float(state.longitude)) * circle == pytest.approx(130.0)
+    assert (float(north) - float(state.latitude)) * radius == pytest.approx(-140.0)
+    doppler = dataclasses.replace(DOPPLER, noise=2.0, scale_error=0.01)
+    exact = dataclasses.replace(DOPPLER, noise=0.0, assumed=1.0)
+    noisy, alone = (
+        np.array(s.measured(sensed, lambda axis: 1.0, zero)) for s in (doppler, exact)
+    )
+    np.testing.assert_allclose(noisy, 1.01 * alone + 2.0, rtol=1e-12)
+    assert np.linalg.norm(alone) == pytest.approx(3e3)
+    believed = Believed(actual.planet, state, sensed.body_axes(), SENSING, zero)
+    assert float(exact.deviations(believed)[0]) == 1.0
+    wide, high = camera.deviations(believed)
+    assert [float(wide) * circle, float(high) * radius] == pytest.approx([30.0, 30.0])
+    assert float(DRAG.deviations(believed)[0]) == 0.05
 
 
 SENSORS = {
@@ -436,6 +509,17 @@ def test_noise_of_sensors_differs_from_run_to_run():
     scenario = aided({"altimeter": ALTIMETER}, noise=False)
     with pytest.raises(ValueError, match=r"navigation\.seed by Uniform"):
         monte_carlo(scenario, dispersions, key=jax.random.key(0), runs=2)
+
+
+def test_results_have_the_normalised_error(flown):
+    scenario = aided({"altimeter": ALTIMETER, "doppler": DOPPLER, "terrain": TERRAIN})
+    flights = flown(scenario, jax.random.split(jax.random.key(0), 16))
+    first = jax.tree.map(lambda x: x[0], flights)
+    name = "end_normalised_error_squared"
+    assert name in output_names(scenario)
+    found = OutputNamed(name)(scenario, first)
+    assert float(found) == float(flights.knowledge.normalised_error_squared[0])
+    assert name not in output_names(mars_scenario(ConstantBank(0.9)))
 
 
 def test_what_does_not_know_of_updates_refuses_them():

@@ -11,6 +11,9 @@ if TYPE_CHECKING:
 
 MISS_DISTANCE = "miss_distance"
 
+NORMALISED = "normalised_error_squared"
+"""Name of the error of the navigation, normalised by the covariance of its filter"""
+
 
 def at_end(name: str) -> str:
     """Name in results of a component of the state, or of the time, at the end."""

@@ -21,6 +21,7 @@ from ..motion.state import Controls, EntryState
 from ..world.tabulated import distance_of, unit_of_caveat
 from .campaign import Campaign, errors_of
 from .outputs import (
+    NORMALISED,
     at_end,
     believed,
     difference_of,
@@ -74,6 +75,9 @@ class OutputNamed:
                 outputs[at_end(navigated(component))] = known
         for constraint, value in flight.at_end.items():
             outputs[at_end(constraint)] = value
+        if flight.knowledge is not None:
+            squared = flight.knowledge.normalised_error_squared
+            outputs |= {} if squared is None else {at_end(NORMALISED): squared}
         if self.name in outputs:
             return outputs[self.name]
         # Errors are computed only if requested: a miss distance may have no derivative.
@@ -106,6 +110,8 @@ def output_names(scenario: Scenario) -> list[str]:
     believes = eqx.filter_eval_shape(first_moving, scenario).navigated is not None
     if believes:
         found += [at_end(navigated(name)) for name in states]
+    if getattr(scenario.navigation, "filter", None) is not None:
+        found.append(at_end(NORMALISED))
     for miss in units_of(Misses):
         aimed = miss == "distance" or getattr(scenario.target, miss) is not None
         found += [error_of(miss)] if aimed else []
@@ -171,6 +177,13 @@ def dataset(
         if flights.navigated is not None:
             known, believed = getattr(flights.navigated, name), navigated(name)
             put(at_end(believed), known, unit, f"{in_words(believed)} at the end")
+    if flights.knowledge is not None:
+        consistent = flights.knowledge.normalised_error_squared
+        if consistent is not None:
+            words = (
+                "navigation error squared at the end, by the covariance of the filter"
+            )
+            put(at_end(NORMALISED), consistent, "1", words)
     for name, values in flights.at_end.items():
         constraint, words = scenario.constraints[name], f"{in_words(name)} at the end"
         put(at_end(name), values, constraint.unit, words, **_shown(constraint))
