@@ -106,7 +106,12 @@ def test_glides_that_are_not_finite_are_left_out_and_counted(glides):
     peaks = {f"peak_{n}": ("run", np.ones(6)) for n in glide.CONSTRAINTS}
     lost = glides.assign(outcome=("run", outcome), ended_by=ended_by, **peaks)
     figures = figures_of(lost, lost, figures=GLIDE)
-    assert set(figures) == set(GLIDE) - {"drag", "drag_deviation", "corridor"}
+    assert set(figures) == set(GLIDE) - {
+        "drag",
+        "drag_deviation",
+        "corridor",
+        "navigation",
+    }
     for figure in figures.values():
         said = "1 of 6 runs not finite or without an end: left out"
         assert figure.get_supxlabel() == said

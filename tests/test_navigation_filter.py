@@ -405,7 +405,7 @@ def normalised():
 
     @eqx.filter_jit
     def fly_many(scenario, keys):
-        flights = jax.vmap(lambda key: fly(drawn(scenario, key), FixedStep(0.5)))(keys)
+        flights = jax.vmap(lambda key: fly(drawn(scenario, key), FixedStep(1.0)))(keys)
         return flights.knowledge.normalised_error_squared
 
     def find(measuring, blocks, change=lambda scenario: scenario):
@@ -443,7 +443,7 @@ def test_a_wrong_density_makes_the_drag_a_liar(normalised):
 
     def denser(scenario):
         lens = lambda s: s.planet.density_scale
-        return eqx.tree_at(lens, scenario, jnp.asarray(1.1))
+        return eqx.tree_at(lens, scenario, jnp.asarray(1.1, float))
 
     test = normalised(SETS["drag"], 1, denser)
     assert test.average > 2.0 * test.upper

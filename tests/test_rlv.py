@@ -28,6 +28,8 @@ def test_readings_and_variants():
         "table-1-noise",
         "table-1-estimated-angle",
         "atmosphere",
+        "knowledge",
+        "table-1-and-knowledge",
     }
     noise = set(MISSION.dispersion_table("table-1-noise"))
     assert noise - set(MISSION.dispersion_table("table-1")) == {"noise seed"}

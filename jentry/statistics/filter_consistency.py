@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
 
 from ..onboard.navigation_filter import MOTION
 
@@ -49,6 +48,8 @@ def consistency(
     **Raises:** `ValueError` without flights, for values that are negative or not finite,
     and for a confidence that is not between 0 and 1.
     """
+    from scipy.stats import chi2
+
     values = np.asarray(normalised_error_squared, float).ravel()
     if not values.size:
         raise ValueError("there are no flights: give one value for each")
