@@ -62,7 +62,13 @@ def test_every_declared_dispersion_changes_the_flight_when_it_alone_is_drawn_ane
 
 
 def readings_by_variant(mission):
-    """The readings, by as few choices as have what they move: each is compiled."""
+    """The readings, by as few choices as have what they move: each is compiled.
+
+    The errors of the navigation, which all missions make by the same code, are those of
+    one mission: `test_inertial_missions` says that they reach their leaves in each.
+    """
+    mars = mission.name == "mars-range-tracking"
+    readings = [r for r in mission.dispersions if mars or "knowledge" not in r]
 
     def takes(variant, reading):
         try:
@@ -75,7 +81,7 @@ def readings_by_variant(mission):
 
     found = {}
     # Those that move much first: their choices have what the others move as well.
-    for reading in sorted(mission.dispersions, key=lambda r: -size(mission, r)):
+    for reading in sorted(readings, key=lambda r: -size(mission, r)):
         worlds = (
             f"{law} world {world}" for law in mission.laws for world in mission.worlds
         )
