@@ -210,6 +210,29 @@ def test_random_walks_grow_alike_in_all_directions():
     )
 
 
+def test_errors_that_have_been_found_move_nothing():
+    """What remains is of their square: less than a hundredth of what they do."""
+    scenario = aided({})
+    _, actual, navigated, aiding = here(scenario)
+    sensing = actual._replace(accelerometers=SENSING)
+    known = dataclasses.replace(
+        aiding, accelerometers=SENSING, gyroscopes=Gyroscopes(*jax.tree.leaves(TURNING))
+    )
+    drifting = dataclasses.replace(scenario.navigation, gyroscopes=TURNING)
+    rates = [
+        np.array(jax.tree.leaves(navigation.rate(flight, navigated, held)))
+        for navigation, flight, held in (
+            (scenario.navigation, actual, aiding),
+            (drifting, sensing, aiding),
+            (drifting, sensing, known),
+        )
+    ]
+    off, left = np.abs(rates[1] - rates[0]), np.abs(rates[2] - rates[0])
+    moved = off > 1e-12
+    assert moved.sum() == 6  # velocity and its two angles, and the tilt
+    assert np.all(left[moved] < 1e-2 * off[moved])
+
+
 def test_what_is_not_due_changes_nothing():
     navigation, actual, navigated, aiding = here(aided({"a": ALTIMETER}), up=500.0)
     given = navigated, aiding, jnp.asarray(1.0), jnp.asarray(False)
