@@ -210,6 +210,28 @@ def test_random_walks_grow_alike_in_all_directions():
     )
 
 
+def test_the_axes_of_the_vehicle():
+    """Right-handed, forward above the velocity by the angle of attack, and right below the
+    horizon by the bank; gyroscopes drift about them."""
+    _, actual, _, _ = here(aided({}))
+    sensed, angle, bank = Sensed.of(actual), -0.2, 0.9
+    zero, one = jnp.asarray(0.0), jnp.asarray(1.0)
+    forward, right, down = axes = np.array(sensed.body_axes())
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(np.cross(forward, right), down, atol=1e-14)
+    velocity = np.array(
+        sensed.place.to_planet(*sensed.velocity.to_local(one, zero, zero))
+    )
+    assert forward @ velocity == pytest.approx(np.cos(angle))
+    assert down @ velocity == pytest.approx(np.sin(angle))
+    up = np.array(sensed.place.to_planet(zero, zero, one))
+    level = float(np.cos(actual.state.flight_path_angle))
+    assert right @ up == pytest.approx(-np.sin(bank) * level)
+    drift = np.array(sensed.drift_in_planet(TURNING))
+    expected = np.array(jax.tree.leaves(TURNING)) @ axes
+    np.testing.assert_allclose(drift, expected, rtol=1e-12)
+
+
 def test_errors_that_have_been_found_move_nothing():
     """What remains is of their square: less than a hundredth of what they do."""
     scenario = aided({})
