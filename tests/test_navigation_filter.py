@@ -337,6 +337,23 @@ def test_a_sensor_expects_what_it_measures(name):
     np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-9)
 
 
+def test_the_vehicle_knows_the_angle_of_attack_that_it_measures():
+    """Its drag is expected at the measured angle, as a law has it."""
+    told = []
+
+    class Listening(Altimeter):
+        def expected(self, believed):
+            told.append(believed.angle_of_attack)
+            return super().expected(believed)
+
+    scenario = aided({"a": Listening(10.0, 60 * km, cycle=1.0)})
+    navigation, actual, navigated, aiding = here(scenario)
+    actual = actual._replace(angle_of_attack_error=jnp.asarray(0.03))
+    given = navigated, aiding, jnp.asarray(1.0), jnp.asarray(True)
+    navigation.update(lambda: actual, *given)
+    assert float(told[0]) == pytest.approx(-0.2 + 0.03)
+
+
 def test_an_outlier_is_rejected_and_counted():
     """A measurement 100 km off changes nothing; its share of rejected values is one."""
     lying = dataclasses.replace(ALTIMETER, bias=100 * km)

@@ -407,6 +407,7 @@ def _actual(scenario: Scenario, moving: Moving, controls: Controls) -> Actual:
         controls,
         scenario.accelerometers,
         scenario.flow_sensors,
+        scenario.angle_of_attack_error,
     )
 
 

@@ -75,6 +75,8 @@ class Actual(NamedTuple):
     controls: Controls
     accelerometers: AbstractAccelerometers
     flow_sensors: FlowSensors | None = None
+    angle_of_attack_error: Scalar | None = None
+    """Measured minus actual angle of attack, rad; None if there is none"""
 
 
 class BodyAxes(NamedTuple):

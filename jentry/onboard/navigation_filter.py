@@ -337,10 +337,12 @@ class NavigationFilter(eqx.Module):
         """The values of all sensors, `MOST_VALUES` of each, in their order."""
         known, axes = _estimate(navigated, aiding), sensed.body_axes()
         cycle = jnp.round(at / self.cycle).astype(int)
+        angle, error = sensed.air.angle_of_attack, sensed.actual.angle_of_attack_error
+        angle = angle if error is None else angle + error
 
         def believed(known: Estimate) -> Believed:
             seen = axes.turned(navigated.tilt).turned(known.navigated.tilt)
-            angle, off = sensed.air.angle_of_attack, known.accelerometers
+            off = known.accelerometers
             return Believed(planet, known.navigated.state, seen, off, angle)
 
         def values(name: str, place: int) -> list[_Value]:
