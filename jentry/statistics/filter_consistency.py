@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..onboard.navigation_filter import MOTION
+from ..onboard.error_covariance import MOTION
 
 
 class Consistency(NamedTuple):
