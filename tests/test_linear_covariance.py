@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry.analysis.covariance import LinearModel, _along_axes, _standard, _through
+from jentry.analysis.covariance import LinearModel, _along_axes, _through
+from jentry.analysis.linear_models import in_deviations
 from jentry.campaign import Constant, Dispersion, Normal, Uniform, add
 
 
@@ -53,7 +54,7 @@ def test_points_lie_a_standard_deviation_from_the_mean_on_each_axis():
 def test_draws_are_counted_in_standard_deviations_from_their_mean():
     deviation = 1.2 / np.sqrt(12.0)
     draws = {"mass": np.array([6.0, -6.0]), "path": np.array([0.3, 0.3 + deviation])}
-    standard = _standard(PAIRS, draws)
+    standard = in_deviations(PAIRS, draws)
     np.testing.assert_allclose(standard["mass"], [1.0, -2.0], rtol=1e-14)
     np.testing.assert_allclose(standard["path"], [0.0, 1.0], rtol=1e-14, atol=1e-15)
 
@@ -62,6 +63,6 @@ def test_what_is_always_the_same_adds_nothing_to_the_spread():
     """As the noise of the accelerometers in the readings of the CAV-H mission."""
     constant = Dispersion(lambda s: s.accelerometers.noise, Constant(4.9e-4))
     draws = {"mass": np.array([6.0, -6.0]), "noise": jnp.full(2, 4.9e-4)}
-    standard = _standard((PAIRS[0], ("noise", constant)), draws)
+    standard = in_deviations((PAIRS[0], ("noise", constant)), draws)
     np.testing.assert_allclose(standard["mass"], [1.0, -2.0], rtol=1e-14)
     np.testing.assert_array_equal(standard["noise"], [0.0, 0.0])
