@@ -2,12 +2,16 @@
 
 import dataclasses
 
+import cheap
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry.analysis.covariance import LinearModel, _along_axes, _standard, _through
+from jentry.analysis import linear_models
+from jentry.analysis.covariance import LinearModel, _along_axes, _through
+from jentry.analysis.linear_models import in_deviations, mean_model
 from jentry.campaign import Constant, Dispersion, Normal, Uniform, add
+from jentry.flight import misses
 
 
 PAIRS = (
@@ -53,7 +57,7 @@ def test_points_lie_a_standard_deviation_from_the_mean_on_each_axis():
 def test_draws_are_counted_in_standard_deviations_from_their_mean():
     deviation = 1.2 / np.sqrt(12.0)
     draws = {"mass": np.array([6.0, -6.0]), "path": np.array([0.3, 0.3 + deviation])}
-    standard = _standard(PAIRS, draws)
+    standard = in_deviations(PAIRS, draws)
     np.testing.assert_allclose(standard["mass"], [1.0, -2.0], rtol=1e-14)
     np.testing.assert_allclose(standard["path"], [0.0, 1.0], rtol=1e-14, atol=1e-15)
 
@@ -62,6 +66,35 @@ def test_what_is_always_the_same_adds_nothing_to_the_spread():
     """As the noise of the accelerometers in the readings of the CAV-H mission."""
     constant = Dispersion(lambda s: s.accelerometers.noise, Constant(4.9e-4))
     draws = {"mass": np.array([6.0, -6.0]), "noise": jnp.full(2, 4.9e-4)}
-    standard = _standard((PAIRS[0], ("noise", constant)), draws)
+    standard = in_deviations((PAIRS[0], ("noise", constant)), draws)
     np.testing.assert_allclose(standard["mass"], [1.0, -2.0], rtol=1e-14)
     np.testing.assert_array_equal(standard["noise"], [0.0, 0.0])
+
+
+def test_mean_slopes_are_about_the_draws_that_end_by_the_condition(monkeypatch):
+    """By hand: a line on one side of a corner, and what is not on it leaves no trace."""
+    scenario = cheap.scenario()
+    code = scenario.termination.names.index("velocity")
+
+    def flown(scenario, pairs, draws, outputs, solver):
+        mass, path = in_deviations(pairs, draws).values()
+        ends = mass > 0.0
+        x = np.where(ends, 3.0 + 5.0 * mass + 7.0 * path, 1e3 * mass)
+        return {"x": x}, 100.0 + 2.0 * mass, np.where(ends, code, 1 - code), ends | True
+
+    monkeypatch.setattr(linear_models, "fly_draws", flown)
+    mass, path = np.array([0.5, -0.1, 1.5, 0.9]), np.array([-1.0, 0.2, 1.0, 0.4])
+    others = {"mass": 2.0 + 4.0 * mass, "path": 0.3 + 1.2 / np.sqrt(12.0) * path}
+    about = {"mass": (0.8, 0.6), "path": (0.1, 0.7)}
+    model = mean_model(scenario, "velocity", PAIRS, misses, cheap.SOLVER, others, about)
+    assert model is not None
+    assert model.slopes["x"] == pytest.approx({"mass": 5.0, "path": 7.0}, rel=1e-12)
+    assert model.errors["x"] == pytest.approx({"mass": 0.0, "path": 0.0}, abs=1e-12)
+    assert model.values["x"] == pytest.approx(3.0, rel=1e-12)
+    assert model.time == pytest.approx(100.0, rel=1e-12)
+    assert model.time_slope == pytest.approx({"mass": 2.0, "path": 0.0}, abs=1e-12)
+    # No pair of flights is on that side if the mass moves across the corner.
+    across = about | {"mass": (0.0, 1.0)}
+    assert not mean_model(
+        scenario, "velocity", PAIRS, misses, cheap.SOLVER, others, across
+    )

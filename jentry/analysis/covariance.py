@@ -3,7 +3,9 @@
 The outputs are assumed to be linear in the draws, so that their standard deviations follow
 from the Jacobian. A flight that ends at the first of several end conditions is linear for
 each condition, with a corner where two conditions are met at once. A nominal flight that is
-planned for its target meets two conditions at once, and so lies on such a corner.
+planned for its target meets two conditions at once, and so lies on such a corner. So does
+its law, which plans each flight for the end that it expects. Each condition has its linear
+model about the mean of the draws that end by it, where the law plans for this end.
 """
 
 import dataclasses
@@ -23,18 +25,20 @@ from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
 from ..tuning.batch_gradients import Outputs
 from .linear_models import (
-    Draws,
     LinearModel,
     Pairs,
     columns_of,
     draw_many,
     ending_by,
     fly_draws,
+    in_deviations,
     linear_model,
     mean_model,
 )
 
 
+_FIRST = 4 * LANES
+"""Number of flights that show by which conditions flights end, and with which draws"""
 _SAMPLED = 100_000
 """Number of draws for which the linear models are evaluated, without flights"""
 
@@ -89,7 +93,8 @@ class LinearCovariance:
     """Number of flights of the Monte Carlo that are not finite"""
     without_model: dict[str, float]
     """Share of the flights that end by a condition without a linear model, by end
-    condition. The nominal flight does not meet such a condition"""
+    condition. The flight at the mean of the draws that end by it does not meet such a
+    condition, or too few pairs of flights do with `mode="difference"`"""
 
 
 @needs_float64
@@ -106,17 +111,19 @@ def linear_covariance(
     """Predict the standard deviations of outputs, with an optional Monte Carlo to compare.
 
     The prediction uses the mean and standard deviation of each dispersion, and the joint
-    distribution of their draws. Further flights, one standard deviation above and below the
-    mean of each dispersion, show how linear the flight is and which conditions end it.
+    distribution of their draws. 256 flights show which conditions end them. Further
+    flights, one standard deviation above and below the mean of each dispersion, show how
+    linear the flight is.
 
     **Arguments:**
 
     - `outputs`: function of scenario and flight that returns numbers, such as `misses`.
     - `key`, `runs`: random key and size of the Monte Carlo; none is flown if `runs` is 0.
-    - `mode`: "exact" (the default, also None) uses the derivatives of the nominal flight,
-        in forward mode. "difference" uses mean slopes over two standard deviations, for
-        flights whose outputs jump, see `linear_models`; it costs 128 flights for each
-        dispersion and end condition.
+    - `mode`: "exact" (the default, also None) uses the derivatives of one flight for each
+        end condition, in forward mode: that with the mean of the draws that end by it.
+        "difference" uses mean slopes over two standard deviations of these draws, for
+        flights whose outputs jump, see `linear_models`; it costs at most 128 flights for
+        each dispersion and end condition.
 
     **Raises:** `ValueError` as `monte_carlo` does, and for a nominal flight that is not
     finite.
@@ -133,17 +140,18 @@ def linear_covariance(
     if mode not in (None, "exact", "difference"):
         raise ValueError(f'mode is {mode!r}: it must be "exact" or "difference"')
     key = jax.random.key(0) if key is None else key
-    check_draws(scenario, dispersions, key, np.arange(max(runs, LANES)))
-    if mode == "difference":
-        of_means = jax.random.fold_in(key, 2)
-        check_draws(scenario, dispersions, of_means, np.arange(LANES))
     pairs = tuple(dispersions.items())
-
+    of_first = jax.random.fold_in(key, 2)
     axes = _along_axes(pairs)
-    drawn = draw_many(pairs, key, jnp.arange(max(runs, LANES)))
+    parts = [{name: np.array([point[name] for point in axes]) for name in dispersions}]
+    for of_part, count in ((of_first, _FIRST), (key, runs)):
+        if not count:
+            continue
+        check_draws(scenario, dispersions, of_part, np.arange(count))
+        parts.append(dict(draw_many(pairs, of_part, jnp.arange(count))))
     points = {
-        name: np.concatenate([[point[name] for point in axes], np.asarray(values)])
-        for name, values in drawn.items()
+        name: np.concatenate([np.asarray(part[name]) for part in parts])
+        for name in dispersions
     }
     values, _, codes, finite = fly_draws(scenario, pairs, points, outputs, solver)
     columns = {
@@ -157,30 +165,48 @@ def linear_covariance(
         )
 
     models, without_model = {}, {}
-    for code in np.unique(codes[finite]):
+    first = np.zeros(finite.size, bool)
+    first[len(axes) : len(axes) + _FIRST] = True
+    ends = np.unique(codes[finite])
+    for code in ends:
         name = scenario.termination.names[int(code)]
-        alone = ending_by(scenario, name)
+        ended = finite & (codes == code)
+        ended = ended & first if np.any(ended & first) else ended
+        of_end = {n: x[ended] for n, x in points.items()}
+        about = {n: (0.0, 1.0) for n in dispersions}
+        if len(ends) > 1:
+            standard = in_deviations(pairs, of_end)
+            about = {
+                n: (float(np.mean(x)), float(np.std(x))) for n, x in standard.items()
+            }
         if mode == "difference":
-            others = jax.random.fold_in(key, 2)
-            model = mean_model(alone, pairs, outputs, solver, others)
+            others = {n: x[:LANES] for n, x in of_end.items()}
+            model = mean_model(scenario, name, pairs, outputs, solver, others, about)
         else:
-            model = linear_model(alone, pairs, outputs, solver, name)
+            centre = {n: x for n, (x, _) in about.items()}
+            alone = ending_by(scenario, name)
+            model = linear_model(alone, pairs, outputs, solver, name, centre)
         if model is None:
             without_model[name] = float(np.mean(codes[finite] == code))
         else:
             models[name] = model
     if not models:
-        raise ValueError("the nominal flight meets none of the end conditions alone")
+        raise ValueError(
+            f"the end conditions {list(without_model)} end flights, and none of them has a "
+            "linear model: give smaller dispersions"
+        )
 
-    of_runs = np.arange(len(axes), len(axes) + runs)
+    of_runs = np.arange(finite.size - runs, finite.size)
     kept = of_runs[finite[of_runs]]
     sampled = _through(
         models,
-        _standard(
+        in_deviations(
             pairs, draw_many(pairs, jax.random.fold_in(key, 1), jnp.arange(_SAMPLED))
         ),
     )
-    same = _through(models, _standard(pairs, {n: x[kept] for n, x in points.items()}))
+    same = _through(
+        models, in_deviations(pairs, {n: x[kept] for n, x in points.items()})
+    )
     spreads, effects = {}, {}
     for name, column in columns.items():
         enough = kept.size > 1
@@ -222,17 +248,6 @@ def _along_axes(pairs: Pairs) -> list[dict[str, float]]:
     for name, (m, deviation) in moments.items():
         points += [mean | {name: m + deviation}, mean | {name: m - deviation}]
     return points
-
-
-def _standard(pairs: Pairs, draws: Draws) -> dict[str, np.ndarray]:
-    """Draws in standard deviations from their mean."""
-    standard = {}
-    for name, dispersion in pairs:
-        mean, deviation = (float(x) for x in dispersion.distribution.moments())
-        # All draws of a constant equal its mean.
-        away = np.asarray(draws[name]) - mean
-        standard[name] = away / deviation if deviation > 0.0 else 0.0 * away
-    return standard
 
 
 def _through(

@@ -10,6 +10,10 @@ flights in which all other inputs are drawn,
 
 with jumps included. It has a standard error. It does not contain the teeth: only a Monte
 Carlo shows the dispersion that they cause.
+
+If several end conditions end the flights, each has a model of its own, about the mean of
+the draws that end by it. The mean of all draws would be the wrong place: there a law may
+plan its flight for another end than the one of the model.
 """
 
 import dataclasses
@@ -23,10 +27,11 @@ from jaxtyping import Array, Key
 
 from .._programs import cached
 from ..addresses import leaves_by_address
-from ..campaign.batch import LANES, over_runs
+from ..campaign.batch import over_runs
 from ..campaign.campaign import fly_run
 from ..campaign.dispersions import Dispersion, disperse, draw
 from ..flight.scenario import Scenario
+from ..flight.solver import AbstractSolver
 from ..flight.termination import has_end
 from ..tuning.batch_gradients import Outputs
 from .sensitivities import named
@@ -41,10 +46,11 @@ class LinearModel:
     """Linear model of time and outputs of flights that end by one condition."""
 
     time: float
-    """Time at the end with the mean draws, s"""
+    """Time at the end with the mean of all draws, by this model, s"""
     time_slope: dict[str, float]
     """Change of the time for one standard deviation, by dispersion, s"""
     values: dict[str, float]
+    """Outputs with the mean of all draws, by this model"""
     slopes: dict[str, dict[str, float]]
     """Change of an output for one standard deviation, by output and dispersion"""
     errors: dict[str, dict[str, float]]
@@ -73,6 +79,17 @@ def _fly_draw(shared, draws):
     return outputs(dispersed, flight), flight.time, flight.ended_by, finite
 
 
+def in_deviations(pairs: Pairs, draws: Draws) -> dict[str, np.ndarray]:
+    """Draws in standard deviations from their mean."""
+    standard = {}
+    for name, dispersion in pairs:
+        mean, deviation = (float(x) for x in dispersion.distribution.moments())
+        # All draws of a constant equal its mean.
+        away = np.asarray(draws[name]) - mean
+        standard[name] = away / deviation if deviation > 0.0 else 0.0 * away
+    return standard
+
+
 def columns_of(values: Any) -> dict[str, np.ndarray]:
     columns = {
         named(n): np.asarray(column) for n, column in leaves_by_address(values).items()
@@ -94,44 +111,68 @@ def ending_by(scenario: Scenario, name: str) -> Scenario:
 
 
 def mean_model(
-    alone: Scenario, pairs: Pairs, outputs: Outputs, solver, key
+    scenario: Scenario,
+    name: str,
+    pairs: Pairs,
+    outputs: Outputs,
+    solver: AbstractSolver,
+    others: Draws,
+    about: Mapping[str, tuple[float, float]],
 ) -> LinearModel | None:
-    """Linear model by differences over two standard deviations, averaged over other draws.
+    """Linear model by differences, averaged over other draws, for one end condition.
 
     None if for some dispersion the condition ends both flights of fewer than two pairs.
+
+    **Arguments:**
+
+    - `name`: the end condition.
+    - `others`: draws of the inputs that are not moved, of flights that end by `name`.
+    - `about`: centre and half width of the differences by dispersion, in standard
+        deviations from the mean.
     """
-    drawn = draw_many(pairs, key, jnp.arange(LANES))
-    points, moving = [], []
-    for name, dispersion in pairs:
-        mean, deviation = dispersion.distribution.moments()
-        if not deviation > 0.0:  # a constant
-            continue
-        moving.append(name)
-        for value in (mean + deviation, mean - deviation):
-            points.append({**drawn, name: jnp.full(LANES, value)})
+    moments = {n: tuple(float(x) for x in d.distribution.moments()) for n, d in pairs}
+    moving = [n for n, (_, deviation) in moments.items() if deviation > 0.0]
     if not moving:
         raise ValueError("all dispersions are constant: nothing moves the flight")
-    draws = jax.tree.map(lambda *x: np.concatenate(x), *points)
-    flown = fly_draws(alone, pairs, draws, outputs, solver)
-    shape = len(moving), 2, LANES
+    count = next(iter(others.values())).size
+    if count < 2:
+        return None
+    points = []
+    for n in moving:
+        mean, deviation = moments[n]
+        centre, width = about[n]
+        for standard in (centre + width, centre - width):
+            value = mean + standard * deviation
+            points.append({**others, n: np.full(count, value)})
+    draws = {n: np.concatenate([point[n] for point in points]) for n in others}
+    flown = fly_draws(scenario, pairs, draws, outputs, solver)
+    shape = len(moving), 2, count
     values, time, code, finite = jax.tree.map(
         lambda x: x.reshape(*shape, *x.shape[1:]), flown
     )
-    both = np.all((code == 0) & finite, axis=1)
+    by_name = code == scenario.termination.names.index(name)
+    both = np.all(by_name & finite, axis=1)
     if np.any(np.sum(both, axis=1) < 2):
         return None
     columns = {named(n): np.asarray(x) for n, x in leaves_by_address(values).items()}
     columns[""] = time
-    slopes = {n: dict.fromkeys(dict(pairs), 0.0) for n in columns}
-    errors = {n: dict.fromkeys(dict(pairs), 0.0) for n in columns}
-    for place, name in enumerate(moving):
-        kept = both[place]
+    slopes = {n: dict.fromkeys(moments, 0.0) for n in columns}
+    errors = {n: dict.fromkeys(moments, 0.0) for n in columns}
+    for place, dispersion in enumerate(moving):
+        kept, (_, width) = both[place], about[dispersion]
         for column, x in columns.items():
-            each = 0.5 * (x[place, 0, kept] - x[place, 1, kept])
-            slopes[column][name] = float(np.mean(each))
-            errors[column][name] = float(np.std(each, ddof=1) / np.sqrt(len(each)))
+            each = 0.5 * (x[place, 0, kept] - x[place, 1, kept]) / width
+            slopes[column][dispersion] = float(np.mean(each))
+            error = np.std(each, ddof=1) / np.sqrt(len(each))
+            errors[column][dispersion] = float(error)
     there = np.broadcast_to(both[:, None], shape)
-    means = {n: float(np.mean(x[there])) for n, x in columns.items()}
+    means = {}
+    for column, x in columns.items():
+        away = sum(
+            slopes[column][n] * np.mean(x_of[there.ravel()])
+            for n, x_of in in_deviations(pairs, draws).items()
+        )
+        means[column] = float(np.mean(x[there]) - away)
     return LinearModel(
         time=means.pop(""),
         time_slope=slopes.pop(""),
@@ -142,13 +183,24 @@ def mean_model(
 
 
 def linear_model(
-    alone: Scenario, pairs: Pairs, outputs: Outputs, solver, name: str
+    alone: Scenario,
+    pairs: Pairs,
+    outputs: Outputs,
+    solver: AbstractSolver,
+    name: str,
+    centre: Mapping[str, float],
 ) -> LinearModel | None:
-    """Linear model from exact derivatives; None if the nominal flight never meets the end.
+    """Linear model from exact derivatives; None if the flight at `centre` never ends.
 
-    The flight ends by one condition only.
+    **Arguments:**
+
+    - `alone`: scenario whose only end condition is `name`.
+    - `centre`: draws of the flight with the derivatives, in standard deviations from the
+        mean.
     """
-    slopes, values, outcome, ended_by = _linearize(alone, pairs, outputs, solver)
+    standard = {n: jnp.asarray(x, float) for n, x in centre.items()}
+    found = _linearize(alone, pairs, outputs, solver, standard)
+    slopes, values, outcome, ended_by = found
     met = alone.termination.names[int(ended_by)] == name
     if not met or not has_end(int(outcome)):
         return None
@@ -156,20 +208,26 @@ def linear_model(
     time_slope, slope_columns = slopes
     by_output = {named(n): leaf for n, leaf in leaves_by_address(columns).items()}
     flat = jax.tree.structure(columns).flatten_up_to(slope_columns)
+    slopes_of = {
+        n: {d: float(s) for d, s in by_dispersion.items()}
+        for n, by_dispersion in zip(by_output, flat, strict=True)
+    }
+    time_slopes = {d: float(s) for d, s in time_slope.items()}
+
+    def at_mean(value, slope: Mapping[str, float]) -> float:
+        return float(value) - sum(slope[d] * x for d, x in centre.items())
+
     return LinearModel(
-        time=float(time),
-        time_slope={d: float(s) for d, s in time_slope.items()},
-        values={n: float(value) for n, value in by_output.items()},
-        slopes={
-            n: {d: float(s) for d, s in by_dispersion.items()}
-            for n, by_dispersion in zip(by_output, flat, strict=True)
-        },
+        time=at_mean(time, time_slopes),
+        time_slope=time_slopes,
+        values={n: at_mean(value, slopes_of[n]) for n, value in by_output.items()},
+        slopes=slopes_of,
         errors={n: dict.fromkeys(dict(pairs), 0.0) for n in by_output},
     )
 
 
 @cached
-def _linearize(scenario, pairs: Pairs, outputs, solver):
+def _linearize(scenario, pairs: Pairs, outputs, solver, centre):
     moments = {name: d.distribution.moments() for name, d in pairs}
 
     def at(standard):
@@ -182,6 +240,5 @@ def _linearize(scenario, pairs: Pairs, outputs, solver):
         values = flight.time, looked_at
         return values, (values, flight.outcome, flight.ended_by)
 
-    mean = {name: jnp.zeros(()) for name in moments}
-    slopes, others = jax.jacfwd(at, has_aux=True)(mean)
+    slopes, others = jax.jacfwd(at, has_aux=True)(centre)
     return slopes, *others
