@@ -412,6 +412,13 @@ def test_the_filter_corrects_a_flight(flown):
         "doppler_rejected",
         "terrain_rejected",
     }
+    made, rejected = flights.knowledge.measured, flights.knowledge.rejected
+    for name, values, cycle in (("altimeter", 1, 1.0), ("terrain", 2, 2.0)):
+        # Both measure below 60 km, to the end.
+        most = values * np.floor(np.asarray(flights.time) / cycle)
+        assert np.all((made[name] > 0.3 * most) & (made[name] < most)), name
+        share = rejected[name] / made[name]
+        np.testing.assert_array_equal(share, flights.caveats[f"{name}_rejected"])
 
 
 @pytest.mark.slow

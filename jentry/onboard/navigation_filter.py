@@ -81,6 +81,10 @@ class Knowledge(eqx.Module):
     """Square of the error of position, velocity and attitude, normalised by the covariance
     of the filter. Its mean over many flights is 9 if the filter is consistent: see
     `jentry.statistics.consistency`"""
+    measured: dict[str, Scalar] = eqx.field(default_factory=dict)
+    """Number of measured values so far, by sensor; empty without a filter"""
+    rejected: dict[str, Scalar] = eqx.field(default_factory=dict)
+    """Number of those that were rejected, by sensor; empty without a filter"""
 
 
 class NavigationFilter(eqx.Module):
@@ -222,6 +226,8 @@ class NavigationFilter(eqx.Module):
             error,
             KnowledgeError(*(sizes[i] for i in range(MOTION))),
             share @ jnp.linalg.solve(alike, share),
+            aiding.measured,
+            aiding.rejected,
         )
 
     def caveats(self, aiding: Aiding) -> dict[str, Scalar]:
