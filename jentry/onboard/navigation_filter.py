@@ -23,11 +23,13 @@ from .inertial import (
     KnowledgeError,
     Navigated,
     Sensed,
+    TrackError,
     added,
     believed_motion,
     difference,
     displaced,
     tilting,
+    track_difference,
 )
 from .measurement import BodyAccelerometers
 from .navigation_sensors import MOST_VALUES, AbstractNavigationSensor, Believed
@@ -85,6 +87,8 @@ class Knowledge(eqx.Module):
     """Number of measured values so far, by sensor; empty without a filter"""
     rejected: dict[str, Scalar] = eqx.field(default_factory=dict)
     """Number of those that were rejected, by sensor; empty without a filter"""
+    track_deviation: TrackError | None = None
+    """Standard deviations of the filter along and across the track; None without one"""
 
 
 class NavigationFilter(eqx.Module):
@@ -219,6 +223,9 @@ class NavigationFilter(eqx.Module):
         off = _derivatives(lambda n: difference(planet, state, n), _level(navigated))
         spread = off @ covariance[:MOTION, :MOTION] @ off.T
         sizes = jnp.sqrt(jnp.diag(spread))
+        along = _derivatives(
+            lambda n: track_difference(planet, state, n.state), _level(navigated)
+        )
         error = difference(planet, actual, navigated)
         share = jnp.stack(jax.tree.leaves(error)) / sizes
         alike = spread / (sizes[:, None] * sizes[None])
@@ -228,6 +235,9 @@ class NavigationFilter(eqx.Module):
             share @ jnp.linalg.solve(alike, share),
             aiding.measured,
             aiding.rejected,
+            TrackError(
+                *jnp.sqrt(jnp.diag(along @ covariance[:MOTION, :MOTION] @ along.T))
+            ),
         )
 
     def caveats(self, aiding: Aiding) -> dict[str, Scalar]:
