@@ -35,11 +35,13 @@ def table(specification: str) -> str:
     **Arguments:**
 
     - `specification`: TOML. `source` names the file: `populations.csv`, `published.csv`,
-      `timings.csv`, `sampling.csv`, `wind.csv`, or `tuned` for the files of tuned gains.
-      For the first, `rows` and `columns` are lists of tables whose keys are merged for
-      each cell: `title`, `choice`, `dispersions`, `heading`, `show` (see `SHOWN`),
-      `published`, `digits`, `mission`, or `cells` for several numbers in one cell. For the
-      next two, `table` is the name of the table in the file.
+      `timings.csv`, `navigation.csv`, `sampling.csv`, `wind.csv`, or `tuned` for the files
+      of tuned gains. For the first, `rows` and `columns` are lists of tables whose keys
+      are merged for each cell: `title`, `choice`, `dispersions`, `heading`, `show` (see
+      `SHOWN`), `published`, `digits`, `mission`, or `cells` for several numbers in one
+      cell. For the next two, `table` is the name of the table in the file. For
+      `navigation.csv`, `part` is a part of its program, whose tables are put below each
+      other.
 
     **Raises:** `ValueError` for an unknown key or source, `KeyError` for a number that is
     not in the file.
@@ -192,6 +194,20 @@ TIMED = {
 """The programs that write the tables of timings"""
 
 
+def of_navigation(part: str) -> tuple[list[str], Rows, str]:
+    path = BENCHMARKS / "navigation.csv"
+    names = [name for name in records.load(path) if name.startswith(f"{part}, ")]
+    if not names:
+        raise KeyError(f"{path.name} has no table of the part {part!r}")
+    command = f"python benchmarks/navigation.py {part}"
+    headings, rows, captions = zip(
+        *(_of_records(path, name, command) for name in names), strict=True
+    )
+    if any(heading != headings[0] for heading in headings):
+        raise ValueError(f"the tables {names} have different columns")
+    return headings[0], sum(rows, []), " ".join(dict.fromkeys(captions))
+
+
 def of_sampling() -> tuple[list[str], Rows, str]:
     dates, rows = sampling.saved_on(), sampling.saved()
     body = [
@@ -273,6 +289,7 @@ SOURCES: dict[str, tuple[set[str], Callable[..., tuple[list[str], Rows, str]]]] 
     ),
     "published.csv": ({"table"}, of_published),
     "timings.csv": ({"table"}, of_timings),
+    "navigation.csv": ({"part"}, of_navigation),
     "sampling.csv": (set(), of_sampling),
     "wind.csv": (set(), of_wind),
     "tuned": (set(), of_tuned),

@@ -196,6 +196,39 @@ def test_the_covariance_starts_as_stated():
     )
 
 
+def test_deviations_along_and_across_the_track():
+    """Of a filter with correlations: the covariance in local axes, by unit vectors.
+
+    The change of the speed is the change of the velocity along it. Arcs on the ground are
+    shorter than displacements at altitude.
+    """
+    alike = np.eye(9)
+    for i, j, size in ((0, 1, 0.7), (3, 4, -0.5), (3, 5, 0.4)):
+        alike[i, j] = alike[j, i] = size
+    scenario = aided({}, correlations=alike)
+    navigation, actual, navigated, aiding = here(scenario)
+    planet, state = actual.planet, actual.state
+    zero = jnp.asarray(0.0)
+    known = navigation.knowledge_of(planet, state, navigated, aiding, zero)
+    sizes = np.array([float(getattr(KNOWN, name)) for name in NAMES])
+    spread = alike * sizes * sizes[:, None]
+    heading, path = float(state.heading), float(state.flight_path_angle)
+    ground = float(planet.radius / (planet.radius + state.altitude))
+    east, north = np.sin(heading), np.cos(heading)
+    for name, vector in (
+        ("downrange", [ground * east, ground * north, *7 * [0.0]]),
+        ("crossrange", [-ground * north, ground * east, *7 * [0.0]]),
+        ("altitude", [0.0, 0.0, 1.0, *6 * [0.0]]),
+        (
+            "velocity",
+            [*3 * [0.0], *np.cos(path) * np.array([east, north]), np.sin(path)],
+        ),
+    ):
+        along = np.array([*vector, *9 * [0.0]][:9])
+        found = float(getattr(known.track_deviation, name))
+        assert found == pytest.approx(np.sqrt(along @ spread @ along), rel=1e-9), name
+
+
 def test_random_walks_grow_alike_in_all_directions():
     """In one second by their squares, in local axes."""
     scenario = aided({}, noise=False)
@@ -422,6 +455,13 @@ def test_the_filter_corrects_a_flight(flown):
         "doppler_rejected",
         "terrain_rejected",
     }
+    made, rejected = flights.knowledge.measured, flights.knowledge.rejected
+    for name, values, cycle in (("altimeter", 1, 1.0), ("terrain", 2, 2.0)):
+        # Both measure below 60 km, to the end.
+        most = values * np.floor(np.asarray(flights.time) / cycle)
+        assert np.all((made[name] > 0.3 * most) & (made[name] < most)), name
+        share = rejected[name] / made[name]
+        np.testing.assert_array_equal(share, flights.caveats[f"{name}_rejected"])
 
 
 @pytest.mark.slow

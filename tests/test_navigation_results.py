@@ -1,8 +1,10 @@
 """What campaigns, reports and figures say of a navigation that is not perfect."""
 
 import dataclasses
+import json
 
 import cheap
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -36,10 +38,16 @@ from jentry.flight import (
 )
 from jentry.flight.scenario import check
 from jentry.motion import MachNumber
-from jentry.onboard import InertialNavigation, KnowledgeError, PerfectAccelerometers
+from jentry.onboard import (
+    InertialNavigation,
+    KnowledgeError,
+    PerfectAccelerometers,
+    TrackError,
+)
 from jentry.plots import campaign_figures, draw_navigation_errors
 from jentry.plots.figure_data import FigureData
-from jentry.statistics import Requirement, judged, summarize
+from jentry.plots.one_flight import flight_figures
+from jentry.statistics import Requirement, consistency_of, judged, summarize
 from jentry.statistics.acceptance import require_outputs
 from jentry.units import degree, km
 
@@ -336,3 +344,118 @@ def test_the_figure_has_the_errors_over_time(campaign, results):
     perfect = dataclasses.replace(flight.history, navigated=None)
     with pytest.raises(ValueError, match="navigation is perfect"):
         draw_navigation_errors(scenario, perfect)
+
+
+# The filter: its results are put into those of the flights above.
+
+
+def with_filter(results, values):
+    """Results with normalised errors squared at the end."""
+    described = {"units": "1", "long_name": "normalised error squared"}
+    return results.assign({"end_normalised_error_squared": ("run", values, described)})
+
+
+@pytest.mark.parametrize(
+    ("average", "judgement", "place"),
+    [
+        (9.0, "consistent", "1, within"),
+        (27.0, "too sure: its errors are larger than it says", "3, above"),
+        (4.5, "too careful: its errors are smaller than it says", "0.5, below"),
+    ],
+)
+def test_reports_say_whether_the_filter_is_consistent(
+    results, average, judgement, place, capsys
+):
+    """The bounds are quantiles of chi-square with 9 x 32 = 288 degrees of freedom, over
+    288, which sums of its density give."""
+    values = average + np.linspace(-1.0, 1.0, RUNS)
+    summary = summarize(with_filter(results, values))
+    print_summary("open loop", summary)
+    said = " ".join(capsys.readouterr().out.split())
+    expected = (
+        f"the navigation filter is {judgement}. Mean of the normalised error squared at "
+        f"the end, over its 9 components: {place} the chi-square bounds LOWER and "
+        f"UPPER (99 % of sets of 32 runs)"
+    )
+    lower, upper = quantiles(288)
+    expected = expected.replace("LOWER", f"{lower:.4g}").replace(
+        "UPPER", f"{upper:.4g}"
+    )
+    assert expected in said
+    assert expected in page_of("Open loop", summary, {})
+    told = json.loads(summary.as_json())["navigation_filter"]
+    assert told["consistent"] == (average == 9.0)
+    assert told["average"] == pytest.approx(average)
+
+
+def quantiles(degrees):
+    """0.5 and 99.5 % of chi-square, over its degrees of freedom, from its density."""
+    x = np.linspace(0.3, 2.0, 200_001)
+    density = np.exp((0.5 * degrees - 1.0) * np.log(x) - 0.5 * degrees * (x - 1.0))
+    below = np.cumsum(density) / np.sum(density)
+    return np.interp([0.005, 0.995], below, x)
+
+
+def test_flights_that_do_not_count_are_left_out_of_the_consistency(results):
+    assert consistency_of(results) is None
+    values = np.full(RUNS, 9.0)
+    values[0], values[1] = np.nan, -1.0
+    found = consistency_of(with_filter(results, values))
+    assert (found.runs, found.average, found.not_positive) == (30, 9.0, 1)
+    assert not found.holds and "covariance of 1 flight, left out" in found.words
+    found = consistency_of(with_filter(results, np.full(RUNS, -1.0)))
+    assert found.runs == 0 and found.words.endswith("is not positive")
+    assert consistency_of(with_filter(results, np.full(RUNS, np.nan))) is None
+
+
+def with_knowledge(campaign):
+    """The campaign as if a filter had said 100, 200, 300 m and 4 m/s at the start, and a
+    hundredth of it later; its altimeter measured seven values."""
+    count = campaign.flights.history.time.shape
+    falling = np.where(np.arange(count[1]) == 0, 1.0, 0.01) * np.ones(count)
+    sizes = TrackError(*(x * falling for x in (100.0, 200.0, 300.0, 4.0)))
+    return eqx.tree_at(
+        lambda c: (
+            c.flights.history.knowledge.track_deviation,
+            c.flights.knowledge.measured,
+        ),
+        campaign,
+        (sizes, {"altimeter": np.full(RUNS, 7.0)}),
+        is_leaf=lambda x: x is None or isinstance(x, dict) and not x,
+    )
+
+
+def test_the_figure_has_the_deviations_of_the_filter(campaign):
+    """Of a campaign and of one flight, without being asked for them."""
+    known = with_knowledge(campaign)
+    results = dataset(open_loop(), known, INTERVAL)
+    assert set(results["altimeter_measured"].values) == {7.0}
+    assert results["navigation_downrange_deviation"].attrs["units"] == "m"
+    names = sorted(filter(is_output, map(str, results.data_vars)))
+    assert names == sorted(output_names(open_loop()))
+    scenario, _ = first(campaign)
+    history = jax.tree.map(lambda x: jnp.asarray(x[0]), known.flights.history)
+    for flown in (results, history):
+        figure = draw_navigation_errors(scenario, flown)
+        for axes, start in zip(figure.axes, (0.1, 0.2, 0.3, 4.0), strict=True):
+            *_, above, below = (line.get_ydata() for line in axes.lines)
+            expected = [3.0 * start, 0.03 * start, 0.03 * start]
+            np.testing.assert_allclose(above[:3], expected, rtol=1e-12)
+            np.testing.assert_array_equal(above, -below)
+            assert axes.get_yscale() == "symlog"
+            labels = [text.get_text() for text in axes.get_legend().get_texts()]
+            assert labels[-1] == "3 standard deviations of the filter"
+    (*_, zero) = (
+        x.get_ydata()
+        for x in draw_navigation_errors(scenario, results, deviations={}).axes[0].lines
+    )
+    assert set(zero) == {0.0}
+
+
+def test_figures_of_one_flight(campaign):
+    """Errors of the navigation beside the flight, unless navigation is perfect."""
+    scenario, flight = first(campaign)
+    assert [*flight_figures(scenario, flight, "Title", "a")] == ["a", "a-navigation"]
+    perfect = dataclasses.replace(flight.history, navigated=None)
+    alone = dataclasses.replace(flight, history=perfect)
+    assert [*flight_figures(scenario, alone)] == ["flight"]

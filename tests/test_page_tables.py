@@ -85,6 +85,22 @@ def test_a_specification_that_cannot_be_met_is_refused(old, new, said):
         tables.table(wrong)
 
 
+def test_a_part_of_the_navigation_is_one_table():
+    with open(ROOT / "benchmarks" / "navigation.csv", newline="") as file:
+        lines = [x for x in csv.reader(file) if x[0].startswith("miss, ")]
+    made = tables.table('source = "navigation.csv"\npart = "miss"')
+    heading, _, *rows = cells(made)
+    assert len(rows) == 4 and len(lines) == 4 * (len(heading) - 1)
+    assert [row[0] for row in rows] == list(dict.fromkeys(x[3] for x in lines))
+    for line in lines:
+        (row,) = (row for row in rows if row[0] == line[3])
+        found = row[heading.index(line[4])]
+        assert found == f"{float(line[5]):.{line[6]}f}"
+    assert f"`python benchmarks/navigation.py miss`, {lines[0][1]}" in made
+    with pytest.raises(KeyError, match="no table of the part 'hit'"):
+        tables.table('source = "navigation.csv"\npart = "hit"')
+
+
 @pytest.mark.parametrize(
     ("value", "digits", "printed"),
     [

@@ -43,6 +43,16 @@ def navigation_error_of(component: str) -> str:
     return f"{_NAVIGATION}{error_of(component)}"
 
 
+def navigation_deviation_of(component: str) -> str:
+    """Name in results of a standard deviation of the navigation filter over time."""
+    return f"{_NAVIGATION}{component}_deviation"
+
+
+def measured_by(sensor: str) -> str:
+    """Name in results of the number of values that a sensor of the filter measured."""
+    return f"{sensor}_measured"
+
+
 def peak_of(constraint: str) -> str:
     """Name in results of the peak of a path constraint."""
     return f"peak_{constraint}"

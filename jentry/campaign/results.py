@@ -18,6 +18,7 @@ from ..flight.scenario import Scenario
 from ..flight.termination import Outcome
 from ..motion.constraints import AbstractPathConstraint
 from ..motion.state import Controls, EntryState
+from ..onboard.inertial import TrackError
 from ..world.tabulated import distance_of, unit_of_caveat
 from .campaign import Campaign, errors_of
 from .outputs import (
@@ -27,7 +28,9 @@ from .outputs import (
     difference_of,
     error_of,
     is_error,
+    measured_by,
     navigated,
+    navigation_deviation_of,
     navigation_error_of,
     peak_of,
 )
@@ -135,8 +138,10 @@ def dataset(
 
     Dimensions: run, and time for histories with the interval `history` (s). Errors are
     actual minus desired. If navigation is not perfect, `believed_..._error` are believed
-    minus desired, and `navigation_..._error` believed minus actual. Names and units are
-    those of the fields of the flight.
+    minus desired, and `navigation_..._error` believed minus actual. With a navigation
+    filter, `..._measured` is the number of values of a sensor, of which the caveat
+    `..._rejected` is a share, and `navigation_..._deviation` are histories of its standard
+    deviations. Names and units are those of the fields of the flight.
     """
     import xarray
 
@@ -184,6 +189,9 @@ def dataset(
                 "navigation error squared at the end, by the covariance of the filter"
             )
             put(at_end(NORMALISED), consistent, "1", words)
+        for sensor, counts in flights.knowledge.measured.items():
+            name = measured_by(sensor)
+            put(name, counts, "1", f"{in_words(name)}, number of values")
     for name, values in flights.at_end.items():
         constraint, words = scenario.constraints[name], f"{in_words(name)} at the end"
         put(at_end(name), values, constraint.unit, words, **_shown(constraint))
@@ -228,6 +236,14 @@ def dataset(
             if kept.navigated is not None:
                 known, believed = getattr(kept.navigated, name), navigated(name)
                 put(believed, known, unit, in_words(believed), both)
+        known = None if kept.knowledge is None else kept.knowledge.track_deviation
+        if known is not None:
+            for component, unit in units_of(TrackError).items():
+                name = navigation_deviation_of(component)
+                words = (
+                    f"standard deviation of the {component} by the navigation filter"
+                )
+                put(name, getattr(known, component), unit, words, both)
         angle_units = units_of(Controls)
         for before, kind in (("", kept.controls), ("commanded_", kept.commands)):
             if kind is not None:

@@ -117,7 +117,8 @@ def _print_solver(console: Console, summary: Summary) -> None:
 
 
 def told_first(summary: Summary, kept_limits: bool = True) -> Iterator[str]:
-    """Lines about how the runs ended, how many exceed a limit, and caveats.
+    """Lines about how the runs ended, how many exceed a limit, caveats, and whether the
+    navigation filter is consistent.
 
     A limit that no flight exceeds has a line only with `kept_limits`.
     """
@@ -136,6 +137,8 @@ def told_first(summary: Summary, kept_limits: bool = True) -> Iterator[str]:
         told = caveat.flights, summary.runs, caveat.largest_share
         far = caveat.largest_distance, caveat.unit
         yield f"caveat: {caveat_words(name, *told, *far)}"
+    if summary.navigation_filter is not None:
+        yield summary.navigation_filter.words
 
 
 _STILL = 1e-6

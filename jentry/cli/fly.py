@@ -41,7 +41,8 @@ def command(
         Path | None,
         typer.Option(
             help="Figure to write, FILE.png, .pdf or .svg: path, controls, limits and "
-            "ground track of the flight."
+            "ground track of the flight. Unless navigation is perfect, its errors over "
+            "time are FILE-navigation.png."
         ),
     ] = None,
     trajectory: Annotated[
@@ -85,11 +86,11 @@ def command(
         write_flight(out, scenario, flight, solver, history, **labels)
         typer.echo(f"written: {out}")
     if figure is not None:
-        from ..plots.one_flight import draw_flight
+        from ..plots.one_flight import flight_figures
 
-        drawn = draw_flight(scenario, flight, chosen.title)
-        save_figures({figure.stem: drawn}, figure.parent, [figure.suffix[1:]])
-        typer.echo(f"figure: {figure}")
+        drawn = flight_figures(scenario, flight, chosen.title, figure.stem)
+        for path in save_figures(drawn, figure.parent, [figure.suffix[1:]]):
+            typer.echo(f"figure: {path}")
     if trajectory is not None:
         write_trajectory(scenario, flight, trajectory)
         typer.echo(f"written: {trajectory}")

@@ -21,7 +21,7 @@ from ..flight.solver import FixedStep
 from ..flight.termination import Outcome
 from ..missions.mission import Mission
 from ..plots import save_figures
-from ..plots.one_flight import draw_flight
+from ..plots.one_flight import flight_figures
 from ..statistics.intervals import CONFIDENCE, Interval
 from ..statistics.ranking import WorstRun, inputs_of
 from .figures import interval_of
@@ -182,9 +182,10 @@ def fly_again(
     as_flown = {**description, "history_interval": interval}
     write_campaign(path, scenario, flown, as_flown)
     title = f"{mission.title}, run {run}"
-    (drawn,) = save_figures({path.stem: draw_flight(scenario, flight, title)}, target)
+    figures = flight_figures(scenario, flight, title, path.stem)
     console.print(f"written: {path}")
-    console.print(f"figure: {drawn}")
+    for drawn in save_figures(figures, target):
+        console.print(f"figure: {drawn}")
 
 
 def _different(stored: "xarray.Dataset", flown: "xarray.Dataset") -> dict[str, float]:

@@ -22,6 +22,7 @@ from .inertial import (
     KnowledgeError as KnowledgeError,
     Navigated as Navigated,
     Sensed as Sensed,
+    TrackError as TrackError,
 )
 from .longitudinal import (
     LongitudinalModel as LongitudinalModel,

@@ -18,6 +18,7 @@ from ..fields import Scalar, scalar
 from ..motion.axes import Components, LocalAxes, VelocityAxes, cross
 from ..motion.dynamics import rates_under
 from ..motion.forces import AirData, about_velocity, air_data
+from ..motion.quantities import ground_track
 from ..motion.state import Controls, EntryState
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
@@ -53,6 +54,18 @@ class KnowledgeError(eqx.Module):
     """Rotation of the believed axes of the vehicle about the direction to the east"""
     tilt_north: Scalar = scalar(0.0, unit="rad")
     tilt_up: Scalar = scalar(0.0, unit="rad")
+
+
+class TrackError(eqx.Module):
+    """What the vehicle believes minus what is, along and across the track, or standard
+    deviations of that."""
+
+    downrange: Scalar = scalar(unit="m")
+    """Along the heading, as an arc on the ground"""
+    crossrange: Scalar = scalar(unit="m")
+    """To the left of it, as an arc on the ground"""
+    altitude: Scalar = scalar(unit="m")
+    velocity: Scalar = scalar(unit="m/s")
 
 
 class Gyroscopes(eqx.Module):
@@ -233,6 +246,19 @@ def difference(
         tilt_east=tilt_east,
         tilt_north=tilt_north,
         tilt_up=tilt_up,
+    )
+
+
+def track_difference(
+    planet: Planet, state: EntryState, believed: EntryState
+) -> TrackError:
+    """The error of what a vehicle at a state believes, along and across its track."""
+    downrange, crossrange = ground_track(planet, state, believed)
+    return TrackError(
+        downrange,
+        crossrange,
+        believed.altitude - state.altitude,
+        believed.velocity - state.velocity,
     )
 
 

@@ -25,11 +25,13 @@ from .inertial import (
     KnowledgeError,
     Navigated,
     Sensed,
+    TrackError,
     added,
     believed_motion,
     difference,
     displaced,
     tilting,
+    track_difference,
 )
 from .measurement import BodyAccelerometers
 from .navigation_sensors import MOST_VALUES, AbstractNavigationSensor, Believed
@@ -80,6 +82,12 @@ class Knowledge(eqx.Module):
     """Square of the error of position, velocity and attitude, normalised by the covariance
     of the filter. Its mean over many flights is 9 if the filter is consistent: see
     `jentry.statistics.consistency`"""
+    measured: dict[str, Scalar] = eqx.field(default_factory=dict)
+    """Number of measured values so far, by sensor; empty without a filter"""
+    rejected: dict[str, Scalar] = eqx.field(default_factory=dict)
+    """Number of those that were rejected, by sensor; empty without a filter"""
+    track_deviation: TrackError | None = None
+    """Standard deviations of the filter along and across the track; None without one"""
 
 
 class NavigationFilter(eqx.Module):
@@ -233,6 +241,9 @@ class NavigationFilter(eqx.Module):
         off = derivatives(lambda n: difference(planet, state, n), _level(navigated))
         spread = off @ covariance[:MOTION, :MOTION] @ off.T
         sizes = jnp.sqrt(jnp.diag(spread))
+        along = _derivatives(
+            lambda n: track_difference(planet, state, n.state), _level(navigated)
+        )
         error = difference(planet, actual, navigated)
         share = jnp.stack(jax.tree.leaves(error)) / sizes
         alike = spread / (sizes[:, None] * sizes[None])
@@ -240,6 +251,11 @@ class NavigationFilter(eqx.Module):
             error,
             KnowledgeError(*(sizes[i] for i in range(MOTION))),
             share @ jnp.linalg.solve(alike, share),
+            aiding.measured,
+            aiding.rejected,
+            TrackError(
+                *jnp.sqrt(jnp.diag(along @ covariance[:MOTION, :MOTION] @ along.T))
+            ),
         )
 
     def caveats(self, aiding: Aiding) -> dict[str, Scalar]:

@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from ..campaign.outputs import navigated
+from ..campaign.outputs import navigated, navigation_deviation_of
 from ..fields import units_of
 from ..flight.flight import History
-from ..flight.miss import Misses
 from ..flight.scenario import Scenario
-from ..motion.quantities import ground_track
 from ..motion.state import EntryState
+from ..onboard.inertial import TrackError, track_difference
 from ..units import edge_unit
 from ..world.planet import Planet
 from .style import MEAN, NOMINAL, RUNS, in_style, legend_above, panelled, typeset
 
 
 if TYPE_CHECKING:
+    import matplotlib.axes
     import matplotlib.figure
     import xarray
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _MOST = 100
 """Number of runs that are drawn"""
 
-_PANELS = "downrange", "crossrange", "altitude", "velocity"
+_PANELS = tuple(units_of(TrackError))
 
 
 def draw_navigation_errors(
@@ -45,13 +45,17 @@ def draw_navigation_errors(
     - `flown`: history of one flight, `flight.history`, or results of a campaign with
       histories, of which the first hundred runs are drawn.
     - `deviations`: standard deviations by the names `downrange`, `crossrange`, `altitude`
-      (m) and `velocity` (m/s), of shape (time,) or (runs, time), such as those of a filter.
-      Three of them are drawn on both sides of zero; of many runs their root mean square.
+      (m) and `velocity` (m/s), of shape (time,) or (runs, time). None for those of the
+      filter, if there is one. Three of them are drawn on both sides of zero; of many runs
+      their root mean square. Where these fall to less than a twentieth, the scale is
+      logarithmic on both sides of a linear part about zero.
 
     **Raises:** `ValueError` without what the vehicle believes, and for another name of
     standard deviations.
     """
-    deviations = {} if deviations is None else deviations
+    words = "3 standard deviations"
+    if deviations is None:
+        deviations, words = _of_filter(flown), f"{words} of the filter"
     for name in deviations:
         if name not in _PANELS:
             raise ValueError(
@@ -59,7 +63,7 @@ def draw_navigation_errors(
             )
     time, actual, believed = _states(flown)
     errors = _errors(scenario.planet, actual, believed)
-    units = units_of(Misses)
+    units = units_of(TrackError)
     with in_style():
         width = 4.3 * len(_PANELS)
         figure, panels = panelled(width, 3.9, len(_PANELS), title, measured=True)
@@ -75,14 +79,29 @@ def draw_navigation_errors(
             if name in deviations:
                 three = 3.0 * _root_mean_square(deviations[name]) / size
                 dashed = {"color": MEAN, "lw": 1.2, "ls": (0, (5, 3))}
-                axes.plot(time, three, label="3 standard deviations", **dashed)
+                axes.plot(time, three, label=words, **dashed)
                 axes.plot(time, -three, **dashed)
+                _scale(axes, three)
             axes.set_xlabel("Time (s)")
             axes.set_ylabel(
                 f"{name.capitalize()}, believed minus actual ({typeset(unit)})"
             )
             legend_above(axes)
     return figure
+
+
+_MUCH = 20.0
+"""Ratio of standard deviations in a flight above which a linear scale hides the smaller"""
+
+
+def _scale(axes: "matplotlib.axes.Axes", deviations: np.ndarray) -> None:
+    """Scale on which the largest and the smallest of the deviations can be read."""
+    found = deviations[np.isfinite(deviations) & (deviations > 0.0)]
+    if not found.size or found.max() < _MUCH * found.min():
+        return
+    linear = 10.0 ** np.floor(np.log10(found.min()))
+    axes.set_yscale("symlog", linthresh=linear)
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
 
 
 def _states(
@@ -115,6 +134,16 @@ def _states(
     return flown["time"].values, actual, believed
 
 
+def _of_filter(flown: "History | xarray.Dataset") -> dict[str, np.ndarray]:
+    """Standard deviations of the filter by the names of the panels; none without one."""
+    if isinstance(flown, History):
+        known = None if flown.knowledge is None else flown.knowledge.track_deviation
+        return {} if known is None else _by_panel(known)
+    names = {name: navigation_deviation_of(name) for name in _PANELS}
+    first = flown.isel(run=slice(_MOST))
+    return {n: first[column].values for n, column in names.items() if column in first}
+
+
 def _errors(
     planet: Planet, actual: dict[str, np.ndarray], believed: dict[str, np.ndarray]
 ) -> dict[str, np.ndarray]:
@@ -123,16 +152,14 @@ def _errors(
     @jax.jit
     @jax.vmap
     @jax.vmap
-    def along_and_across(here, there):
-        return ground_track(planet, EntryState(**here), EntryState(**there))
+    def between(here, there):
+        return track_difference(planet, EntryState(**here), EntryState(**there))
 
-    along, across = along_and_across(actual, believed)
-    return {
-        "downrange": np.asarray(along),
-        "crossrange": np.asarray(across),
-        "altitude": believed["altitude"] - actual["altitude"],
-        "velocity": believed["velocity"] - actual["velocity"],
-    }
+    return _by_panel(between(actual, believed))
+
+
+def _by_panel(errors: TrackError) -> dict[str, np.ndarray]:
+    return {name: np.asarray(getattr(errors, name)) for name in _PANELS}
 
 
 def _root_mean_square(deviations: Any) -> np.ndarray:

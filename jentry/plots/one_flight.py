@@ -9,6 +9,7 @@ from .._printed import in_words
 from ..flight.flight import Flight, History
 from ..flight.scenario import Scenario
 from ..units import degree, km
+from .navigation import draw_navigation_errors
 from .style import ENDS, MUTED, NOMINAL, RUNS, in_style, legend_above, panelled
 
 
@@ -42,6 +43,22 @@ def draw_flight(
             panel(axes, scenario, flight, history)
             legend_above(axes)
     return figure
+
+
+def flight_figures(
+    scenario: Scenario, flight: Flight, title: str = "", name: str = "flight"
+) -> "dict[str, matplotlib.figure.Figure]":
+    """Figures of one flight: `draw_flight` by its name and, unless navigation is perfect,
+    `draw_navigation_errors` by the name with `-navigation`.
+
+    **Raises:** `ValueError` for a flight without a history.
+    """
+    figures = {name: draw_flight(scenario, flight, title)}
+    history = flight.history
+    if history is not None and history.navigated is not None:
+        errors = draw_navigation_errors(scenario, history, title)
+        figures[f"{name}-navigation"] = errors
+    return figures
 
 
 def _limited(scenario: Scenario) -> dict[str, float]:

@@ -12,6 +12,10 @@ from .alternatives import (
     alternatives_of as alternatives_of,
 )
 from .comparison import Comparison as Comparison, compared as compared
-from .filter_consistency import Consistency as Consistency, consistency as consistency
+from .filter_consistency import (
+    Consistency as Consistency,
+    consistency as consistency,
+    consistency_of as consistency_of,
+)
 from .ranking import rank_correlations as rank_correlations, worst_runs as worst_runs
 from .summary import Summary as Summary, summarize as summarize

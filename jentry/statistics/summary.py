@@ -25,6 +25,7 @@ from ..fields import units_of
 from ..flight.termination import Outcome
 from ..motion.state import EntryState
 from .acceptance import Requirement, Verdict, judged
+from .filter_consistency import Consistency, consistency_of
 from .intervals import (
     CONFIDENCE,
     METHODS,
@@ -138,6 +139,8 @@ class Summary:
     verdicts: list[Verdict]
     counted_from: str | None = None
     """Description of the origin of downrange and crossrange errors"""
+    navigation_filter: Consistency | None = None
+    """Consistency of the navigation filter at the ends; None without a filter"""
 
     @property
     def of_navigation(self) -> str | None:
@@ -190,6 +193,9 @@ class Summary:
             "statistics": [each.plain() for each in self.statistics],
             "miss_ellipse": None if self.ellipse is None else self.ellipse.plain(),
             "requirements": [verdict.plain() for verdict in self.verdicts],
+            "navigation_filter": None
+            if self.navigation_filter is None
+            else self.navigation_filter.plain(),
         }
         return json.dumps(without_nan(contents), indent=2, allow_nan=False) + "\n"
 
@@ -260,6 +266,7 @@ def summarize(
         ellipse=ellipse_of(flown, RADII),
         verdicts=[judged(results, r, sequential=sequential) for r in requirements],
         counted_from=_counted_from(results),
+        navigation_filter=consistency_of(flown),
     )
 
 
