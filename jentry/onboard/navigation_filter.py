@@ -241,7 +241,7 @@ class NavigationFilter(eqx.Module):
         off = derivatives(lambda n: difference(planet, state, n), _level(navigated))
         spread = off @ covariance[:MOTION, :MOTION] @ off.T
         sizes = jnp.sqrt(jnp.diag(spread))
-        along = _derivatives(
+        along = derivatives(
             lambda n: track_difference(planet, state, n.state), _level(navigated)
         )
         error = difference(planet, actual, navigated)
