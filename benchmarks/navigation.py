@@ -3,8 +3,9 @@
     python benchmarks/navigation.py linear --missions mars-range-tracking --runs 10000
     python benchmarks/navigation.py miss --runs 2000
     python benchmarks/navigation.py trigger --runs 2000
+    python benchmarks/navigation.py tuning --runs 256
     python benchmarks/navigation.py cost --world inertial
-    python benchmarks/navigation.py linear miss trigger cost --save
+    python benchmarks/navigation.py linear miss trigger tuning cost --save
 
 - `linear`: standard deviations of the end by linear covariance, over those of flights with
   the same draws, with the usual dispersions and those of knowledge at a tenth and at full
@@ -15,6 +16,9 @@
   of the miss that the vehicle believes.
 - `trigger`: a flight that the believed velocity ends, beside the same flight that the
   believed range to go ends. Both end at the same point without errors.
+- `tuning`: the mean square of the miss before and after tuning with navigation errors, on
+  4000 held-out draws: gains, observer and heading corridor of range tracking; memory and
+  lateral logic of the predictor-corrector. Reversals jump, so gradients are differences.
 - `cost`: flights a second and the time of the first answer from an empty cache, with a
   world over those without it. Campaigns with and without alternate; ratios are of medians.
 
@@ -35,6 +39,7 @@ from pathlib import Path
 
 import jax
 import numpy as np
+import optimistix
 from records import Cell, save
 
 import jentry
@@ -55,11 +60,12 @@ from jentry.flight import (
 )
 from jentry.missions import find_mission
 from jentry.motion.constraints import DynamicPressure, MachNumber
+from jentry.tuning import Draws, MeanSquare
 from jentry.units import km
 
 
 SAVED = Path(__file__).with_suffix(".csv")
-PARTS = "linear", "miss", "trigger", "cost"
+PARTS = "linear", "miss", "trigger", "tuning", "cost"
 SEED = "navigation noise"
 """The dispersion of the seed of the random walks"""
 USUAL = {
@@ -69,6 +75,20 @@ USUAL = {
 }
 LINEAR = {"mars-range-tracking": "range-tracking", "apollo-10": "predictor-corrector"}
 MISS = "range-tracking", "predictor-corrector"
+TUNED = {
+    "range-tracking": lambda s: (
+        s.guidance.gains,
+        s.guidance.observer,
+        s.guidance.lateral.floor,
+        s.guidance.lateral.widening,
+    ),
+    "predictor-corrector": lambda s: (
+        s.guidance.estimator.time_constant,
+        s.guidance.lateral.factor,
+        s.guidance.lateral.tolerance,
+    ),
+}
+"""Parameters that the part `tuning` varies"""
 ALONG = "downrange", "crossrange", "altitude", "velocity"
 TRIGGER_RANGE = 20.0 * km
 """Range to go at the end of the part `trigger`: larger than the crossrange errors, as a
@@ -224,6 +244,34 @@ def trigger(ranged: bool, runs: int, seed: int) -> list[Cell]:
     return cells
 
 
+def tuning(law: str, world: str, runs: int, seed: int) -> list[Cell]:
+    mission = "mars-range-tracking"
+    tuned = jentry.tune(
+        find_mission(mission).scenario(law, world=world),
+        TUNED[law],
+        MeanSquare(lambda misses: (misses.downrange / km, misses.crossrange / km)),
+        optimistix.LBFGS(rtol=1e-6, atol=1e-6),
+        Draws(dispersed(mission, world), jax.random.key(seed), runs, held_out=4000),
+        gradient=jentry.CentralDifferences(step=0.02),
+        budget=jentry.Budget(steps=20, patience=10),
+    )
+    print(law, world, tuned.stopped, {n: x.tolist() for n, x in tuned.values.items()})
+    row, cells = f"{law}, `{world}`, seed {seed}", []
+    for name, size, unit in (
+        (("loss", ""), 1.0, "mean square of the miss, km2"),
+        (("downrange", "95 % of |.|"), km, "95 % of downrange, km"),
+        (("crossrange", "95 % of |.|"), km, "95 % of crossrange, km"),
+    ):
+        found = tuned.judgement[name]
+        cells += [
+            Cell(row, f"{unit}, before", found.before.value / size, -1),
+            Cell(row, f"{unit}, after", found.after.value / size, -1),
+            Cell(row, f"{unit}, change, from", found.change.low / size, -1),
+            Cell(row, f"{unit}, change, to", found.change.high / size, -1),
+        ]
+    return cells
+
+
 def first_answer(mission: str, world: str | None, runs: int) -> float:
     """Seconds of a process that begins with an empty cache."""
     name = USUAL[mission] + ("" if world is None else "-and-knowledge")
@@ -287,6 +335,11 @@ def measured(options: argparse.Namespace) -> Iterator[tuple[str, list[Cell]]]:
             for ranged in (False, True):
                 law = "range tracking" if ranged else "drag tracking"
                 yield f"trigger, {law}", trigger(ranged, runs, seed)
+        elif part == "tuning":
+            for law in TUNED:
+                for world in ("inertial", "aided"):
+                    cells = tuning(law, world, runs, seed)
+                    yield f"tuning, {law}, {world}, seed {seed}", cells
         else:
             for mission in missions:
                 of = cost(
