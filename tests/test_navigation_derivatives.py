@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_navigation_filter import ALTIMETER, DOPPLER, DRAG, TERRAIN, aided
+from filter_flights import ALTIMETER, DOPPLER, DRAG, TERRAIN, aided
 
 from jentry import FixedStep, fly
 from jentry.addresses import leaves_by_address, replace_leaves

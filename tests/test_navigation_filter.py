@@ -7,6 +7,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from filter_flights import (
+    ALTIMETER,
+    DOPPLER,
+    DRAG,
+    KNOWN,
+    NAMES,
+    SENSING,
+    TERRAIN,
+    TURNING,
+    WALKS,
+    aided,
+    drawn,
+    filtering,
+)
 from helpers import ConstantBank, mars_planet, mars_scenario, mars_vehicle
 
 from jentry import fly
@@ -16,13 +30,12 @@ from jentry.campaign.results import OutputNamed, output_names
 from jentry.flight import FixedStep
 from jentry.flight.over_index import fly_over
 from jentry.flight.scenario import check
-from jentry.motion import Controls, EntryDynamics, EntryState, TimeIndex
+from jentry.motion import Controls, EntryState, TimeIndex
 from jentry.onboard import (
     Actual,
     Altimeter,
     Believed,
     BodyAccelerometers,
-    DopplerVelocity,
     DragAltitude,
     FlowSensors,
     FlowVelocity,
@@ -38,63 +51,8 @@ from jentry.onboard import (
 from jentry.onboard.inertial import difference, displaced
 from jentry.onboard.navigation_filter import Estimate
 from jentry.statistics import consistency
-from jentry.units import degree, km
+from jentry.units import km
 from jentry.world import ConstantWind
-
-
-KNOWN = KnowledgeError(1e3, 800.0, 600.0, 1.0, 0.8, 0.6, 1e-3, 8e-4, 6e-4)
-SENSING = BodyAccelerometers(1e-3, 2e-3, 3e-3, 1e-4, 2e-4, 1e-4, 2e-4, 3e-4)
-TURNING = Gyroscopes(1e-6, 2e-6, 3e-6)
-WALKS = 1e-3, 1e-6
-NAMES = [field.name for field in dataclasses.fields(KNOWN)]
-
-ALTIMETER = Altimeter(10.0, 60 * km, cycle=1.0)
-TERRAIN = TerrainPosition(30.0, 60 * km, cycle=2.0)
-DOPPLER = DopplerVelocity(0.1, 40 * km, cycle=1.0)
-ON_BOARD = OnboardModel(mars_planet(), mars_vehicle())
-DRAG = DragAltitude(ON_BOARD, 0.05, 1.0, cycle=1.0)
-
-
-def filtering(sensors, **given):
-    return NavigationFilter(KNOWN, sensors, SENSING, TURNING, *WALKS, **given)
-
-
-def aided(sensors, seconds=150.0, noise=True, **given):
-    """A banked flight over a planet that turns, at an angle of attack."""
-    planet = dataclasses.replace(mars_planet(), rotation_rate=7.0882e-5)
-    vehicle = eqx.tree_at(
-        lambda v: v.trim_angle_of_attack, mars_vehicle(), jnp.asarray(-0.2)
-    )
-    return dataclasses.replace(
-        mars_scenario(ConstantBank(0.9), dynamics=EntryDynamics(), time_limit=seconds),
-        planet=planet,
-        vehicle=vehicle,
-        initial_state=EntryState(70 * km, 0.3, 0.5, 5500.0, -12 * degree, 70 * degree),
-        navigation=InertialNavigation(
-            noise=InertialNoise(*WALKS) if noise else None,
-            filter=filtering(sensors, **given),
-        ),
-        accelerometers=BodyAccelerometers(),
-    )
-
-
-def errors_of(scenario):
-    """All errors that the filter estimates: knowledge, accelerometers, gyroscopes."""
-    navigation = scenario.navigation
-    return navigation.knowledge, scenario.accelerometers, navigation.gyroscopes
-
-
-def drawn(scenario, key):
-    """The scenario with errors as large as its filter assumes."""
-    tree = KNOWN, SENSING, TURNING
-    sizes, structure = jax.tree.flatten(tree)
-    numbers, seeds = jax.random.split(key)
-    errors = jax.random.normal(numbers, (len(sizes),)) * jnp.stack(sizes)
-    scenario = eqx.tree_at(
-        errors_of, scenario, jax.tree.unflatten(structure, list(errors))
-    )
-    seed = jax.random.uniform(seeds)
-    return eqx.tree_at(lambda s: s.navigation.seed, scenario, seed)
 
 
 # One update, without a flight.
@@ -462,118 +420,6 @@ def test_the_filter_corrects_a_flight(flown):
         assert np.all((made[name] > 0.3 * most) & (made[name] < most)), name
         share = rejected[name] / made[name]
         np.testing.assert_array_equal(share, flights.caveats[f"{name}_rejected"])
-
-
-@pytest.mark.slow
-def test_the_covariance_is_that_of_the_derivatives_of_the_flight():
-    """Without sensors and noise: J C J', with J from exact derivatives of a whole flight
-    with respect to its 20 errors. The filter steps by one second to the second order."""
-    scenario = eqx.tree_at(
-        lambda s: (
-            s.navigation.filter.velocity_random_walk,
-            s.navigation.filter.angle_random_walk,
-        ),
-        aided({}, noise=False),
-        (jnp.asarray(0.0), jnp.asarray(0.0)),
-    )
-    sizes, structure = jax.tree.flatten((KNOWN, SENSING, TURNING))
-
-    @jax.jit
-    def end(values):
-        errors = jax.tree.unflatten(structure, list(values))
-        known = fly(eqx.tree_at(errors_of, scenario, errors), FixedStep(0.5)).knowledge
-        assert known is not None
-        return jnp.stack(jax.tree.leaves(known.error)), known.deviation
-
-    slopes, _ = jax.jit(jax.jacfwd(end))(jnp.zeros(20))
-    expected = np.sqrt(np.sum(np.square(np.asarray(slopes) * np.array(sizes)), axis=1))
-    _, found = end(jnp.zeros(20))
-    np.testing.assert_allclose(jax.tree.leaves(found), expected, rtol=2e-3)
-
-
-SETS = {
-    "inertial": (),
-    "altimeter": ("altimeter",),
-    "terrain": ("terrain",),
-    "Doppler": ("doppler",),
-    "drag": ("drag",),
-    "all": ("altimeter", "doppler", "terrain", "drag"),
-}
-
-
-@pytest.fixture(scope="module")
-def normalised():
-    """Normalised errors squared of many flights, by the sensors that measure.
-
-    The others are switched off by their limits, so that all sets share one program.
-    """
-    sensors = {
-        "altimeter": ALTIMETER,
-        "terrain": TERRAIN,
-        "doppler": DOPPLER,
-        "drag": DRAG,
-    }
-    never = {name: "largest_altitude" for name in sensors} | {"drag": "least_drag"}
-
-    @eqx.filter_jit
-    def fly_many(scenario, keys):
-        flights = jax.vmap(lambda key: fly(drawn(scenario, key), FixedStep(1.0)))(keys)
-        return flights.knowledge.normalised_error_squared
-
-    def find(measuring, blocks, change=lambda scenario: scenario):
-        mine = {
-            name: sensor
-            if name in measuring
-            else dataclasses.replace(
-                sensor, **{never[name]: 1e9 if name == "drag" else -1e9}
-            )
-            for name, sensor in sensors.items()
-        }
-        scenario, values = change(aided(mine)), []
-        for block in range(blocks):
-            keys = jax.random.split(jax.random.key(28 + block), 100)
-            values.append(np.asarray(fly_many(scenario, keys)))
-        return consistency(np.concatenate(values))
-
-    return find
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SETS)
-def test_the_filter_is_consistent(normalised, name):
-    """500 flights with errors as assumed: the average normalised error squared is within
-    its 99 % bounds. The seeds count from the day of the month: none was chosen. With
-    blocks=20, which are 2000 flights, it holds as well."""
-    test = normalised(SETS[name], blocks=5)
-    assert test.runs == 500
-    assert test.holds, test
-
-
-@pytest.mark.slow
-def test_a_wrong_density_makes_the_drag_a_liar(normalised):
-    """A density 10 % above the model, and 5 % assumed as if independent: the filter
-    believes too much of itself."""
-
-    def denser(scenario):
-        lens = lambda s: s.planet.density_scale
-        return eqx.tree_at(lens, scenario, jnp.asarray(1.1, float))
-
-    test = normalised(SETS["drag"], 1, denser)
-    assert test.average > 2.0 * test.upper
-
-
-def test_bounds_are_those_of_chi_square():
-    """2000 flights of nine errors: 9 within 2.7 % by the normal limit of chi-square."""
-    test = consistency(np.full(2000, 9.0))
-    width = 2.576 * np.sqrt(2.0 * 9.0 / 2000.0)
-    assert test.lower == pytest.approx(9.0 - width, abs=0.01)
-    assert test.upper == pytest.approx(9.0 + width, abs=0.01)
-    assert test.holds and not consistency(np.full(2000, 9.4)).holds
-    for wrong in ([], [np.nan], [-1.0]):
-        with pytest.raises(ValueError, match="flights|finite"):
-            consistency(np.array(wrong))
-    with pytest.raises(ValueError, match="confidence is 1"):
-        consistency(np.ones(3), confidence=1.0)
 
 
 # Refusals.
