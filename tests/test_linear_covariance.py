@@ -1,11 +1,13 @@
 """How draws go through linear models, without a flight; `test_sensitivity` flies."""
 
 import dataclasses
+import math
 
 import cheap
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from pages import ROOT, assert_says, benchmark
 
 from jentry.analysis import linear_models
 from jentry.analysis.covariance import LinearModel, _along_axes, _through
@@ -98,3 +100,23 @@ def test_mean_slopes_are_about_the_draws_that_end_by_the_condition(monkeypatch):
     assert not mean_model(
         scenario, "velocity", PAIRS, misses, cheap.SOLVER, others, across
     )
+
+
+def test_the_page_says_how_well_navigation_is_predicted():
+    """Position and velocity at the end, as `benchmarks/navigation.py linear` saved them."""
+    tables = benchmark("records").load(ROOT / "benchmarks" / "navigation.csv")
+
+    def off(mission, size):
+        """Predicted minus flown, %, by output."""
+        cells = tables[f"linear, {mission}, {size}"].cells
+        of_truth = [cell for cell in cells if ", true " in cell.row]
+        return {c.row.split()[-1]: 100.0 * (c.value - 1.0) for c in of_truth}
+
+    missions = "mars-range-tracking", "apollo-10"
+    largest = (max(map(abs, off(m, "full size").values())) for m in missions)
+    assert_says("within 4 and 6 % at full size", *map(math.ceil, largest))
+    small = [off(mission, "a tenth") for mission in missions]
+    crossrange = [-errors.pop("crossrange") for errors in small]
+    assert_says("are predicted 19 and 6 % too small", *crossrange)
+    others = max(abs(error) for errors in small for error in errors.values())
+    assert_says("all others to within 4 %", math.ceil(others))

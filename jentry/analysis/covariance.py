@@ -144,7 +144,7 @@ def linear_covariance(
     of_first = jax.random.fold_in(key, 2)
     axes = _along_axes(pairs)
     parts = [{name: np.array([point[name] for point in axes]) for name in dispersions}]
-    for of_part, count in ((of_first, _FIRST), (key, runs)):
+    for of_part, count in ((key, runs), (of_first, _FIRST)):
         if not count:
             continue
         check_draws(scenario, dispersions, of_part, np.arange(count))
@@ -165,8 +165,7 @@ def linear_covariance(
         )
 
     models, without_model = {}, {}
-    first = np.zeros(finite.size, bool)
-    first[len(axes) : len(axes) + _FIRST] = True
+    first = np.arange(finite.size) >= finite.size - _FIRST
     ends = np.unique(codes[finite])
     for code in ends:
         name = scenario.termination.names[int(code)]
@@ -196,7 +195,7 @@ def linear_covariance(
             "linear model: give smaller dispersions"
         )
 
-    of_runs = np.arange(finite.size - runs, finite.size)
+    of_runs = np.arange(len(axes), len(axes) + runs)
     kept = of_runs[finite[of_runs]]
     sampled = _through(
         models,
