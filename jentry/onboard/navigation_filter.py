@@ -14,10 +14,12 @@ from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
+from .._batching import where_due
 from ..fields import NOT_NEGATIVE, Flag, Scalar, as_float_array, scalar
 from ..motion.axes import Components, cross
 from ..motion.state import EntryState
 from ..world.planet import Planet
+from .error_covariance import MOTION, ErrorCovariance, Rows, Square, derivatives
 from .inertial import (
     Gyroscopes,
     KnowledgeError,
@@ -35,11 +37,8 @@ from .measurement import BodyAccelerometers
 from .navigation_sensors import MOST_VALUES, AbstractNavigationSensor, Believed
 
 
-Covariance = Float[Array, "n n"]
-Rows = Float[Array, "k n"]
-
-MOTION = 9
-"""Number of errors of position, velocity and attitude, which come first"""
+_LONGEST = 10.0
+"""Largest time for which the covariance stays where it is, s"""
 
 
 class Estimate(eqx.Module):
@@ -59,7 +58,7 @@ class Aiding(eqx.Module):
     """Estimated errors"""
     gyroscopes: Gyroscopes
     """Estimated errors"""
-    covariance: Covariance
+    covariance: ErrorCovariance
     """Covariance of an `Estimate` minus what is, its numbers in their order: state, tilt in
     axes of the planet, and errors of the instruments"""
     slopes: Rows
@@ -153,7 +152,7 @@ class NavigationFilter(eqx.Module):
         """The filter before the first update."""
         state = navigated.state
         exact = jax.tree.map(jnp.zeros_like, self.knowledge)
-        slopes = _derivatives(lambda off: displaced(planet, state, off), exact)
+        slopes = derivatives(lambda off: displaced(planet, state, off), exact)
         slopes = slopes * jnp.stack(jax.tree.leaves(self.knowledge))[None]
         alike = jnp.eye(MOTION) if self.correlations is None else self.correlations
         instruments = self.accelerometers, self.gyroscopes
@@ -167,7 +166,7 @@ class NavigationFilter(eqx.Module):
         aiding = Aiding(
             accelerometers,
             gyroscopes,
-            covariance,
+            ErrorCovariance.now(covariance),
             jnp.zeros((MOTION, count)),
             zero,
             dict.fromkeys(self.sensors, zero),
@@ -200,14 +199,32 @@ class NavigationFilter(eqx.Module):
         seconds = jnp.where(due, self.cycle, 0.0)
         aiding = dataclasses.replace(
             aiding,
-            covariance=self._after(aiding, slopes, navigated.state, seconds),
+            covariance=self._later(aiding, slopes, navigated.state, seconds),
             slopes=slopes,
             updated_at=jnp.where(due, at, aiding.updated_at),
         )
-        if not self.sensors:
-            return navigated, aiding
-        taken = self._measured(planet, navigated, aiding, sensed, at, due, drawn)
-        return self._corrected(navigated, aiding, taken)
+        cycle = jnp.round(at / self.cycle).astype(int)
+        measures = {
+            name: (cycle % round(sensor.cycle / self.cycle) == 0)
+            & sensor.senses(sensed)
+            & due
+            for name, sensor in self.sensors.items()
+        }
+
+        def corrected(known: tuple[Navigated, Aiding]) -> tuple[Navigated, Aiding]:
+            navigated, aiding = known
+            covariance = aiding.covariance.moved()
+            aiding = dataclasses.replace(aiding, covariance=covariance)
+            if not self.sensors:
+                return navigated, aiding
+            given = planet, navigated, aiding, sensed
+            taken = self._measured(*given, at, measures, drawn)
+            return self._corrected(navigated, aiding, taken)
+
+        moves = due & (cycle % max(1, round(_LONGEST / self.cycle)) == 0)
+        for made in measures.values():
+            moves = moves | made
+        return where_due(moves, corrected, (navigated, aiding))
 
     def knowledge_at(
         self,
@@ -219,11 +236,12 @@ class NavigationFilter(eqx.Module):
     ) -> Knowledge:
         """The knowledge error of a flight at a time, s, up to one cycle after an update."""
         since, state = at - aiding.updated_at, navigated.state
-        covariance = self._after(aiding, aiding.slopes, state, since)
-        off = _derivatives(lambda n: difference(planet, state, n), _level(navigated))
+        later = self._later(aiding, aiding.slopes, state, since)
+        covariance = later.moved().matrix
+        off = derivatives(lambda n: difference(planet, state, n), _level(navigated))
         spread = off @ covariance[:MOTION, :MOTION] @ off.T
         sizes = jnp.sqrt(jnp.diag(spread))
-        along = _derivatives(
+        along = derivatives(
             lambda n: track_difference(planet, state, n.state), _level(navigated)
         )
         error = difference(planet, actual, navigated)
@@ -268,19 +286,14 @@ class NavigationFilter(eqx.Module):
                 tilting(planet, turning, known.navigated.tilt),
             )
 
-        return _derivatives(rates, _estimate(navigated, aiding))
+        return derivatives(rates, _estimate(navigated, aiding))
 
-    def _after(
+    def _later(
         self, aiding: Aiding, slopes: Rows, state: EntryState, seconds: Scalar | float
-    ) -> Covariance:
-        """The covariance after a time, s; the transition to the second order in time."""
-        step = 0.5 * (aiding.slopes + slopes) * seconds
-        change = step + 0.5 * step[:, :MOTION] @ step
-        before = aiding.covariance
-        moved = change @ before
-        after = before.at[:MOTION].add(moved).at[:, :MOTION].add(moved.T)
-        grown = moved @ change.T + jnp.diag(self._walk(state) * seconds)
-        return after.at[:MOTION, :MOTION].add(grown)
+    ) -> ErrorCovariance:
+        """The covariance with what happens in a time, s, in which the slopes change."""
+        mean = 0.5 * (aiding.slopes + slopes)
+        return aiding.covariance.later(mean * seconds, self._walk(state) * seconds)
 
     def _walk(self, state: EntryState) -> Float[Array, " nine"]:
         """Growth of the variances by the noise of the instruments, each per second."""
@@ -302,11 +315,11 @@ class NavigationFilter(eqx.Module):
         self, navigated: Navigated, aiding: Aiding, taken: "_Value"
     ) -> tuple[Navigated, Aiding]:
         """Navigation and filter after the measured values."""
-        count = aiding.covariance.shape[0]
+        matrix = aiding.covariance.matrix
 
         def take(
-            known: tuple[Covariance, Array], value: "_Value"
-        ) -> tuple[tuple[Covariance, Array], Scalar]:
+            known: tuple[Square, Array], value: "_Value"
+        ) -> tuple[tuple[Square, Array], Scalar]:
             covariance, shift = known
             along = covariance @ value.row
             off = value.residual - value.row @ shift
@@ -318,8 +331,8 @@ class NavigationFilter(eqx.Module):
             rejected = jnp.where(value.made & ~near, 1.0, 0.0)
             return (covariance, shift + gain * off), rejected
 
-        known = aiding.covariance, jnp.zeros(count)
-        (covariance, shift), rejected = lax.scan(take, known, taken)
+        known = matrix, jnp.zeros(matrix.shape[0])
+        (matrix, shift), rejected = lax.scan(take, known, taken)
         # The correction of the tilt adds to the actual one, of which a part remains.
         known = Estimate(navigated, aiding.accelerometers, aiding.gyroscopes)
         before, rebuilt = ravel_pytree(known)
@@ -332,7 +345,7 @@ class NavigationFilter(eqx.Module):
         held = Aiding(
             after.accelerometers,
             after.gyroscopes,
-            covariance,
+            ErrorCovariance.now(matrix),
             aiding.slopes,
             aiding.updated_at,
             made,
@@ -347,12 +360,14 @@ class NavigationFilter(eqx.Module):
         aiding: Aiding,
         sensed: Sensed,
         at: Scalar,
-        due: Flag,
+        measures: Mapping[str, Flag],
         drawn: Callable[[int], Scalar],
     ) -> "_Value":
-        """The values of all sensors, `MOST_VALUES` of each, in their order."""
+        """The values of all sensors, `MOST_VALUES` of each, in their order.
+
+        `measures` says which of them measure.
+        """
         known, axes = _estimate(navigated, aiding), sensed.body_axes()
-        cycle = jnp.round(at / self.cycle).astype(int)
         angle, error = sensed.air.angle_of_attack, sensed.actual.angle_of_attack_error
         angle = angle if error is None else angle + error
 
@@ -373,9 +388,8 @@ class NavigationFilter(eqx.Module):
                     f"{len(expected)} expected ones and {len(sizes)} standard "
                     f"deviations: give as many of each, up to {MOST_VALUES}"
                 )
-            own = cycle % round(sensor.cycle / self.cycle) == 0
-            made = due & own & sensor.senses(sensed)
-            rows = _derivatives(lambda known: sensor.expected(believed(known)), known)
+            made = measures[name]
+            rows = derivatives(lambda known: sensor.expected(believed(known)), known)
             empty = _Value(
                 0.0 * at, 0.0 * rows[0], 1.0 + 0.0 * at, sensor.gate, made & False
             )
@@ -427,18 +441,6 @@ def _turned(vector: Components, *tilts: Components) -> Components:
     for tilt in tilts:
         vector = added(vector, cross(tilt, vector))
     return vector
-
-
-def _derivatives(function: Callable[[Any], Any], at: Any) -> Rows:
-    """Derivatives of the numbers that a function returns, one row for each, by `jvp`."""
-    leaves, structure = jax.tree.flatten(jax.tree.map(jnp.asarray, at))
-
-    def push(direction: Array) -> list[Array]:
-        tangents = jax.tree.unflatten(structure, list(direction))
-        at = jax.tree.unflatten(structure, leaves)
-        return jax.tree.leaves(jax.jvp(function, (at,), (tangents,))[1])
-
-    return jnp.stack(jax.vmap(push)(jnp.eye(len(leaves))))
 
 
 def check_filter(given: NavigationFilter) -> None:

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from ..campaign.outputs import NORMALISED, at_end
 from ..campaign.populations import finite_flights
-from ..onboard.navigation_filter import MOTION
+from ..onboard.error_covariance import MOTION
 
 
 if TYPE_CHECKING:
