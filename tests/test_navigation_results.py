@@ -444,7 +444,7 @@ def test_the_figure_has_the_deviations_of_the_filter(campaign):
             np.testing.assert_array_equal(above, -below)
             assert axes.get_yscale() == "symlog"
             labels = [text.get_text() for text in axes.get_legend().get_texts()]
-            assert labels[-1] == "3 standard deviations of the filter"
+            assert labels[-1] == "3 sigma of the filter"
     (*_, zero) = (
         x.get_ydata()
         for x in draw_navigation_errors(scenario, results, deviations={}).axes[0].lines

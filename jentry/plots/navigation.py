@@ -55,7 +55,7 @@ def draw_navigation_errors(
     """
     words = "3 standard deviations"
     if deviations is None:
-        deviations, words = _of_filter(flown), f"{words} of the filter"
+        deviations, words = _of_filter(flown), "3 sigma of the filter"
     for name in deviations:
         if name not in _PANELS:
             raise ValueError(
@@ -99,7 +99,7 @@ def _scale(axes: "matplotlib.axes.Axes", deviations: np.ndarray) -> None:
     found = deviations[np.isfinite(deviations) & (deviations > 0.0)]
     if not found.size or found.max() < _MUCH * found.min():
         return
-    linear = 10.0 ** np.floor(np.log10(found.min()))
+    linear = 10.0 ** np.round(np.log10(found.min()))
     axes.set_yscale("symlog", linthresh=linear)
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}".replace("-", "−"))
 
