@@ -297,9 +297,13 @@ ROWS = {
             *CROSSINGS["x-33"],
         )
     ),
-    "rlv": tuple(
-        (choice, "table-1")
-        for choice in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
+    "rlv": (
+        *(
+            (choice, "table-1")
+            for choice in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
+        ),
+        ("predictor-corrector world inertial", "table-1-and-knowledge"),
+        ("predictor-corrector world aided", "table-1-and-knowledge"),
     ),
     "apollo-10": (
         ("predictor-corrector", "everything"),
@@ -309,6 +313,7 @@ ROWS = {
         ("unlimited", "everything"),
         ("predictor-corrector world us-1976", "everything"),
         ("predictor-corrector world inertial", "everything-and-knowledge"),
+        ("predictor-corrector world aided", "everything-and-knowledge"),
     ),
     "cav-h-glide": (
         ("predictor-corrector", "everything"),
@@ -320,6 +325,7 @@ ROWS = {
         ("predictor-corrector world at-rest", "everything"),
         ("predictor-corrector world us-1976", "everything"),
         ("predictor-corrector world inertial", "everything-and-knowledge"),
+        ("predictor-corrector world aided", "everything-and-knowledge"),
     ),
     "mars-drag-tracking": tuple(
         (choice, "lift-to-drag-held")

@@ -21,7 +21,7 @@ import jax.numpy as jnp  # noqa: E402
 
 from jentry.campaign.batch import LANES  # noqa: E402
 from jentry.campaign.campaign import monte_carlo  # noqa: E402
-from jentry.flight.closed_loop import first_measurement  # noqa: E402
+from jentry.flight.sensing import first_measurement  # noqa: E402
 from jentry.guidance import FlownModel  # noqa: E402
 from jentry.guidance.bezier.anchoring import Shape  # noqa: E402
 from jentry.missions import find_mission  # noqa: E402

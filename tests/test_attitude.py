@@ -12,7 +12,8 @@ from helpers import fly_compiled, with_leaf
 
 from jentry.fields import Scalar
 from jentry.flight import FixedStep, fly
-from jentry.flight.closed_loop import sense, start
+from jentry.flight.closed_loop import start
+from jentry.flight.sensing import sense
 from jentry.guidance import AbstractContinuousLaw, BankProfile
 from jentry.motion import Controls, IdealAttitude, Response, SecondOrderAttitude
 from jentry.motion.attitude import Swing

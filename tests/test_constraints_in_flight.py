@@ -25,7 +25,8 @@ from jentry.campaign.results import dataset
 from jentry.cli.campaign_report import print_campaign
 from jentry.cli.mission_report import print_flight
 from jentry.flight import Adaptive, AltitudeBelow, FixedStep, Scenario, Termination, fly
-from jentry.flight.closed_loop import Moving, command, first_measurement
+from jentry.flight.lane import Moving
+from jentry.flight.sensing import command, first_measurement
 from jentry.guidance import AbstractContinuousLaw
 from jentry.motion import (
     AbstractDynamics,

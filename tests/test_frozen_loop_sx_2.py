@@ -15,7 +15,7 @@ from jentry import find_mission
 from jentry.analysis import linearize
 from jentry.analysis.local_derivatives import fly_points
 from jentry.flight import FixedStep, Scenario
-from jentry.flight.closed_loop import command
+from jentry.flight.sensing import command
 from jentry.missions.sx_2 import scenario as sx_2
 from jentry.motion.index import EnergyIndex
 from jentry.units import degree

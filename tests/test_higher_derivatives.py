@@ -13,8 +13,9 @@ from jax.flatten_util import ravel_pytree
 from scipy.integrate import solve_ivp
 
 from jentry.flight import FixedStep, fly
-from jentry.flight.closed_loop import Moving, start, vector_field
+from jentry.flight.closed_loop import start, vector_field
 from jentry.flight.end import end_of_flight
+from jentry.flight.lane import Moving
 from jentry.motion import EquatorialDynamics
 
 

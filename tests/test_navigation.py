@@ -27,8 +27,9 @@ from jentry.flight import (
     VelocityBelow,
     misses,
 )
-from jentry.flight.closed_loop import command, decide, start
+from jentry.flight.closed_loop import decide, start
 from jentry.flight.scenario import check
+from jentry.flight.sensing import command
 from jentry.motion import Controls, EntryDynamics, EntryState
 from jentry.motion.dynamics import EquatorialDynamics
 from jentry.motion.forces import air_data

@@ -13,14 +13,10 @@ from jentry._dependence import Traced
 from jentry.campaign import Dispersion, Uniform, monte_carlo
 from jentry.fields import Scalar
 from jentry.flight import FixedStep, fly
-from jentry.flight.closed_loop import (
-    Moving,
-    command,
-    first_measurement,
-    sense,
-    start,
-)
+from jentry.flight.closed_loop import start
+from jentry.flight.lane import Moving
 from jentry.flight.scenario import check
+from jentry.flight.sensing import command, first_measurement, sense
 from jentry.guidance import (
     AbstractContinuousLaw,
     AbstractSampledLaw,

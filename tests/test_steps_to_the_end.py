@@ -9,8 +9,9 @@ from helpers import mars_scenario
 from jax import lax
 
 from jentry.flight import FixedStep, Outcome, fly
-from jentry.flight.closed_loop import Bracket, select
+from jentry.flight.closed_loop import select
 from jentry.flight.cycle import _next_trial, steps_to_the_end
+from jentry.flight.lane import Bracket
 
 
 STEP = 0.1

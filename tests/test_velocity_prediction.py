@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jentry.flight.closed_loop import first_measurement
+from jentry.flight.sensing import first_measurement
 from jentry.guidance import (
     BezierParameters,
     Epochs,

@@ -10,8 +10,8 @@ from jaxtyping import Array, Bool, Complex, Float
 
 from .._setup import needs_float64
 from ..fields import Scalar
-from ..flight.closed_loop import Lane
 from ..flight.cycle import Plan
+from ..flight.lane import Lane
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
 from ..guidance.law import AbstractSampledLaw

@@ -15,11 +15,13 @@ from jaxtyping import Array, Float
 from .._programs import cached
 from ..addresses import leaves_by_address
 from ..fields import Count, Scalar, Vector
-from ..flight.closed_loop import Lane, command, sense, start, vector_field
+from ..flight.closed_loop import start, vector_field
 from ..flight.cycle import Plan
 from ..flight.end import end_of_flight
+from ..flight.lane import Lane
 from ..flight.loop import while_running_with_history
 from ..flight.scenario import Scenario
+from ..flight.sensing import command, sense
 from ..flight.solver import AbstractSolver
 from ..flight.termination import Outcome, has_end
 from ..guidance.law import AbstractSampledLaw, Tracked

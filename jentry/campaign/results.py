@@ -11,10 +11,11 @@ import numpy as np
 from .._printed import in_words
 from ..addresses import field_metadata, unit_of
 from ..fields import Scalar, units_of
-from ..flight.closed_loop import Instant, first_moving
 from ..flight.flight import Flight, History
+from ..flight.lane import Instant
 from ..flight.miss import Misses
 from ..flight.scenario import Scenario
+from ..flight.sensing import first_moving
 from ..flight.termination import Outcome
 from ..motion.constraints import AbstractPathConstraint
 from ..motion.state import Controls, EntryState

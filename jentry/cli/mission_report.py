@@ -10,9 +10,9 @@ from .._printed import in_words
 from ..addresses import field_metadata, leaves_by_address, unit_of
 from ..campaign.outputs import error_of, peak_of
 from ..fields import units_of
-from ..flight.closed_loop import Instant
 from ..flight.effect import unfelt
 from ..flight.flight import Flight, caveat_sentence
+from ..flight.lane import Instant
 from ..flight.miss import Misses, believed_misses, misses
 from ..flight.scenario import Scenario, allowed
 from ..flight.termination import Outcome, has_end

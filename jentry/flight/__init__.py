@@ -1,7 +1,7 @@
 """Floor 5: scenario, end conditions, solvers, and `fly`."""
 
-from .closed_loop import Instant as Instant
 from .flight import Flight as Flight, History as History, fly as fly
+from .lane import Instant as Instant
 from .miss import (
     Misses as Misses,
     believed_misses as believed_misses,

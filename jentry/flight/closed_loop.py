@@ -1,7 +1,6 @@
 """The closed loop: vehicle, measurement and law as one system of equations."""
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -10,238 +9,30 @@ import jax.numpy as jnp
 from jax import lax
 
 from .._batching import any_lane
-from .._dependence import Traced
-from ..fields import Count, Flag, Scalar
+from ..fields import Flag, Scalar
 from ..guidance.law import AbstractSampledLaw, begun, commanded, decided
 from ..guidance.switching import shares_reversals
-from ..motion.attitude import Swing
 from ..motion.constraints import (
     ConstraintValues,
     PathPoint,
     constraint_values,
     integrals_of,
 )
-from ..motion.state import Controls, EntryState
+from ..motion.state import Controls
 from ..onboard.inertial import Actual, Navigated
-from ..onboard.measurement import Measurement, measure
 from ..onboard.navigation import InertialNavigation
 from ..onboard.navigation_filter import Knowledge
 from ..world.tabulated import Excursion, beyond_edges, tables_in
+from .lane import Bracket, Instant, Lane, Moving, Noted
 from .scenario import Scenario
+from .sensing import command, first_measurement, first_moving, sense
 from .termination import Outcome
-
-
-class Bracket(eqx.Module):
-    """Next step of the fixed-step solver, and the bracket about the end of the flight."""
-
-    trial: Scalar
-    """Length of the next step, s"""
-    margin: Scalar
-    """Smallest margin of the end conditions now"""
-    far: Scalar
-    """Length of a step that is known to cross the end, s; infinite if none is known"""
-    far_margin: Scalar
-    """Smallest margin of the end conditions at `far`"""
-    allowed: Scalar
-    """Largest value that `far` may have after the next step, s"""
-
-
-class Moving(eqx.Module):
-    """Integrated quantities of a flight, or their time derivatives."""
-
-    state: EntryState
-    attitude: Any
-    """State of the attitude; None if the vehicle follows commands at once"""
-    memory: Any
-    """Memory of the law"""
-    integrals: Mapping[str, Scalar] = eqx.field(default_factory=dict)
-    """Values of the path constraints that are integrals, by name"""
-    off_a_bank: Scalar | None = None
-    """Integral of the error of sin^2 + cos^2 of the commanded bank: zero if every command
-    was a bank. It is None during the flight, where an invalid bank is replaced by NaN:
-    this costs less, and stops the flight"""
-    navigated: Navigated | None = None
-    """State of the navigation; None if it is perfect"""
-
-    @property
-    def believed(self) -> EntryState:
-        """What the vehicle believes of its position and velocity."""
-        return self.state if self.navigated is None else self.navigated.state
-
-
-class Instant(eqx.Module):
-    """Time and state of a flight at one instant."""
-
-    time: Scalar = eqx.field(metadata={"unit": "s"})
-    """Time since the start, s"""
-    state: EntryState
-
-
-class Noted(eqx.Module):
-    """Quantities that are recorded of a flight up to a step."""
-
-    peaks: ConstraintValues
-    at_peaks: dict[str, Instant]
-    """Time and state at the located peaks, by name"""
-    beyond: dict[str, Excursion]
-    """Excursions beyond the edges of tables, by the name of the caveat"""
-
-
-class Lane(eqx.Module):
-    """A flight in progress: everything that the loop carries."""
-
-    flown: Scalar
-    """Time since the start, s"""
-    moving: Moving
-    held: Any
-    noted: "Noted"
-    bracket: Bracket
-    running: Flag
-    stopped: Count
-    """Code of the `Outcome` that stopped the flight before an end; -1 if none has"""
-    aiding: Any = None
-    """What the navigation holds from one update to the next; None if nothing"""
-
-    @property
-    def state(self) -> EntryState:
-        return self.moving.state
-
-    @property
-    def memory(self) -> Any:
-        return self.moving.memory
-
-    @property
-    def on_schedule(self) -> Flag:
-        """Whether the flight is running and not yet in the step that contains the end."""
-        return self.running & jnp.isinf(self.bracket.far)
 
 
 def guidance_period(scenario: Scenario) -> float | None:
     """Longest guidance cycle of a sampled law, s; none for a continuous one."""
     law = scenario.law
     return law.cycle.period if isinstance(law, AbstractSampledLaw) else None
-
-
-def sense(
-    scenario: Scenario,
-    flown: Scalar,
-    moving: Moving,
-    held: Any,
-    sampled_at: Scalar | None = None,
-) -> Measurement:
-    """What the vehicle measures in a state, at its present angle of attack.
-
-    This is the angle of attack of its attitude. If the vehicle follows commands at once,
-    it is the angle that the law commands. `sampled_at` (s) is given at the start of a
-    guidance cycle.
-
-    **Raises:** `ValueError` if the vehicle follows commands at once and the commanded
-    angle of attack depends on the forces that are sensed at the same instant: these
-    forces depend on the angle of attack in turn.
-    """
-    acting = _acting(scenario, flown, moving, held)
-    return _sensed(scenario, moving, acting, sampled_at)
-
-
-def _acting(scenario: Scenario, flown: Scalar, moving: Moving, held: Any) -> Traced:
-    """The command of the law and the rate of its memory, as functions of what is sensed:
-    lift, drag and the angle of attack."""
-    state, memory = moving.believed, moving.memory
-    trim = scenario.vehicle.trim_angle_of_attack
-    bank = scenario.attitude.bank(moving.attitude)
-
-    def act(lift: Scalar, drag: Scalar, angle: Scalar) -> tuple[Controls, Any]:
-        measurement = Measurement(
-            state, lift, drag, angle, trim, scenario.constraints, bank
-        )
-        return commanded(scenario.law, flown, measurement, memory, held)
-
-    return Traced(act, *3 * [state.altitude])
-
-
-def _sensed(
-    scenario: Scenario,
-    moving: Moving,
-    acting: Traced,
-    sampled_at: Scalar | None = None,
-) -> Measurement:
-    angle = scenario.attitude.angle_of_attack(moving.attitude)
-    if angle is None:
-        angle = acting.independent(lambda out: out[0].angle_of_attack)
-    if angle is None:
-        law = scenario.law
-        hold = (
-            "decide it at the guidance cycle, in `update`, and hold it"
-            if isinstance(law, AbstractSampledLaw)
-            else "hold the command through a guidance cycle, Sampled(law, period)"
-        )
-        raise ValueError(
-            f"{type(law).__name__} commands an angle of attack that depends on the lift "
-            "and drag sensed at the same instant, which depend on the angle of attack: "
-            f"{hold}, or give the vehicle an attitude that takes its time"
-        )
-    bank = scenario.attitude.bank(moving.attitude)
-    return _measured(scenario, moving, angle, sampled_at, bank)
-
-
-def _measured(
-    scenario: Scenario,
-    moving: Moving,
-    angle_of_attack: Scalar,
-    sampled_at: Scalar | None = None,
-    bank: Swing | None = None,
-) -> Measurement:
-    measurement = measure(
-        scenario.planet,
-        scenario.vehicle,
-        moving.state,
-        angle_of_attack,
-        scenario.accelerometers,
-        sampled_at,
-        scenario.constraints,
-        bank,
-        scenario.flow_sensors,
-        moving.believed,
-    )
-    error = scenario.angle_of_attack_error
-    if error is None:
-        return measurement
-    told = angle_of_attack + error
-    return eqx.tree_at(lambda m: m.angle_of_attack, measurement, told)
-
-
-def first_measurement(scenario: Scenario) -> Measurement:
-    """What the vehicle measures at the start, when its law has no memory yet.
-
-    The forces are those at the first angle of attack of the attitude. If the attitude has
-    none, they are those at the angle that the law commands at the start. If that command
-    depends on the measurement, through the first memory or the first decision, the angle
-    is the trim angle of attack of the vehicle: the attitude before guidance begins.
-    """
-    moving = first_moving(scenario)
-    first = scenario.attitude.first_angle_of_attack
-    if first is not None:
-        return _measured(scenario, moving, first)
-    law, state = scenario.law, moving.believed
-    trim = scenario.vehicle.trim_angle_of_attack
-
-    def act(lift: Scalar, drag: Scalar, angle: Scalar) -> tuple[Controls, Any]:
-        measurement = Measurement(state, lift, drag, angle, trim, scenario.constraints)
-        begin = begun(law, measurement)
-        return commanded(law, 0.0 * state.altitude, measurement, *begin)
-
-    acting = Traced(act, *3 * [state.altitude])
-    angle = acting.independent(lambda out: out[0].angle_of_attack)
-    if angle is None:
-        angle = trim
-    return _measured(scenario, moving, angle)
-
-
-def first_moving(scenario: Scenario) -> Moving:
-    """State and navigation at the start, before there is a command."""
-    state = scenario.initial_state
-    navigated = scenario.navigation.start(scenario.planet, state)
-    return Moving(state, None, None, navigated=navigated)
 
 
 @eqx.filter_jit
@@ -330,16 +121,6 @@ def decide(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
         (memory, held),
         is_leaf=lambda x: x is None,
     )
-
-
-@eqx.filter_jit
-def command(
-    scenario: Scenario, flown: Scalar, moving: Moving, held: Any
-) -> tuple[Controls, Any]:
-    """The command of the law, and the rate of its memory."""
-    acting = _acting(scenario, flown, moving, held)
-    measurement = _sensed(scenario, moving, acting)
-    return acting(measurement.lift, measurement.drag, measurement.angle_of_attack)
 
 
 def caveats(scenario: Scenario, lane: Lane) -> dict[str, Scalar]:

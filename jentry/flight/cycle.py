@@ -15,8 +15,6 @@ from ..fields import Flag, Scalar
 from ..guidance.cycle import FixedCycle
 from ..guidance.law import AbstractLaw, AbstractSampledLaw
 from .closed_loop import (
-    Bracket,
-    Lane,
     decide,
     guidance_period,
     is_finite,
@@ -25,6 +23,7 @@ from .closed_loop import (
     select,
     vector_field,
 )
+from .lane import Bracket, Lane
 from .scenario import Scenario
 from .solver import AbstractSolver, Adaptive, FixedStep
 from .termination import Outcome

@@ -16,7 +16,6 @@ from ..motion.constraints import integrals_of
 from ..motion.state import Controls
 from ..onboard.measurement import measure
 from .closed_loop import (
-    Moving,
     constrained,
     decide,
     navigate,
@@ -24,6 +23,7 @@ from .closed_loop import (
     start,
     vector_field,
 )
+from .lane import Moving
 from .scenario import Scenario, without_effect
 
 

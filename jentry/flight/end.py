@@ -10,13 +10,8 @@ from jax import lax
 
 from .._batching import side_by_side
 from ..fields import Count
-from .closed_loop import (
-    Lane,
-    is_finite,
-    noted,
-    select,
-    vector_field,
-)
+from .closed_loop import is_finite, noted, select, vector_field
+from .lane import Lane
 from .scenario import Scenario
 from .termination import Outcome
 

@@ -26,13 +26,8 @@ from ..world.perturbed_atmosphere import without_zero_perturbations
 from ..world.random_profile import settled
 from ..world.tabulated import unit_of_caveat
 from .closed_loop import (
-    Instant,
-    Lane,
-    Moving,
     caveats,
-    command,
     constrained,
-    first_moving,
     knowledge,
     path_constraints,
     select,
@@ -40,8 +35,10 @@ from .closed_loop import (
 )
 from .cycle import Plan
 from .end import end_of_flight
+from .lane import Instant, Lane, Moving
 from .loop import while_running, while_running_with_history
 from .scenario import Scenario, checked
+from .sensing import command, first_moving
 from .solver import AbstractSolver, FixedStep
 
 

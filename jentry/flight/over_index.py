@@ -11,7 +11,8 @@ from ..guidance.law import AbstractContinuousLaw
 from ..motion.dynamics import with_respect_to
 from ..motion.index import AbstractIndex
 from ..motion.state import EntryState
-from .closed_loop import Moving, start, vector_field
+from .closed_loop import start, vector_field
+from .lane import Moving
 from .scenario import Scenario, checked
 
 

@@ -8,7 +8,8 @@ from .._integrate import runge_kutta
 from .._programs import cached
 from .._setup import needs_float64
 from ..fields import Scalar, Vector
-from ..flight.closed_loop import Moving, command
+from ..flight.lane import Moving
+from ..flight.sensing import command
 from ..motion.forces import air_data
 from ..motion.index import TimeIndex
 from ..motion.quantities import ground_track

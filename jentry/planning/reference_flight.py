@@ -14,8 +14,9 @@ from .._math import derivatives_along
 from .._newton import newton, solve
 from .._setup import needs_float64
 from ..fields import Scalar
-from ..flight.closed_loop import Moving, start as begin, vector_field
+from ..flight.closed_loop import start as begin, vector_field
 from ..flight.flight import fly
+from ..flight.lane import Moving
 from ..flight.miss import misses
 from ..flight.scenario import Scenario
 from ..flight.solver import FixedStep
