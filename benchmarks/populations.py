@@ -297,13 +297,9 @@ ROWS = {
             *CROSSINGS["x-33"],
         )
     ),
-    "rlv": (
-        *(
-            (choice, "table-1")
-            for choice in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
-        ),
-        ("predictor-corrector world inertial", "table-1-and-knowledge"),
-        ("predictor-corrector world aided", "table-1-and-knowledge"),
+    "rlv": tuple(
+        (choice, "table-1")
+        for choice in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
     ),
     "apollo-10": (
         ("predictor-corrector", "everything"),
@@ -313,7 +309,6 @@ ROWS = {
         ("unlimited", "everything"),
         ("predictor-corrector world us-1976", "everything"),
         ("predictor-corrector world inertial", "everything-and-knowledge"),
-        ("predictor-corrector world aided", "everything-and-knowledge"),
     ),
     "cav-h-glide": (
         ("predictor-corrector", "everything"),
@@ -325,7 +320,6 @@ ROWS = {
         ("predictor-corrector world at-rest", "everything"),
         ("predictor-corrector world us-1976", "everything"),
         ("predictor-corrector world inertial", "everything-and-knowledge"),
-        ("predictor-corrector world aided", "everything-and-knowledge"),
     ),
     "mars-drag-tracking": tuple(
         (choice, "lift-to-drag-held")
