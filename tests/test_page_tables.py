@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from pages import ROOT, benchmark
+from pages import ROOT, assert_says, benchmark
 
 
 sys.path.insert(0, str(ROOT / "docs"))
@@ -99,6 +99,18 @@ def test_a_part_of_the_navigation_is_one_table():
     assert f"`python benchmarks/navigation.py miss`, {lines[0][1]}" in made
     with pytest.raises(KeyError, match="no table of the part 'hit'"):
         tables.table('source = "navigation.csv"\npart = "hit"')
+
+
+def test_what_is_said_of_tuning_with_navigation_errors():
+    with open(ROOT / "benchmarks" / "navigation.csv", newline="") as file:
+        name = "tuning, range-tracking, inertial, seed 0"
+        found = {x[4]: float(x[5]) for x in csv.reader(file) if x[0] == name}
+    before, after, low, high = (
+        found[f"mean square of the miss, km2, {what}"]
+        for what in ("before", "after", "change, from", "change, to")
+    )
+    assert_says("draws from 1.949 to 1.914", before, after)
+    assert_says("of the change is -0.057 to -0.012", low, high)
 
 
 @pytest.mark.parametrize(
