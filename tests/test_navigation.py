@@ -25,7 +25,6 @@ from jentry.flight import (
     Target,
     Termination,
     VelocityBelow,
-    misses,
 )
 from jentry.flight.closed_loop import decide, start
 from jentry.flight.scenario import check
@@ -367,57 +366,6 @@ def test_range_to_go_is_the_arc_to_the_place():
     )
     angle = np.arccos(unit(*there) @ unit(-1.9, 0.8))
     assert float(found) == pytest.approx(float(planet.radius) * angle, rel=1e-12)
-
-
-# Derivatives.
-
-
-def end_by_belief(scenario):
-    """Where the flight ends by what it believes, and what it believes there."""
-    limit = Termination({"v": VelocityBelow(4800.0, by="navigation")}, 300.0)
-    flight = fly(dataclasses.replace(scenario, termination=limit), FixedStep(0.25))
-    miss = misses(scenario, flight)
-    return jnp.stack(
-        [miss.downrange / km, miss.altitude / km, flight.navigated.altitude / km]
-    )
-
-
-@pytest.mark.slow
-def test_derivatives_reach_every_error():
-    scenario = windy(law="sampled observer")
-    errors, sensors = OFF.knowledge, BIASED
-    lens = lambda s: jax.tree.leaves(
-        (
-            s.navigation.knowledge,
-            s.navigation.gyroscopes,
-            s.navigation.gravity,
-            s.accelerometers,
-        )
-    )
-    assert len(jax.tree.leaves((errors, sensors))) == 17
-    values, sizes = jnp.stack(lens(scenario)), []
-    for leaf in lens(scenario):
-        sizes.append(1e-3 * abs(float(leaf)))
-
-    @jax.jit
-    def ends(values):
-        return end_by_belief(eqx.tree_at(lens, scenario, list(values)))
-
-    forward = np.asarray(jax.jit(jax.jacfwd(ends))(values))
-    reverse = np.asarray(jax.jit(jax.jacrev(ends))(values))
-    largest = np.abs(forward * np.array(sizes)).max(axis=1, keepdims=True)
-    np.testing.assert_allclose(
-        reverse * sizes, forward * sizes, rtol=0, atol=1e-9 * largest.max()
-    )
-    for place, size in enumerate(sizes):
-        unit = np.zeros(len(sizes))
-        unit[place] = size
-        # Of the fourth order.
-        e = [np.asarray(ends(values + k * unit)) for k in (-2, -1, 1, 2)]
-        expected = (8 * (e[2] - e[1]) - (e[3] - e[0])) / 12.0
-        found = forward[:, place] * size
-        assert np.abs(found).max() > 0.0
-        np.testing.assert_allclose(found, expected, rtol=1e-5, atol=2e-10)
 
 
 # Bad input.

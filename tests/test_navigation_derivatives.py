@@ -6,21 +6,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from filter_flights import ALTIMETER, DOPPLER, DRAG, TERRAIN, aided
+from composed_laws import reference
+from filter_flights import ALTIMETER, DRAG, KNOWN, SENSING, TURNING, aided
+from laws import all_laws
 
 from jentry import FixedStep, fly
 from jentry.addresses import leaves_by_address, replace_leaves
 from jentry.flight import VelocityBelow
 from jentry.units import km
+from jentry.world import InverseSquareGravity
 
 
-VARIED = {
+FURTHER = {
     "initial_state.velocity": 10.0,
-    "guidance.bank_angle": 0.05,
-    "navigation.knowledge.up": 300.0,
-    "navigation.knowledge.velocity_east": 0.5,
-    "accelerometers.bias_forward": 1e-3,
-    "navigation.gyroscopes.drift_pitch": 1e-6,
+    "navigation.gravity.gravitational_parameter": 1e10,
     "navigation.filter.knowledge.up": 60.0,
     "navigation.filter.sensors.altimeter.assumed": 2.0,
     "navigation.filter.sensors.drag.noise": 0.01,
@@ -28,32 +27,48 @@ VARIED = {
 """Addresses of parameters, and how far each is moved"""
 
 
-def scenario_of(sensors):
-    scenario = aided(sensors, seconds=100.0)
+def flying():
+    """A law that reads what the vehicle believes, and an end that it decides by that."""
+    altimeter = dataclasses.replace(ALTIMETER, assumed=jnp.asarray(15.0))
+    scenario = aided({"altimeter": altimeter, "drag": DRAG}, seconds=100.0)
+    navigation = dataclasses.replace(
+        scenario.navigation, gravity=InverseSquareGravity(4.2829e13)
+    )
     state = dataclasses.replace(
         scenario.initial_state, altitude=jnp.asarray(50 * km), velocity=jnp.asarray(4e3)
     )
-    ends = dataclasses.replace(
-        scenario.termination,
-        conditions={"slow": VelocityBelow(jnp.asarray(1500.0), by="navigation")},
+    ends = {"slow": VelocityBelow(jnp.asarray(1500.0), by="navigation")}
+    return dataclasses.replace(
+        scenario,
+        guidance=all_laws["sampled observer"](reference()),
+        navigation=navigation,
+        initial_state=state,
+        termination=dataclasses.replace(scenario.termination, conditions=ends),
     )
-    return dataclasses.replace(scenario, initial_state=state, termination=ends)
 
 
 @pytest.mark.slow
 def test_derivatives_are_differences():
-    """Forward and reverse, to one part in a million of each output's largest derivative."""
-    sensors = {"altimeter": dataclasses.replace(ALTIMETER, assumed=jnp.asarray(15.0))}
-    sensors |= {"doppler": DOPPLER, "drag": DRAG, "terrain": TERRAIN}
-    scenario = scenario_of(sensors)
-    sizes = np.array(list(VARIED.values()))
+    """Forward and reverse, to one part in a million of each output's largest derivative,
+    with respect to every error and to what the filter assumes."""
+    scenario = flying()
+    varied = dict(FURTHER)
+    for tree, names in (
+        ("navigation.knowledge", KNOWN),
+        ("accelerometers", SENSING),
+        ("navigation.gyroscopes", TURNING),
+    ):
+        for name, size in leaves_by_address(names).items():
+            varied[f"{tree}.{name}"] = 0.3 * float(size)
+    assert len(varied) == 25
+    sizes = np.array(list(varied.values()))
 
     leaves = leaves_by_address(scenario)
 
     def moved(steps):
         values = {
             address: leaves[address] + step
-            for address, step in zip(VARIED, list(steps * sizes), strict=True)
+            for address, step in zip(varied, list(steps * sizes), strict=True)
         }
         return replace_leaves(scenario, values)
 
@@ -73,10 +88,10 @@ def test_derivatives_are_differences():
             ]
         )
 
-    here = jnp.zeros(len(VARIED))
+    here = jnp.zeros(len(varied))
     assert float(end(here)[0]) < 99.0
-    expected = np.empty((7, len(VARIED)))
-    for i, unit in enumerate(np.eye(len(VARIED))):
+    expected = np.empty((7, len(varied)))
+    for i, unit in enumerate(np.eye(len(varied))):
         central = lambda h, unit=unit: (
             np.asarray(end(jnp.asarray(h * unit)) - end(jnp.asarray(-h * unit)))
             / (2 * h)
@@ -84,7 +99,8 @@ def test_derivatives_are_differences():
         expected[:, i] = (4 * central(1e-2) - central(2e-2)) / 3
     found = np.asarray(jax.jit(jax.jacfwd(end))(here))
     weights = 1.0 / np.max(np.abs(expected), axis=1)
-    assert np.all(np.max(np.abs(expected), axis=1) > 0.0)
+    for axis in (0, 1):
+        assert np.all(np.max(np.abs(expected), axis=axis) > 0.0)
     np.testing.assert_allclose(
         found * weights[:, None], expected * weights[:, None], rtol=0, atol=1e-6
     )
