@@ -33,16 +33,22 @@ def test_every_declared_dispersion_changes_the_flight_when_it_alone_is_drawn_ane
     """A flight of each table, and for every dispersion one in which only that differs."""
     for variant, readings in readings_by_variant(mission).items():
         scenario = mission.scenario_of(variant)
-        names, rows = [], []
+        names, rows, seen = [], [], {}
         for reading in readings:
             table = mission.dispersion_table(reading)
             # Of a distribution that is often zero, the first draw that is another one.
             many = jax.vmap(functools.partial(draw, table, key))(jnp.arange(64))
             base = {name: x[0] for name, x in many.items()}
             other = {name: x[np.argmax(x != x[0])] for name, x in many.items()}
+            # Those that an earlier table has too have been drawn.
             drawn = [
-                n for n, d in table.items() if not isinstance(d.distribution, Constant)
+                n
+                for n, d in table.items()
+                if not isinstance(d.distribution, Constant) and seen.get(n) != d
             ]
+            seen |= table
+            if not drawn:
+                continue
             for name in [None, *drawn]:
                 draws = base if name is None else base | {name: other[name]}
                 names.append((reading, name))
