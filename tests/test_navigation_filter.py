@@ -187,6 +187,29 @@ def test_deviations_along_and_across_the_track():
         assert found == pytest.approx(np.sqrt(along @ spread @ along), rel=1e-9), name
 
 
+def test_deviations_along_the_track_are_those_of_the_local_axes():
+    """Turned by the heading, and as arcs on the ground; without correlations."""
+    scenario = aided({})
+    navigation, actual, navigated, aiding = here(scenario)
+    given = scenario.planet, actual.state, navigated, aiding, jnp.asarray(0.0)
+    found = navigation.knowledge_of(*given).track_deviation
+    ahead, climb = (
+        float(x) for x in (actual.state.heading, actual.state.flight_path_angle)
+    )
+    radius = float(scenario.planet.radius)
+    ground = radius / (radius + 30 * km)
+    east, north = float(KNOWN.east) * ground, float(KNOWN.north) * ground
+    level = np.cos(climb) * np.sin(ahead), np.cos(climb) * np.cos(ahead)
+    velocities = KNOWN.velocity_east, KNOWN.velocity_north, KNOWN.velocity_up
+    expected = [
+        np.hypot(east * np.sin(ahead), north * np.cos(ahead)),
+        np.hypot(east * np.cos(ahead), north * np.sin(ahead)),
+        float(KNOWN.up),
+        np.linalg.norm(np.array([*level, np.sin(climb)]) * np.array(velocities)),
+    ]
+    np.testing.assert_allclose(jax.tree.leaves(found), expected, rtol=1e-6)
+
+
 def test_random_walks_grow_alike_in_all_directions():
     """In one second by their squares, in local axes."""
     scenario = aided({}, noise=False)
