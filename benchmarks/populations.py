@@ -297,9 +297,12 @@ ROWS = {
             *CROSSINGS["x-33"],
         )
     ),
-    "rlv": tuple(
-        (choice, "table-1")
-        for choice in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
+    "rlv": (
+        *(
+            (choice, "table-1")
+            for choice in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
+        ),
+        ("predictor-corrector world inertial", "table-1-and-knowledge"),
     ),
     "apollo-10": (
         ("predictor-corrector", "everything"),
@@ -309,6 +312,7 @@ ROWS = {
         ("unlimited", "everything"),
         ("predictor-corrector world us-1976", "everything"),
         ("predictor-corrector world inertial", "everything-and-knowledge"),
+        ("predictor-corrector world aided", "everything-and-knowledge"),
     ),
     "cav-h-glide": (
         ("predictor-corrector", "everything"),

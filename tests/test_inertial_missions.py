@@ -274,6 +274,8 @@ def test_what_is_said_of_apollo_10():
     said = "the median of the miss is 1.07 km in place of 0.47 km, and 47 % of the"
     assert_says(said, inertial[0], perfect[0], inertial[1])
     assert_says("within 1 km in place of 98 %", 1, perfect[1])
+    aided = means("apollo-10", f"{law} world aided", known[1], *headings)
+    assert_says("its median is 0.47 km, and 98 % of the flights", *aided)
 
 
 def test_what_is_said_of_sx_2():
@@ -286,6 +288,16 @@ def test_what_is_said_of_sx_2():
     assert_says("crossrange error are then 0.112 and 0.114 km", *aided)
     perfect = means("sx-2", law, "air-and-vehicle", *headings)
     assert_says("in place of 0.0045 and 0.028 km under", *perfect)
+
+
+def test_what_is_said_of_the_rlv():
+    headings = "downrange error, median, km", "crossrange error, median, km"
+    law = "predictor-corrector"
+    known = f"{law} world inertial", "table-1-and-knowledge"
+    said = "of downrange and crossrange error are then 1.61 and 3.13 km"
+    assert_says(said, *means("rlv", *known, *headings))
+    perfect = means("rlv", law, "table-1", *headings)
+    assert_says("place of 0.143 and 0.031 km with perfect", *perfect)
 
 
 def test_what_is_said_of_the_glide():
