@@ -3,7 +3,7 @@
     python benchmarks/navigation.py linear --missions mars-range-tracking --runs 10000
     python benchmarks/navigation.py miss --runs 2000
     python benchmarks/navigation.py trigger --runs 2000
-    python benchmarks/navigation.py tuning --runs 256
+    python benchmarks/navigation.py tuning --runs 256 --seed 0
     python benchmarks/navigation.py cost --world inertial
     python benchmarks/navigation.py linear miss trigger tuning cost --save
 
