@@ -46,7 +46,6 @@ from ..onboard.navigation import (
     InertialNavigation,
     PerfectNavigation,
 )
-from ..onboard.navigation_filter import check_filter
 from ..onboard.track import Track
 from ..units import degree, km
 from ..world.planet import Planet
@@ -217,7 +216,7 @@ def _check_navigation(scenario: Scenario) -> None:
             "dynamics=EntryDynamics(), or navigation=PerfectNavigation()"
         )
     if isinstance(navigation, InertialNavigation) and navigation.filter is not None:
-        check_filter(navigation.filter)
+        navigation.filter.check()
 
 
 def _check_one_target(scenario: Scenario) -> None:

@@ -1,13 +1,16 @@
-"""The covariance of the errors of inertial navigation: how it moves with the flight."""
+"""The covariance of the errors of inertial navigation, in flight and when measured."""
 
 import functools
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
+
+from ..fields import Scalar
 
 
 Square = Float[Array, "n n"]
@@ -16,6 +19,21 @@ Column = Float[Array, " k"]
 
 MOTION = 9
 """Number of errors of position, velocity and attitude, which come first"""
+
+
+class MeasuredValue(NamedTuple):
+    """One measured value of a number that the errors change."""
+
+    residual: Scalar
+    """Measured minus expected"""
+    row: Float[Array, " n"]
+    """Derivatives of the expected value with respect to the errors"""
+    deviation: Scalar
+    """Standard deviation of the noise that is assumed"""
+    gate: Scalar
+    """Number of standard deviations of the residual beyond which the value is rejected"""
+    made: Any
+    """Whether there is a measurement"""
 
 
 class ErrorCovariance(eqx.Module):
@@ -55,6 +73,36 @@ class ErrorCovariance(eqx.Module):
         across = before[:MOTION, MOTION:] + moved[:, MOTION:]
         rows = [[motion, across], [across.T, before[MOTION:, MOTION:]]]
         return ErrorCovariance.now(jnp.block(rows))
+
+    def corrected(
+        self, values: MeasuredValue
+    ) -> tuple["ErrorCovariance", Float[Array, " n"], Float[Array, " values"]]:
+        """The covariance after measured values, which are taken one after the other.
+
+        Returned beside it: the correction of what is estimated, of shape (n,), and for each
+        value 1 if it was rejected and 0 if not.
+
+        `values` has a first axis, one place for each value. The errors are of the time of
+        `matrix`: nothing may have happened to them since.
+        """
+
+        def take(
+            known: tuple[Square, Array], value: MeasuredValue
+        ) -> tuple[tuple[Square, Array], Scalar]:
+            covariance, shift = known
+            along = covariance @ value.row
+            off = value.residual - value.row @ shift
+            variance = value.row @ along + value.deviation**2
+            near = off * off <= value.gate**2 * variance
+            gain = jnp.where(value.made & near, along / variance, 0.0)
+            # Both factors are of the same vector: the covariance stays symmetric.
+            covariance = covariance - variance * gain[:, None] * gain[None]
+            rejected = jnp.where(value.made & ~near, 1.0, 0.0)
+            return (covariance, shift + gain * off), rejected
+
+        known = self.matrix, jnp.zeros(self.matrix.shape[0])
+        (matrix, shift), rejected = lax.scan(take, known, values)
+        return ErrorCovariance.now(matrix), shift, jnp.asarray(rejected)
 
 
 def derivatives(function: Callable[[Any], Any], at: Any) -> Rows:

@@ -3,14 +3,11 @@
 import dataclasses
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax import lax
-from jax.core import Tracer
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
@@ -19,7 +16,18 @@ from ..fields import NOT_NEGATIVE, Flag, Scalar, as_float_array, scalar
 from ..motion.axes import Components, cross
 from ..motion.state import EntryState
 from ..world.planet import Planet
-from .error_covariance import MOTION, ErrorCovariance, Rows, Square, derivatives
+from .error_covariance import (
+    MOTION,
+    ErrorCovariance,
+    MeasuredValue,
+    Rows,
+    derivatives,
+)
+from .filter_checks import (
+    check_assumed_noise,
+    check_correlations,
+    check_deviations,
+)
 from .inertial import (
     Gyroscopes,
     KnowledgeError,
@@ -146,7 +154,18 @@ class NavigationFilter(eqx.Module):
                     f"{self.cycle} s: a sensor measures at updates of the filter, so take "
                     "a multiple"
                 )
-        check_filter(self)
+        self.check()
+
+    def check(self) -> None:
+        """Refuse a filter whose covariance is not positive, now or after a measurement.
+
+        Numbers that are not known yet are not looked at.
+        """
+        check_deviations("knowledge", self.knowledge, positive=True)
+        check_deviations("accelerometers", self.accelerometers)
+        check_deviations("gyroscopes", self.gyroscopes)
+        check_assumed_noise(self.sensors)
+        check_correlations(self.correlations)
 
     def begin(self, planet: Planet, navigated: Navigated, sensed: Sensed) -> Aiding:
         """The filter before the first update."""
@@ -312,27 +331,10 @@ class NavigationFilter(eqx.Module):
         return jnp.square(jnp.stack([nothing, nothing, nothing, *sizes]))
 
     def _corrected(
-        self, navigated: Navigated, aiding: Aiding, taken: "_Value"
+        self, navigated: Navigated, aiding: Aiding, taken: MeasuredValue
     ) -> tuple[Navigated, Aiding]:
         """Navigation and filter after the measured values."""
-        matrix = aiding.covariance.matrix
-
-        def take(
-            known: tuple[Square, Array], value: "_Value"
-        ) -> tuple[tuple[Square, Array], Scalar]:
-            covariance, shift = known
-            along = covariance @ value.row
-            off = value.residual - value.row @ shift
-            variance = value.row @ along + value.deviation**2
-            near = off * off <= value.gate**2 * variance
-            gain = jnp.where(value.made & near, along / variance, 0.0)
-            # Both factors are of the same vector: the covariance stays symmetric.
-            covariance = covariance - variance * gain[:, None] * gain[None]
-            rejected = jnp.where(value.made & ~near, 1.0, 0.0)
-            return (covariance, shift + gain * off), rejected
-
-        known = matrix, jnp.zeros(matrix.shape[0])
-        (matrix, shift), rejected = lax.scan(take, known, taken)
+        covariance, shift, rejected = aiding.covariance.corrected(taken)
         # The correction of the tilt adds to the actual one, of which a part remains.
         known = Estimate(navigated, aiding.accelerometers, aiding.gyroscopes)
         before, rebuilt = ravel_pytree(known)
@@ -341,11 +343,11 @@ class NavigationFilter(eqx.Module):
         for place, name in enumerate(self.sensors):
             own = slice(MOST_VALUES * place, MOST_VALUES * (place + 1))
             made[name] = made[name] + jnp.sum(jnp.where(taken.made[own], 1.0, 0.0))
-            refused[name] = refused[name] + jnp.sum(jnp.asarray(rejected)[own])
+            refused[name] = refused[name] + jnp.sum(rejected[own])
         held = Aiding(
             after.accelerometers,
             after.gyroscopes,
-            ErrorCovariance.now(matrix),
+            covariance,
             aiding.slopes,
             aiding.updated_at,
             made,
@@ -362,7 +364,7 @@ class NavigationFilter(eqx.Module):
         at: Scalar,
         measures: Mapping[str, Flag],
         drawn: Callable[[int], Scalar],
-    ) -> "_Value":
+    ) -> MeasuredValue:
         """The values of all sensors, `MOST_VALUES` of each, in their order.
 
         `measures` says which of them measure.
@@ -376,7 +378,7 @@ class NavigationFilter(eqx.Module):
             off = known.accelerometers
             return Believed(planet, known.navigated.state, seen, off, angle)
 
-        def values(name: str, place: int) -> list[_Value]:
+        def values(name: str, place: int) -> list[MeasuredValue]:
             sensor = self.sensors[name]
             first = _FIRST_AXIS + MOST_VALUES * place
             measured = sensor.measured(sensed, lambda i: drawn(first + i), at)
@@ -390,11 +392,11 @@ class NavigationFilter(eqx.Module):
                 )
             made = measures[name]
             rows = derivatives(lambda known: sensor.expected(believed(known)), known)
-            empty = _Value(
+            empty = MeasuredValue(
                 0.0 * at, 0.0 * rows[0], 1.0 + 0.0 * at, sensor.gate, made & False
             )
             full = [
-                _Value(
+                MeasuredValue(
                     jnp.where(made, measured[i] - expected[i], 0.0),
                     jnp.where(made, rows[i], 0.0),
                     sizes[i],
@@ -407,19 +409,6 @@ class NavigationFilter(eqx.Module):
 
         each = [v for i, name in enumerate(self.sensors) for v in values(name, i)]
         return jax.tree.map(lambda *x: jnp.stack(x), *each)
-
-
-class _Value(NamedTuple):
-    """One measured value."""
-
-    residual: Scalar
-    """Measured minus expected"""
-    row: Float[Array, " n"]
-    """Derivatives of the expected value"""
-    deviation: Scalar
-    gate: Scalar
-    made: Any
-    """Whether there is a measurement"""
 
 
 _FIRST_AXIS = 11
@@ -441,53 +430,3 @@ def _turned(vector: Components, *tilts: Components) -> Components:
     for tilt in tilts:
         vector = added(vector, cross(tilt, vector))
     return vector
-
-
-def check_filter(given: NavigationFilter) -> None:
-    """Refuse a filter whose covariance is not positive, now or after a measurement."""
-    for field in dataclasses.fields(given.knowledge):
-        size = _number(getattr(given.knowledge, field.name))
-        if size is not None and not size > 0.0:
-            raise ValueError(
-                f"knowledge.{field.name} of the filter is {size:g}: it is a standard "
-                "deviation, which must be positive"
-            )
-    for kind in ("accelerometers", "gyroscopes"):
-        for field in dataclasses.fields(getattr(given, kind)):
-            size = _number(getattr(getattr(given, kind), field.name))
-            if size is not None and not size >= 0.0:
-                raise ValueError(
-                    f"{kind}.{field.name} of the filter is {size:g}: it is a standard "
-                    "deviation, which must not be negative"
-                )
-    for name, sensor in given.sensors.items():
-        noise, assumed = (getattr(sensor, n, None) for n in ("noise", "assumed"))
-        size = _number(noise if assumed is None else assumed)
-        if size is not None and not size > 0.0:
-            raise ValueError(
-                f"the filter assumes that the noise of sensors.{name} is {size:g}: it "
-                f"must be positive; give {type(sensor).__name__}(..., assumed=...)"
-            )
-    matrix = given.correlations
-    if matrix is None or isinstance(matrix, Tracer) or np.ndim(matrix) > 2:
-        return
-    table = np.asarray(matrix)
-    if table.shape != (MOTION, MOTION):
-        raise ValueError(
-            f"correlations of the filter has the shape {table.shape}: it must be "
-            f"{(MOTION, MOTION)}"
-        )
-    symmetric = np.allclose(np.diag(table), 1.0) and np.allclose(table, table.T)
-    least = float(np.linalg.eigvalsh(0.5 * (table + table.T))[0])
-    if not (symmetric and least > 0.0):
-        raise ValueError(
-            "correlations of the filter must be symmetric, with ones on the diagonal and "
-            f"positive eigenvalues: the least is {least:.3g}"
-        )
-
-
-def _number(value: Any) -> float | None:
-    """The number, if it is known and is one."""
-    if value is None or isinstance(value, Tracer) or np.ndim(value):
-        return None
-    return float(value) if isinstance(value, Array | float) else None
