@@ -423,18 +423,6 @@ def started(*words, cwd, **options):
     )
 
 
-def assert_says_the_same(cluster, folder, *command_words):
-    """A command, here and there."""
-    said = []
-    for name, words in {"here": (), "there": ("--cluster", cluster.address)}.items():
-        words = *command_words, "--workers", 1, *words, "--out", name
-        flown = started("-m", "jentry", *words, cwd=folder)
-        printed, errors = flown.communicate(timeout=300)
-        assert flown.returncode == 0, errors
-        said.append(printed.replace(name, "out"))
-    assert said[0] == said[1]
-
-
 TUNING = """
 import dataclasses
 import sys
@@ -635,44 +623,19 @@ FLY += ("--step", 1)
 
 @pytest.mark.slow
 def test_the_command_flies_a_mission_of_a_file(lander, two):
-    """On processes that it starts, and on workers that cannot import the law."""
+    """On workers that cannot import the law. Processes that it starts itself fly in
+    `test_a_law_of_a_script_and_the_same_changed` and in the tutorial."""
     said = {}
-    for name, words in {  # each finds what those before it have compiled
-        "here": (),
-        "there": ("--cluster", two.address),
-        "local": ("--cluster", "local:1"),
-    }.items():
+    for name, words in {"here": (), "there": ("--cluster", two.address)}.items():
         flown = started(*FLY, "--json", "--out", name, *words, cwd=lander)
         printed, errors = flown.communicate(timeout=300)
         assert flown.returncode == 0, errors
         assert not [line for line in errors.splitlines() if " of 1300 runs" not in line]
         said[name] = json.loads(printed)
-    assert said["here"] == said["local"] == said["there"]
-    here, *others = (jentry.open_campaign(lander / name) for name in said)
-    for other in others:
-        xarray.testing.assert_identical(here, other)
-
-
-@pytest.mark.slow
-def test_the_command_tunes_there(lander, alike):
-    words = "tune", "my_lander.py", "--of", "downrange=1km", "--step", 1
-    words += "--runs", 64, "--steps", 2, "--held-out", 64
-    assert_says_the_same(alike, lander, *words)
-
-
-@pytest.mark.slow
-def test_the_command_compares_there(lander, alike):
-    """Two laws of a mission of a file."""
-    file = lander / "my_lander.py"
-    text = file.read_text().replace(
-        "import its_law", "import equinox as eqx\nimport its_law"
+    assert said["here"] == said["there"]
+    xarray.testing.assert_identical(
+        *(jentry.open_campaign(lander / name) for name in said)
     )
-    lighter = "lambda: eqx.tree_at(lambda s: s.vehicle.mass, scenario(), 900.0)"
-    one = '{"nominal": scenario'
-    assert one in text
-    file.write_text(text.replace(one, f'{one}, "lighter": {lighter}'))
-    words = "compare", file.name, "--law", "nominal", "--law", "lighter"
-    assert_says_the_same(alike, lander, *words, "--runs", 300, "--step", 1)
 
 
 SCRIPT = """

@@ -1,19 +1,17 @@
 """What a scenario states in two places cannot come apart without a word."""
 
 import dataclasses
-import itertools
-import re
 
 import cheap
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import assert_refused
-from helpers import choices, mars_entry, mars_planet, mars_scenario
+from helpers import mars_entry, mars_planet, mars_scenario
 from laws import regulator
 
 from jentry import find_mission
-from jentry.addresses import leaves_by_address, replace_leaves, unit_of
+from jentry.addresses import leaves_by_address, replace_leaves
 from jentry.campaign import Dispersion, Uniform, monte_carlo, multiply
 from jentry.campaign.dispersions import check_dispersions
 from jentry.flight import EnergyBelow, TargetPassed
@@ -28,7 +26,6 @@ from jentry.guidance import (
 )
 from jentry.guidance.aim import TargetOfScenario
 from jentry.guidance.pseudospectral_tracking import plan_gains
-from jentry.missions import ALL
 from jentry.onboard.profiles import PolynomialProfile
 from jentry.onboard.track import Track
 from jentry.parameters.parameters import Parameters
@@ -36,97 +33,10 @@ from jentry.units import km
 from jentry.world import GroundWave, PerturbedAtmosphere
 
 
-MODEL = r"guidance\.(.*\.)?(model|onboard|domain|planet)\."
-PLACE = r"(initial_state|target\.origin)\."
-TABLE = r"guidance\.(.*\.)?(start|spacing)$"
-JUDGED = r"constraints\.\w+_deviation\.reference\."
-
-MEANT = [
-    # Two addresses, and why they may be moved apart.
-    (MODEL, "", "what a law believes of planet and vehicle, and the truth"),
-    (PLACE, PLACE, "a target is a place: it stays where it is when the start moves"),
-    (JUDGED, JUDGED, "two deviations, each from the plan that it is judged by"),
-    (JUDGED, r"guidance\.", "a deviation is judged by the plan, whatever a law tracks"),
-    (TABLE, TABLE, "the grids of two tables, each of which is one with its numbers"),
-    (r"guidance\.", r"attitude\.", "what a law believes of the attitude, or commands"),
-    (r"guidance\..*gate\.", r"guidance\..*gate\.", "two laws, each with a gate"),
-    (r"guidance\..*gate\.velocity", r".*deviation\.below", "where an error is judged"),
-    (r"guidance\..*largest", r"guidance\..*(largest|increment)", "limits in a row"),
-    (r"guidance\..*band\.", r"guidance\..*band\.", "two sides of a band"),
-    (r"vehicle\.trim", r"(attitude|guidance)\.", "trim, and an angle that is flown"),
-    (r"vehicle\.trim", r"vehicle\.aerodynamics", "trim, and an edge of the model"),
-    (r"attitude\.", r"attitude\.", "two channels of an attitude"),
-    (
-        r"guidance\..*\.last$",
-        r"(guidance|termination)\..*velocity$",
-        "where a schedule ends, and where the flight does",
-    ),
-]
-
-CHANCE = {
-    # Equal numbers that say different things.
-    ("guidance.limits.last_range", "termination.conditions.altitude.altitude"),
-    ("guidance.limits.last_range", "target.altitude"),
-    ("planet.atmosphere.waves.0.wavelength", "guidance.arrival.altitude"),
-    ("planet.atmosphere.waves.0.wavelength", "target.altitude"),
-}
-
-
-def reasons_for(one, other):
-    """Why two addresses may be moved apart."""
-    for a, b, reason in MEANT:
-        for first, second in ((one, other), (other, one)):
-            if re.match(a, first) and re.match(b, second):
-                yield reason
-
-
-def equal_leaves(scenario):
-    """Pairs of addresses of numbers with a unit that are equal and not zero.
-
-    Numbers without a unit are equal by chance: factors, gains, weights.
-    """
-    groups = {}
-    for address, leaf in leaves_by_address(scenario).items():
-        unit = unit_of(scenario, address)
-        if np.ndim(leaf) == 0 and unit != "1" and float(leaf) != 0.0:
-            groups.setdefault((float(leaf), unit), []).append(address)
-    for addresses in groups.values():
-        yield from itertools.combinations(addresses, 2)
-
-
 def moved_alone(scenario, address):
     """The scenario with one number changed by a thousandth."""
     number = leaves_by_address(scenario)[address]
     return replace_leaves(scenario, {address: number * 1.001})
-
-
-def is_refused(scenario, address):
-    """Whether one that is moved alone is refused, with its name and another one's."""
-    try:
-        require_both(scenario, [address])
-        check(moved_alone(scenario, address))
-    except ValueError as error:
-        others = set(re.findall(r"\w+(?:\.\w+)+", str(error)))
-        return address in others and len(others) > 1
-    return False
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ALL)
-def test_each_number_of_a_mission_stands_once_or_is_guarded(name):
-    """Each leaf of each variant is moved alone: where another has the same value, that is
-    refused with both names, or the pair is explained above."""
-    mission = find_mission(name)
-    for variant in choices(mission):
-        scenario = mission.scenario_of(variant)
-        check(scenario)
-        leaves = set(leaves_by_address(scenario))
-        for pair in stated_twice(scenario):
-            assert {pair.first, pair.second} <= leaves
-        for one, other in equal_leaves(scenario):
-            if (one, other) not in CHANCE and not any(reasons_for(one, other)):
-                assert is_refused(scenario, one), f"{variant}: {one}, {other}"
-                assert is_refused(scenario, other), f"{variant}: {other}, {one}"
 
 
 @pytest.fixture(scope="module")

@@ -2,26 +2,24 @@
 
 import functools
 import shutil
-from unittest import mock
 
 import cheap
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from first_sets import populations, small_batches
 
 from jentry.addresses import replace_leaves
-from jentry.campaign import batch, monte_carlo
+from jentry.campaign import monte_carlo
 from jentry.campaign.campaign import _fly_one, drawn_inputs
 from jentry.flight import FixedStep, fly
 from jentry.kernel import NotInKernel, kernel_of, with_tangents
 from jentry.missions import ALL
 
 
-RUNS = 32
-
-FEW = {"cav-h-glide": 8}
-"""Runs of a mission whose flights, with little optimization, take seconds each"""
+RUNS = populations.FIRST_RUNS
+"""As many as in `first_sets`: XLA flies some of them by a program of other tests"""
 
 LAWS = {
     "mars-drag-tracking": "energy-index",
@@ -36,10 +34,10 @@ LAWS = {
 """The law of each mission whose kernel is flown"""
 
 
-def flown_by_kernel(scenario, table, form, solver=FixedStep(), runs=RUNS):
+def flown_by_kernel(scenario, table, form, solver=FixedStep()):
     if form == "c" and shutil.which("cc") is None:
         pytest.skip("there is no C compiler")
-    inputs = drawn_inputs(scenario, table, jax.random.key(0), np.arange(runs))
+    inputs = drawn_inputs(scenario, table, jax.random.key(0), np.arange(RUNS))
     inputs = {address: jnp.asarray(x) for address, x in inputs.items()}
     one = functools.partial(_fly_one, (scenario, solver, None))
     kernel = kernel_of(one, jax.tree.map(lambda x: x[0], inputs), form=form)
@@ -78,10 +76,9 @@ def test_a_flight_of_a_constant_bank():
 def test_the_kernel_of_a_mission_flies_as_xla_does(name):
     mission = ALL[name]
     scenario, table = mission.scenario(LAWS[name]), mission.dispersion_table()
-    runs = FEW.get(name, RUNS)
-    found = flown_by_kernel(scenario, table, "c", runs=runs)
-    with mock.patch.object(batch, "LANES", runs):
-        campaign = monte_carlo(scenario, table, 0, runs)
+    found = flown_by_kernel(scenario, table, "c")
+    with small_batches():
+        campaign = monte_carlo(scenario, table, 0, RUNS)
     assert_same_flights(found, campaign, 1e-6)
 
 

@@ -289,11 +289,10 @@ def test_the_noise_of_a_flight_does_not_depend_on_what_is_stored(flown):
     scenario = windy(InertialNavigation(noise=WALK), PerfectAccelerometers())
     ends = [
         fly(scenario, FixedStep(0.5), history=history).navigated
-        for history in (None, 1.0, 4.0)
+        for history in (None, 4.0)
     ]
-    for other in ends[1:]:
-        for a, b in zip(jax.tree.leaves(ends[0]), jax.tree.leaves(other), strict=True):
-            assert float(a) == pytest.approx(float(b), rel=1e-12)
+    for a, b in zip(*map(jax.tree.leaves, ends), strict=True):
+        assert float(a) == pytest.approx(float(b), rel=1e-12)
 
 
 # What a law may know.
@@ -336,7 +335,8 @@ def test_an_end_may_be_where_the_vehicle_believes_to_be(flown):
     }
     for name, condition in ends.items():
         found = {}
-        for by in ("truth", "navigation"):
+        # What the truth ends is tested in `test_termination.py`, but for one beside it.
+        for by in ("truth", "navigation")[name != "velocity" :]:
             limit = Termination({name: condition(by)}, 300.0)
             scenario = dataclasses.replace(windy(), termination=limit, target=target)
             check(scenario)
@@ -350,7 +350,8 @@ def test_an_end_may_be_where_the_vehicle_believes_to_be(flown):
                 margin = limit.conditions[name].margin(state, windy().planet)
                 # m/s or m
                 assert (abs(float(margin)) < 1e-5) == (mine == by), (name, by, mine)
-        assert float(found["truth"].time) != float(found["navigation"].time)
+        if name == "velocity":
+            assert float(found["truth"].time) != float(found["navigation"].time)
     elsewhere = RangeToGoBelow(200 * km, place[0] + 1e-5, place[1])
     limit = Termination({"range": elsewhere}, 300.0)
     with pytest.raises(ValueError, match=r"termination.conditions.range.longitude and"):

@@ -8,10 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from great_circles import by_trigonometry, place_of
 from helpers import (
-    choices,
     fly_compiled,
-    free_scenario,
     mars_entry,
     mars_scenario,
     with_leaf,
@@ -26,111 +25,13 @@ from jentry.cli.campaign_report import print_campaign
 from jentry.cli.options import chosen_scenario
 from jentry.flight import FixedStep, check, misses
 from jentry.flight.effect import require_felt
-from jentry.guidance import Aim, PredictorCorrector, RangeTracking
-from jentry.missions import every_mission, find_mission
+from jentry.guidance import Aim
+from jentry.missions import find_mission
 from jentry.missions.mars import range_tracking as mars_range_tracking
 from jentry.units import degree, km
 
 
 STEP = FixedStep(0.25)
-
-
-def by_trigonometry(radius, origin, place):
-    """Along and across the great circle through the origin in its heading, in m.
-
-    By distance and bearing on the sphere, and the right triangle that they make; angles
-    in rad, origin with a heading.
-    """
-    (east0, north0, heading), (east, north) = origin, place
-    turn = east - east0
-    half = np.sin((north - north0) / 2) ** 2
-    half += np.cos(north0) * np.cos(north) * np.sin(turn / 2) ** 2
-    distance = 2 * np.arctan2(np.sqrt(half), np.sqrt(1 - half))
-    bearing = np.arctan2(
-        np.sin(turn) * np.cos(north),
-        np.cos(north0) * np.sin(north) - np.sin(north0) * np.cos(north) * np.cos(turn),
-    )
-    off = bearing - heading
-    across = np.arcsin(np.sin(distance) * np.sin(-off))
-    along = np.arctan2(np.sin(distance) * np.cos(off), np.cos(distance))
-    return radius * along, radius * across
-
-
-def place_of(state, *, heading=False):
-    names = ("longitude", "latitude", *(["heading"] if heading else []))
-    return tuple(np.asarray(getattr(state, name)) for name in names)
-
-
-@pytest.fixture(scope="module")
-def a_flight():
-    return fly_compiled(free_scenario(50 * degree), FixedStep(1.0))
-
-
-MISSIONS = [m.name for m in every_mission()]
-
-
-@pytest.mark.parametrize("name", MISSIONS)
-def test_misses_of_all_missions_are_those_of_trigonometry(name, a_flight):
-    """From starts that are moved, across the date line and far north: a target that is a
-    place stays, and one that is a range is counted from the start of the flight."""
-    mission, generator = find_mission(name), np.random.default_rng(3)
-    scenarios = [mission.scenario_of(variant) for variant in choices(mission)]
-    # Laws that fly from one start to one target have the same misses.
-    different = {
-        tuple(map(float, jax.tree.leaves(read))): s
-        for s in scenarios
-        for read in [(s.initial_state, s.target, s.planet.radius)]
-    }
-    for nominal in different.values():
-        for start in ((179.9, 5.0, 80.0), (-30.0, 60.0, -150.0), (1.0, 0.0, 90.0)):
-            moved = eqx.tree_at(
-                lambda s: (
-                    s.initial_state.longitude,
-                    s.initial_state.latitude,
-                    s.initial_state.heading,
-                ),
-                nominal,
-                tuple(jnp.asarray(x * degree) for x in start),
-            )
-            origin = moved.target.origin
-            at = place_of(
-                moved.initial_state if origin is None else origin, heading=True
-            )
-            off = generator.uniform(-0.3, 0.3, 2)
-            end = dataclasses.replace(
-                a_flight.state,
-                longitude=jnp.asarray(at[0] + off[0]),
-                latitude=jnp.asarray(np.clip(at[1] + off[1], -1.4, 1.4)),
-            )
-            flight = dataclasses.replace(a_flight, state=end)
-            missed = misses(moved, flight)
-            radius = float(moved.planet.radius)
-            along, across = by_trigonometry(radius, at, place_of(end))
-            turn = 2 * np.pi * radius
-            expected = along - float(moved.target.downrange)
-            expected -= turn * np.round(expected / turn)
-            # Rounding of a bearing, over the radius of a planet.
-            assert float(missed.downrange) == pytest.approx(expected, abs=1e-4)
-            expected = across - float(moved.target.crossrange)
-            assert float(missed.crossrange) == pytest.approx(expected, abs=1e-4)
-
-
-@pytest.mark.parametrize("name", MISSIONS)
-def test_a_law_that_flies_to_a_place_has_no_place_of_its_own(name):
-    """Where the misses are counted from is where it flies to, and it moves with it."""
-    mission = find_mission(name)
-    for variant in choices(mission):
-        scenario = mission.scenario_of(variant)
-        law = scenario.law
-        if not isinstance(law, PredictorCorrector | RangeTracking):
-            continue
-        assert scenario.target.origin is not None
-        assert "place" in scenario.target.counted_from
-        moved = with_leaf(scenario, lambda s: s.target.downrange, 12.3)
-        assert float(moved.law.aim.downrange) == 12.3
-        assert not jax.tree.leaves(scenario.guidance.aim)
-        moved = with_leaf(scenario, lambda s: s.initial_state.longitude, 0.1)
-        assert eqx.tree_equal(moved.law.aim, law.aim)
 
 
 @pytest.fixture(scope="module")
