@@ -74,13 +74,12 @@ def readings_by_variant(mission):
     one mission: `test_inertial_missions` says that they reach their leaves in each.
     """
     mars = mission.name == "mars-range-tracking"
+    scenario_of = functools.cache(mission.scenario_of)
     readings = [r for r in mission.dispersions if mars or "knowledge" not in r]
 
     def takes(variant, reading):
         try:
-            check_dispersions(
-                mission.scenario_of(variant), mission.dispersion_table(reading)
-            )
+            check_dispersions(scenario_of(variant), mission.dispersion_table(reading))
         except ValueError:
             return False
         return True
@@ -88,10 +87,18 @@ def readings_by_variant(mission):
     found = {}
     # Those that move much first: their choices have what the others move as well.
     for reading in sorted(readings, key=lambda r: -size(mission, r)):
-        worlds = (
+        # The first law in every world before every law: to make one takes a second.
+        worlds = [
             f"{law} world {world}" for law in mission.laws for world in mission.worlds
+        ]
+        few = len(mission.worlds)
+        every = (
+            *found,
+            next(iter(mission.laws)),
+            *worlds[:few],
+            *choices(mission),
+            *worlds,
         )
-        every = *found, *choices(mission), *worlds
         variant = next(v for v in every if takes(v, reading))
         found.setdefault(variant, []).append(reading)
     return found

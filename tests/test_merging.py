@@ -174,7 +174,7 @@ cheap.campaign(sys.argv[1], {runs}, part=(int(sys.argv[2]), 2))
 @pytest.mark.slow
 @pytest.mark.batches  # as those processes fly
 def test_parts_that_are_killed_at_any_moment(tmp_path):
-    """Two processes, each killed and begun again until it has flown its part."""
+    """Two processes, each killed and begun again to fly the rest of its part."""
     runs = 5000
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     folders = [tmp_path / "part-1", tmp_path / "part-2"]
@@ -182,9 +182,9 @@ def test_parts_that_are_killed_at_any_moment(tmp_path):
     kills = 0
     for place, folder in enumerate(folders, start=1):
         words = [sys.executable, "-c", _PART.format(runs=runs), str(folder), str(place)]
-        for attempt in range(3):
+        for attempt in range(2):
             process = subprocess.Popen(words, env=environment)
-            if attempt == 2:
+            if attempt == 1:
                 assert process.wait(300) == 0
                 break
             # Once there is something, at a moment that is drawn.
@@ -199,7 +199,7 @@ def test_parts_that_are_killed_at_any_moment(tmp_path):
                 process.send_signal(signal.SIGKILL)
                 kills += 1
             process.wait()
-    assert kills >= 2
+    assert kills == 2
     out = tmp_path / "merged"
     assert merge_campaigns(out, folders) == (runs, 0)
     cheap.campaign(tmp_path / "whole", runs)
