@@ -4,7 +4,7 @@
     python benchmarks/navigation.py miss --runs 2000
     python benchmarks/navigation.py trigger --runs 2000
     python benchmarks/navigation.py tuning --runs 256 --seed 0
-    python benchmarks/navigation.py cost --world inertial
+    python benchmarks/navigation.py cost --worlds inertial
     python benchmarks/navigation.py linear miss trigger tuning cost --save
 
 - `linear`: standard deviations of the end by linear covariance, over those of flights with
@@ -28,6 +28,7 @@ replaces those that are measured.
 
 import argparse
 import dataclasses
+import itertools
 import os
 import statistics
 import subprocess
@@ -336,16 +337,14 @@ def measured(options: argparse.Namespace) -> Iterator[tuple[str, list[Cell]]]:
                 law = "range tracking" if ranged else "drag tracking"
                 yield f"trigger, {law}", trigger(ranged, runs, seed)
         elif part == "tuning":
-            for law in TUNED:
-                for world in ("inertial", "aided"):
+            for law in options.laws:
+                for world in options.worlds:
                     cells = tuning(law, world, runs, seed)
                     yield f"tuning, {law}, {world}, seed {seed}", cells
         else:
-            for mission in missions:
-                of = cost(
-                    mission, options.world, runs, options.rounds, not options.no_first
-                )
-                yield f"cost, {mission}, {options.world}", of
+            for mission, world in itertools.product(missions, options.worlds):
+                of = cost(mission, world, runs, options.rounds, not options.no_first)
+                yield f"cost, {mission}, {world}", of
 
 
 def main() -> None:
@@ -355,7 +354,12 @@ def main() -> None:
     parser.add_argument("--runs", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--mode", choices=("exact", "difference"), default="difference")
-    parser.add_argument("--world", default="inertial", help="of the part cost")
+    for name, known, of in (
+        ("laws", list(TUNED), "the part tuning"),
+        ("worlds", ["inertial", "aided"], "the parts tuning and cost"),
+    ):
+        given = {"nargs": "+", "choices": known, "default": known}
+        parser.add_argument(f"--{name}", **given, help=f"of {of}")
     parser.add_argument("--rounds", type=int, default=3, help="of the part cost")
     parser.add_argument(
         "--no-first", action="store_true", help="part cost without first answers"
