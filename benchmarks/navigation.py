@@ -51,10 +51,12 @@ from jentry import (
     misses,
     navigation_errors,
 )
+from jentry.addresses import replace_leaves
 from jentry.campaign import Dispersion, monte_carlo
 from jentry.campaign.dispersions import scaled_dispersions
 from jentry.flight import (
     AltitudeBelow,
+    FixedStep,
     RangeToGoBelow,
     VelocityBelow,
     has_end,
@@ -62,6 +64,9 @@ from jentry.flight import (
 from jentry.missions import find_mission
 from jentry.motion.constraints import DynamicPressure, MachNumber
 from jentry.tuning import Draws, MeanSquare
+from jentry.tuning.batch_gradients import Simulation
+from jentry.tuning.draws import held_out
+from jentry.tuning.judgement import judge
 from jentry.units import km
 
 
@@ -90,6 +95,14 @@ TUNED = {
     ),
 }
 """Parameters that the part `tuning` varies"""
+START = {
+    "predictor-corrector": {
+        "guidance.estimator.time_constant": 4.0,
+        "guidance.lateral.tolerance": 100.0,
+    }
+}
+"""Values at which it begins, where those of the mission have no scale: its estimator has no
+memory, and its lateral logic no tolerance. Before tuning is the mission as it is"""
 ALONG = "downrange", "crossrange", "altitude", "velocity"
 TRIGGER_RANGE = 20.0 * km
 """Range to go at the end of the part `trigger`: larger than the crossrange errors, as a
@@ -247,14 +260,26 @@ def trigger(ranged: bool, runs: int, seed: int) -> list[Cell]:
 
 def tuning(law: str, world: str, runs: int, seed: int) -> list[Cell]:
     mission = "mars-range-tracking"
+    shipped = find_mission(mission).scenario(law, world=world)
+    loss = MeanSquare(lambda misses: (misses.downrange / km, misses.crossrange / km))
+    draws = Draws(dispersed(mission, world), jax.random.key(seed), runs, held_out=4000)
     tuned = jentry.tune(
-        find_mission(mission).scenario(law, world=world),
+        replace_leaves(shipped, START.get(law, {})),
         TUNED[law],
-        MeanSquare(lambda misses: (misses.downrange / km, misses.crossrange / km)),
+        loss,
         optimistix.LBFGS(rtol=1e-6, atol=1e-6),
-        Draws(dispersed(mission, world), jax.random.key(seed), runs, held_out=4000),
+        draws,
         gradient=jentry.CentralDifferences(step=0.02),
         budget=jentry.Budget(steps=20, patience=10),
+    )
+    judgement = judge(
+        shipped,
+        tuned.scenario,
+        draws.dispersions,
+        held_out(draws.key),
+        draws.held_out,
+        loss,
+        Simulation(misses, FixedStep()),
     )
     print(law, world, tuned.stopped, {n: x.tolist() for n, x in tuned.values.items()})
     row, cells = f"{law}, `{world}`, seed {seed}", []
@@ -263,7 +288,7 @@ def tuning(law: str, world: str, runs: int, seed: int) -> list[Cell]:
         (("downrange", "95 % of |.|"), km, "95 % of downrange, km"),
         (("crossrange", "95 % of |.|"), km, "95 % of crossrange, km"),
     ):
-        found = tuned.judgement[name]
+        found = judgement[name]
         cells += [
             Cell(row, f"{unit}, before", found.before.value / size, -1),
             Cell(row, f"{unit}, after", found.after.value / size, -1),
