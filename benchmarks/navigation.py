@@ -282,20 +282,31 @@ def tuning(law: str, world: str, runs: int, seed: int) -> list[Cell]:
         Simulation(misses, FixedStep()),
     )
     print(law, world, tuned.stopped, {n: x.tolist() for n, x in tuned.values.items()})
+    flown = draws.dispersions, held_out(draws.key)
+    turns = [reversals(of, *flown) for of in (shipped, tuned.scenario)]
     row, cells = f"{law}, `{world}`, seed {seed}", []
-    for name, size, unit in (
+    for name, size, words in (
         (("loss", ""), 1.0, "mean square of the miss, km2"),
         (("downrange", "95 % of |.|"), km, "95 % of downrange, km"),
         (("crossrange", "95 % of |.|"), km, "95 % of crossrange, km"),
     ):
         found = judgement[name]
-        cells += [
-            Cell(row, f"{unit}, before", found.before.value / size, -1),
-            Cell(row, f"{unit}, after", found.after.value / size, -1),
-            Cell(row, f"{unit}, change, from", found.change.low / size, -1),
-            Cell(row, f"{unit}, change, to", found.change.high / size, -1),
-        ]
+        cells.append(Cell(row, f"{words}, before", found.before.value / size, -1))
+        cells.append(Cell(row, f"{words}, after", found.after.value / size, -1))
+        if not cells[2:]:
+            for end in ("low", "high"):
+                of = getattr(found.change, end)
+                cells.append(Cell(row, f"{words}, change, {end}", of, -1))
+    for when, count in zip(("before", "after"), turns, strict=True):
+        cells.append(Cell(row, f"bank reversals, {when}", count, 1))
     return cells
+
+
+def reversals(scenario, dispersions, key: jax.Array) -> float:
+    """Mean number of changes of the sign of the bank, over 200 flights."""
+    flights = monte_carlo(scenario, dispersions, key, 200, history=1.0).flights
+    side = np.sign(flights.history.controls.sin_bank)
+    return float(np.sum(side[:, 1:] * side[:, :-1] < 0.0) / len(side))
 
 
 def first_answer(mission: str, world: str | None, runs: int) -> float:

@@ -15,7 +15,7 @@ from helpers import (
 from lateral_states import ORIGIN, TIME, after, headed, seen
 
 from jentry.fields import Scalar, scalar
-from jentry.flight import FixedStep, Scenario, fly
+from jentry.flight import FixedStep, Scenario, check, fly
 from jentry.guidance import (
     AbstractLateralLogic,
     CrossrangeCorridor,
@@ -27,6 +27,7 @@ from jentry.guidance import (
 )
 from jentry.guidance.lateral import predicted_crossrange, reverse_bank, turned
 from jentry.guidance.open_loop import vertical_lift_command
+from jentry.missions import find_mission
 from jentry.motion import EntryDynamics, ground_track
 from jentry.onboard import Measurement
 from jentry.units import degree, km
@@ -80,6 +81,14 @@ def test_corridor_narrows_with_velocity_to_its_floor():
     corridor = CrossrangeCorridor(floor=300.0, widening=4e-4)
     assert corridor.half_width(jnp.asarray(0.0)) == 300.0
     assert corridor.half_width(jnp.asarray(5000.0)) == 300.0 + 4e-4 * 25e6
+
+
+def test_a_corridor_without_width_far_from_the_target_is_refused():
+    """It would reverse the bank in every cycle, to a miss that looks small."""
+    scenario = find_mission("mars-range-tracking").scenario("range-tracking")
+    narrow = with_leaf(scenario, lambda s: s.guidance.lateral.widening, -1e-4)
+    with pytest.raises(ValueError, match=r"guidance\.lateral\.widening is -0\.0001"):
+        check(narrow)
 
 
 @pytest.mark.parametrize("cos_bank", [-1.3, -0.4, 0.7, 1.3])

@@ -141,7 +141,7 @@ class CrossrangeCorridor(AbstractCorridor):
     """
 
     floor: Scalar = scalar(unit="m", positive=True)
-    widening: Scalar = scalar(0.0, unit="s2/m")
+    widening: Scalar = scalar(0.0, unit="s2/m", range=NOT_NEGATIVE)
     first_sign: Scalar = scalar(1.0)
     """Side of the bank at the start: 1 to the right, -1 to the left"""
     switching: AbstractSwitching = Sharp()
