@@ -103,14 +103,23 @@ def test_a_part_of_the_navigation_is_one_table():
 
 def test_what_is_said_of_tuning_with_navigation_errors():
     with open(ROOT / "benchmarks" / "navigation.csv", newline="") as file:
-        name = "tuning, range-tracking, inertial, seed 0"
-        found = {x[4]: float(x[5]) for x in csv.reader(file) if x[0] == name}
-    before, after, low, high = (
-        found[f"mean square of the miss, km2, {what}"]
-        for what in ("before", "after", "change, from", "change, to")
+        found = {(x[0], x[4]): float(x[5]) for x in csv.reader(file)}
+
+    def range_tracking(of, heading):
+        name = f"tuning, range-tracking, {of}"
+        return [found[name, f"{heading}, {when}"] for when in ("before", "after")]
+
+    means = range_tracking("inertial, seed 0", "mean square of the miss, km2")
+    assert_says("from 1.949 to 1.914 square kilometres", *means)
+    (before, one), (_, other) = (
+        range_tracking(f"aided, seed {seed}", "95 % of crossrange, km")
+        for seed in (0, 1)
     )
-    assert_says("draws from 1.949 to 1.914", before, after)
-    assert_says("of the change is -0.057 to -0.012", low, high)
+    assert_says("errors fall from 0.43 to 0.10 and 0.19 km", before, one, other)
+    (before, one), (_, other) = (
+        range_tracking(f"aided, seed {seed}", "bank reversals") for seed in (0, 1)
+    )
+    assert_says("the bank is reversed 44 and 21 times in place of 6", one, other, before)
 
 
 @pytest.mark.parametrize(
