@@ -119,7 +119,9 @@ def test_what_is_said_of_tuning_with_navigation_errors():
     (before, one), (_, other) = (
         range_tracking(f"aided, seed {seed}", "bank reversals") for seed in (0, 1)
     )
-    assert_says("the bank is reversed 44 and 21 times in place of 6", one, other, before)
+    assert_says(
+        "the bank is reversed 44 and 21 times in place of 6", one, other, before
+    )
 
 
 @pytest.mark.parametrize(
