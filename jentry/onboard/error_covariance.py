@@ -95,7 +95,8 @@ class ErrorCovariance(eqx.Module):
             variance = value.row @ along + value.deviation**2
             near = off * off <= value.gate**2 * variance
             gain = jnp.where(value.made & near, along / variance, 0.0)
-            # Both factors are of the same vector: the covariance stays symmetric.
+            # Both factors are of the same vector: the covariance stays symmetric, to
+            # rounding.
             covariance = covariance - variance * gain[:, None] * gain[None]
             rejected = jnp.where(value.made & ~near, 1.0, 0.0)
             return (covariance, shift + gain * off), rejected
