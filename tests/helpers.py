@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jentry.addresses import leaves_by_address, replace_leaves
 from jentry.fields import Scalar, scalar
 from jentry.flight import (
     AltitudeAbove,
@@ -186,6 +187,12 @@ def with_leaf(tree, where, value):
     if eqx.is_array(where(tree)):
         value = jnp.asarray(value, dtype=float)
     return eqx.tree_at(where, tree, value)
+
+
+def moved_alone(scenario, address):
+    """The scenario with one number changed by a thousandth."""
+    number = leaves_by_address(scenario)[address]
+    return replace_leaves(scenario, {address: number * 1.001})
 
 
 def ahead(start, heading, distance):

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import assert_refused
-from helpers import mars_entry, mars_planet, mars_scenario
+from helpers import mars_entry, mars_planet, mars_scenario, moved_alone
 from laws import regulator
 
 from jentry import find_mission
@@ -31,12 +31,6 @@ from jentry.onboard.track import Track
 from jentry.parameters.parameters import Parameters
 from jentry.units import km
 from jentry.world import GroundWave, PerturbedAtmosphere
-
-
-def moved_alone(scenario, address):
-    """The scenario with one number changed by a thousandth."""
-    number = leaves_by_address(scenario)[address]
-    return replace_leaves(scenario, {address: number * 1.001})
 
 
 @pytest.fixture(scope="module")

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from great_circles import by_trigonometry, place_of
-from helpers import choices, fly_compiled, free_scenario, with_leaf
+from helpers import choices, fly_compiled, free_scenario, moved_alone, with_leaf
 
-from jentry.addresses import leaves_by_address, replace_leaves, unit_of
+from jentry.addresses import leaves_by_address, unit_of
 from jentry.flight import FixedStep, check, misses
 from jentry.flight.duplicate_numbers import require_both, stated_twice
 from jentry.flight.scenario import checked
@@ -89,8 +89,7 @@ def is_refused(scenario, address):
     """Whether one that is moved alone is refused, with its name and another one's."""
     try:
         require_both(scenario, [address])
-        number = leaves_by_address(scenario)[address]
-        check(replace_leaves(scenario, {address: number * 1.001}))
+        check(moved_alone(scenario, address))
     except ValueError as error:
         others = set(re.findall(r"\w+(?:\.\w+)+", str(error)))
         return address in others and len(others) > 1
