@@ -103,6 +103,8 @@ START = {
 }
 """Values at which it begins, where those of the mission have no scale: its estimator has no
 memory, and its lateral logic no tolerance. Before tuning is the mission as it is"""
+HELD_OUT = 4000
+"""Draws on which the part `tuning` is judged"""
 ALONG = "downrange", "crossrange", "altitude", "velocity"
 TRIGGER_RANGE = 20.0 * km
 """Range to go at the end of the part `trigger`: larger than the crossrange errors, as a
@@ -262,7 +264,8 @@ def tuning(law: str, world: str, runs: int, seed: int) -> list[Cell]:
     mission = "mars-range-tracking"
     shipped = find_mission(mission).scenario(law, world=world)
     loss = MeanSquare(lambda misses: (misses.downrange / km, misses.crossrange / km))
-    draws = Draws(dispersed(mission, world), jax.random.key(seed), runs, held_out=4000)
+    # What is judged below is the mission as it is, and not where tuning begins.
+    draws = Draws(dispersed(mission, world), jax.random.key(seed), runs, held_out=2)
     tuned = jentry.tune(
         replace_leaves(shipped, START.get(law, {})),
         TUNED[law],
@@ -272,18 +275,17 @@ def tuning(law: str, world: str, runs: int, seed: int) -> list[Cell]:
         gradient=jentry.CentralDifferences(step=0.02),
         budget=jentry.Budget(steps=20, patience=10),
     )
+    unseen = draws.dispersions, held_out(draws.key)
     judgement = judge(
         shipped,
         tuned.scenario,
-        draws.dispersions,
-        held_out(draws.key),
-        draws.held_out,
+        *unseen,
+        HELD_OUT,
         loss,
         Simulation(misses, FixedStep()),
     )
     print(law, world, tuned.stopped, {n: x.tolist() for n, x in tuned.values.items()})
-    flown = draws.dispersions, held_out(draws.key)
-    turns = [reversals(of, *flown) for of in (shipped, tuned.scenario)]
+    turns = [reversals(of, *unseen) for of in (shipped, tuned.scenario)]
     row, cells = f"{law}, `{world}`, seed {seed}", []
     for name, size, words in (
         (("loss", ""), 1.0, "mean square of the miss, km2"),
