@@ -303,6 +303,7 @@ ROWS = {
             for choice in ("modulation", "predictor-corrector", *CROSSINGS["rlv"])
         ),
         ("predictor-corrector world inertial", "table-1-and-knowledge"),
+        ("predictor-corrector world aided", "table-1-and-knowledge"),
     ),
     "apollo-10": (
         ("predictor-corrector", "everything"),
@@ -324,6 +325,7 @@ ROWS = {
         ("predictor-corrector world at-rest", "everything"),
         ("predictor-corrector world us-1976", "everything"),
         ("predictor-corrector world inertial", "everything-and-knowledge"),
+        ("predictor-corrector world aided", "everything-and-knowledge"),
     ),
     "mars-drag-tracking": tuple(
         (choice, "lift-to-drag-held")
