@@ -14,7 +14,6 @@ With `--tune` it tunes the memory of the factors in that air instead, in the ver
 
 import argparse
 import dataclasses
-import math
 
 import equinox as eqx
 import jax
@@ -23,12 +22,10 @@ import numpy as np
 import optimistix
 
 import jentry
-from jentry.campaign.dispersions import Dispersion, multiply
-from jentry.campaign.distributions import Constant, Normal, Uniform
-from jentry.missions.mars.drag_tracking import entry, independent, lift_to_drag_held
+from jentry.missions.mars.air_with_waves import hard_air, hard_air_errors
+from jentry.missions.mars.drag_tracking import entry, independent
 from jentry.missions.mars.predictor_corrector import guided
 from jentry.missions.mars.range_tracking import in_plane
-from jentry.onboard import Accelerometers
 from jentry.tuning import (
     AutomaticDifferentiation,
     Bounds,
@@ -37,40 +34,12 @@ from jentry.tuning import (
     MeanSquare,
     tune,
 )
-from jentry.units import km, micro_g
-from jentry.world import DensityWave, PerturbedAtmosphere
-
-
-WAVES = (25.0 * km, 0.05), (8.0 * km, 0.02)
+from jentry.units import km
 
 
 def harder():
-    """The scenario with waves and accelerometers, and what of them is dispersed."""
-    scenario = dataclasses.replace(guided(), accelerometers=Accelerometers())
-    waves = tuple(DensityWave(0.0, wavelength) for wavelength, _ in WAVES)
-    air = PerturbedAtmosphere(scenario.planet.atmosphere, waves)
-    scenario = eqx.tree_at(lambda s: s.planet.atmosphere, scenario, air)
-    bias, sensors = Normal(0.0, 100.0 * micro_g / 3.0), lambda s: s.accelerometers
-    table = lift_to_drag_held() | {
-        "scale height": Dispersion(
-            lambda s: s.planet.atmosphere.undisturbed.scale_height,
-            Normal(1.0, 0.05 / 3.0),
-            apply=multiply,
-        ),
-        "lift bias": Dispersion(lambda s: sensors(s).lift_bias, bias),
-        "drag bias": Dispersion(lambda s: sensors(s).drag_bias, bias),
-        "noise": Dispersion(lambda s: sensors(s).noise, Constant(50.0 * micro_g)),
-        "noise seed": Dispersion(lambda s: sensors(s).noise_seed, Uniform(0, 1)),
-    }
-    for i, (_, amplitude) in enumerate(WAVES):
-        wave = lambda s, i=i: s.planet.atmosphere.waves[i]
-        table[f"wave {i}"] = Dispersion(
-            lambda s, wave=wave: wave(s).amplitude, Constant(amplitude)
-        )
-        table[f"phase {i}"] = Dispersion(
-            lambda s, wave=wave: wave(s).phase, Uniform(0.0, 2.0 * math.pi)
-        )
-    return scenario, table
+    """The scenario in hard air, and its dispersions."""
+    return hard_air(guided()), hard_air_errors()
 
 
 MEMORY = "guidance.estimator.time_constant"

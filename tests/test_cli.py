@@ -218,7 +218,16 @@ ARRIVE = {
     "linearize": RUN | {"over", "points", "out", "faster-than"},
     "optimize": RUN | FREE | {"maximize", "minimize"},
     "footprint": RUN | FREE | {"directions"},
-    "train": {"out", "seed", "flights", "again", "iterations", "workers"},
+    "train": {
+        "law",
+        "imitate",
+        "out",
+        "seed",
+        "flights",
+        "again",
+        "iterations",
+        "workers",
+    },
     "sensitivity": RUN
     | {"wrt", "scale", "runs", "seed", "workers", "dispersions", "differences"}
     | {"no-differences", "device"},

@@ -36,6 +36,66 @@ def test_train_is_for_missions_with_networks(command):
     assert_refused(command("train", "cav-h", "--iterations", 0), "--iterations is 0")
 
 
+def test_every_option_of_the_training_of_a_law_arrives(command, monkeypatch):
+    import jentry.learning.law_training as law_training
+
+    seen = {}
+
+    def train_law(training, seed, folder, **options):
+        seen.update(options, training=training, folder=folder, seed=seed)
+        raise Arrived
+
+    monkeypatch.setattr(law_training, "train_law", train_law)
+    trainings = {"neural": lambda: "its training"}
+    able = dataclasses.replace(cheap.MISSION, law_trainings=trainings)
+    monkeypatch.setitem(ALL, "cheap", able)
+    words = ("--law", "neural", "--imitate", "--out", "there", "--seed", 11)
+    with pytest.raises(Arrived):
+        command("train", "cheap", *words)
+    del seen["say"], seen["report"]
+    made = {
+        "mission": "cheap",
+        "law": "neural",
+        "command": "jentry train cheap --law neural --seed 11 --imitate",
+    }
+    given = {"training": "its training", "folder": Path("there"), "seed": 11}
+    assert seen == given | {"imitate": True, "card": made}
+
+
+def test_the_training_of_a_law_is_refused_by_name(command):
+    mars = ("train", "mars-range-tracking")
+    assert_refused(
+        command(*mars, "--law", "neural", "--flights", 300),
+        "--flights is for networks that predict: leave it out with --law",
+    )
+    assert_refused(command(*mars, "--imitate"), "--imitate is for a law")
+    assert_refused(
+        command(*mars, "--law", "range-tracking"),
+        "has no training of a law 'range-tracking': choose from neural",
+    )
+    assert_refused(
+        command("train", "sx-2", "--law", "neural"), "has no training of a law"
+    )
+
+
+@pytest.mark.slow
+def test_train_trains_a_law_and_prints_its_errors(command, monkeypatch, tmp_path):
+    from test_neural_training import training_of
+
+    from jentry.onboard import load_recurrent_network
+
+    able = dataclasses.replace(cheap.MISSION, law_trainings={"small": training_of})
+    monkeypatch.setitem(ALL, "cheap", able)
+    code, printed, said = command("train", "cheap", "--law", "small", "--out", "law")
+    assert code == 0
+    assert "AdamSteps" not in said and "Adam 1, 12 of 12 steps, 768 flights" in said
+    assert "GaussNewton 3, 2 of 2 steps, 1280 flights" in said
+    assert "distance on held-out flights" in printed
+    assert "of 1280 flights with derivatives" in printed
+    _, card = load_recurrent_network(tmp_path / "law" / "law.npz")
+    assert card["command"] == "jentry train cheap --law small --seed 0"
+
+
 @pytest.mark.slow
 def test_train_stores_networks_that_are_read_again(command, monkeypatch, tmp_path):
     """One of them: the others take as long."""

@@ -1,7 +1,7 @@
 """`jentry train`: train the networks of a mission."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -9,9 +9,27 @@ from .ending import rounding_off
 from .options import MissionName, Workers, app, folder_of_results, set_up
 
 
+if TYPE_CHECKING:
+    from ..missions.mission import Mission
+
+
+_FLIGHTS, _AGAIN, _ITERATIONS = 2000, 10_000, 5000
+
+
 @app.command("train")
 def command(
     mission: MissionName,
+    law: Annotated[
+        str | None,
+        typer.Option(
+            help="Neural law to train through the flight; without it the networks of "
+            "the mission that predict."
+        ),
+    ] = None,
+    imitate: Annotated[
+        bool,
+        typer.Option("--imitate", help="With --law: begin with another law's flights."),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -19,43 +37,101 @@ def command(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of flights and weights.")] = 0,
-    flights: Annotated[int, typer.Option(help="Flights from the entry.")] = 2000,
+    flights: Annotated[
+        int | None,
+        typer.Option(help=f"Flights from the entry; {_FLIGHTS} if not given."),
+    ] = None,
     again: Annotated[
-        int, typer.Option(help="Flights from points along those.")
-    ] = 10000,
-    iterations: Annotated[int, typer.Option(help="Steps of the optimizer.")] = 5000,
+        int | None,
+        typer.Option(help=f"Flights from points along those; {_AGAIN} if not given."),
+    ] = None,
+    iterations: Annotated[
+        int | None,
+        typer.Option(help=f"Steps of the optimizer; {_ITERATIONS} if not given."),
+    ] = None,
     workers: Workers = None,
 ) -> None:
-    """Fly the training data of a mission and train its networks."""
+    """Train the networks of a mission: those that predict, or that of a neural law.
+
+    The training of a law resumes if its folder has an unfinished one.
+    """
     set_up(workers)
     from ..campaign.dispersions import key_of
     from ..missions import ALL, find_mission
-    from .training_report import print_cards
 
     chosen = find_mission(mission)
+    key_of(seed)
+    folder = folder_of_results(out, f"{chosen.name}-networks")
+    given = {"flights": flights, "again": again, "iterations": iterations}
+    if law is not None:
+        for name, value in given.items():
+            if value is not None:
+                raise ValueError(
+                    f"--{name} is for networks that predict: leave it out with --law, "
+                    "whose mission states the flights and the steps"
+                )
+        _train_law(chosen, law, seed, folder, imitate)
+        return
+    if imitate:
+        raise ValueError("--imitate is for a law: give it with --law, or leave it out")
     if chosen.train is None:
         able = ", ".join(m.name for m in ALL.values() if m.train is not None)
-        raise ValueError(f"mission {chosen.name} has no networks to train: see {able}")
-    for name, value in (("flights", flights), ("again", again)):
-        if value < 100:
-            raise ValueError(f"--{name} is {value}: a network needs 100 or more")
-    key_of(seed)
-    if iterations < 1:
-        raise ValueError(f"--iterations is {iterations}: it must be 1 or more")
-    folder = folder_of_results(out, f"{chosen.name}-networks")
+        laws = ", ".join(chosen.law_trainings)
+        instead = f", or train its law with --law {laws}" if laws else ""
+        raise ValueError(
+            f"mission {chosen.name} has no networks to train: see {able}{instead}"
+        )
+    usual = {"flights": _FLIGHTS, "again": _AGAIN, "iterations": _ITERATIONS}
+    numbers = {n: usual[n] if x is None else x for n, x in given.items()}
+    for name in ("flights", "again"):
+        if numbers[name] < 100:
+            raise ValueError(
+                f"--{name} is {numbers[name]}: a network needs 100 or more"
+            )
+    if numbers["iterations"] < 1:
+        raise ValueError(
+            f"--iterations is {numbers['iterations']}: it must be 1 or more"
+        )
     with rounding_off("nothing is stored") as look:
 
         def report(line: str) -> None:
             typer.echo(line, err=True)
             look()
 
-        cards = chosen.train(
-            folder,
-            seed,
-            flights=flights,
-            again=again,
-            iterations=iterations,
-            report=report,
-        )
+        cards = chosen.train(folder, seed, **numbers, report=report)
+    from .training_report import print_cards
+
     print_cards(chosen, cards)
     typer.echo(f"networks: {folder}")
+
+
+def _train_law(
+    mission: "Mission", law: str, seed: int, folder: Path, imitate: bool
+) -> None:
+    from ..learning.law_training import train_law
+    from .training_report import judged_line, print_trained_law
+
+    training = mission.law_training(law)
+    words = ["jentry", "train", mission.name, "--law", law, "--seed", str(seed)]
+    card = {
+        "mission": mission.name,
+        "law": law,
+        "command": " ".join(words + ["--imitate"] * imitate),
+    }
+    with rounding_off("the same command goes on from here") as look:
+
+        def say(line: str) -> None:
+            typer.echo(line, err=True)
+            look()
+
+        trained = train_law(
+            training,
+            seed,
+            folder,
+            imitate=imitate,
+            card=card,
+            say=say,
+            report=lambda judged: say(judged_line(training, judged)),
+        )
+    print_trained_law(mission, law, trained)
+    typer.echo(f"network: {folder}")

@@ -1,8 +1,10 @@
-"""Table of `jentry train`: each network with its errors."""
+"""Tables of `jentry train`: each network with its errors, and the course of a law."""
 
 from collections.abc import Mapping
 from typing import Any
 
+from ..learning.law_training import LawTraining
+from ..learning.neural_law import PERCENTILES, Judged, TrainedLaw
 from ..missions.mission import Mission
 from .tables import new_console, new_table, print_under
 
@@ -40,3 +42,37 @@ def print_cards(mission: Mission, cards: Mapping[str, Mapping[str, Any]]) -> Non
             console.print(f"  left out: {count} of flights that {reason}")
         count = card["held out samples outside of the ranges"]
         console.print(f"  held-out samples outside of the ranges: {count}")
+
+
+def judged_line(training: LawTraining, judged: Judged) -> str:
+    """Line about a judgement in the course of the training of a law."""
+    method = training.methods[judged.method]
+    name = type(method).__name__.removesuffix("Steps")
+    off = ", ".join(
+        f"{p:g} % {d:.4g}" for p, d in zip(PERCENTILES, judged.distances, strict=True)
+    )
+    return (
+        f"{name} {judged.method + 1}, {judged.step} of {method.steps} steps, "
+        f"{judged.flights} flights, {judged.seconds:.0f} s: distance {off}"
+        + (f"; {judged.without_end} without an end" if judged.without_end else "")
+    )
+
+
+def print_trained_law(mission: Mission, law: str, trained: TrainedLaw) -> None:
+    """Print the errors of a trained law on held-out flights, and what was left out."""
+    table = new_table("flights", *(f"{p:g} %" for p in PERCENTILES), "without an end")
+    best = trained.course[trained.best]
+    for name, judged in (("that chose the weights", best), ("others", trained.final)):
+        numbers = (f"{d:.4g}" for d in judged.distances)
+        table.add_row(name, *numbers, str(judged.without_end))
+    console = new_console()
+    print_under(console, f"{mission.name}, {law}: distance on held-out flights", table)
+    last = trained.course[-1]
+    console.print(
+        f"best weights after {best.flights} of {last.flights} flights with derivatives, "
+        f"{last.seconds:.0f} s"
+    )
+    console.print(
+        f"left out: {last.left_out} flights without an end or finite derivatives; scaled "
+        f"down: {last.clipped} with large derivatives"
+    )

@@ -98,6 +98,10 @@ from .lift_tradeoff import (
     LiftBounds as LiftBounds,
     WeightedTradeoff as WeightedTradeoff,
 )
+from .neural_law import (
+    NeuralDecision as NeuralDecision,
+    NeuralLaw as NeuralLaw,
+)
 from .open_loop import BankProfile as BankProfile, ControlProfiles as ControlProfiles
 from .path_limits import BankBounds as BankBounds, PathLimits as PathLimits
 from .predictor_corrector import (

@@ -3,7 +3,7 @@
 import dataclasses
 import re
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,6 +15,10 @@ from ..flight.scenario import Scenario
 from ..planning.flight_problem import FlightProblem
 from ..plots.campaign import USUAL, DrawFigure
 from .choice import Choice
+
+
+if TYPE_CHECKING:
+    from ..learning.law_training import LawTraining
 
 
 Change = Callable[[Scenario], Scenario]
@@ -30,6 +34,7 @@ _EXAMPLES = {
     "dispersions": "dispersions",
     "figures": "figure",
     "problems": "problem",
+    "law_trainings": "training",
 }
 _MEANT = {
     "laws": "without arguments that returns a Scenario",
@@ -38,6 +43,7 @@ _MEANT = {
     "dispersions": "without arguments that returns a table of dispersions",
     "figures": "of jentry.plots.FigureData that returns a matplotlib figure, or None",
     "problems": "without arguments that returns a FlightProblem",
+    "law_trainings": "without arguments that returns a LawTraining",
 }
 
 
@@ -100,6 +106,10 @@ class Mission:
     train: Callable[..., dict[str, dict[str, Any]]] | None = None
     """Function that trains the networks of the mission. It takes a folder, a seed and
     options, and returns the model cards by name"""
+    law_trainings: Mapping[str, Callable[[], "LawTraining"]] = dataclasses.field(
+        default_factory=dict
+    )
+    """Functions that return how a neural law is trained, by the name of the law"""
     figures: Mapping[str, DrawFigure] = dataclasses.field(
         default_factory=lambda: dict(USUAL)
     )
@@ -158,6 +168,13 @@ class Mission:
         Raises `ValueError` for an unknown name.
         """
         return _build(self.problems, name, "problem", self.name)
+
+    def law_training(self, law: str) -> "LawTraining":
+        """How a neural law of the mission is trained.
+
+        Raises `ValueError` for a law without a network.
+        """
+        return _build(self.law_trainings, law, "training of a law", self.name)
 
     @property
     def labels(self) -> dict[str, Any]:

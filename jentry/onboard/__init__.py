@@ -87,6 +87,11 @@ from .propagation import (
     propagate as propagate,
     propagate_over as propagate_over,
 )
+from .recurrent_network import (
+    RecurrentNetwork as RecurrentNetwork,
+    load_recurrent_network as load_recurrent_network,
+    save_recurrent_network as save_recurrent_network,
+)
 from .reference import (
     DragReference as DragReference,
     Reference as Reference,

@@ -25,7 +25,8 @@ from ...planning.reference_flight import ReferenceFlight, open_loop, plan_drag_r
 from ...units import degree, km
 from ..inertial import Errors, Inertial, Sensors, near
 from ..mission import Mission
-from . import predictor_corrector
+from . import neural_law, predictor_corrector
+from .air_with_waves import air_and_vehicle, hard_air, hard_air_errors
 from .drag_tracking import (
     TABULATED_TO,
     entry,
@@ -149,8 +150,10 @@ MISSION = Mission(
         "range-tracking": three_dimensional,
         "predictor-corrector": predictor_corrector.guided,
         "predictor-corrector-network": predictor_corrector.networked,
+        "neural": neural_law.neural,
     },
     worlds={
+        "hard-air": hard_air,
         "in-plane": in_plane,
         "inertial": NAVIGATION.world,
         "aided": NAVIGATION.aided,
@@ -165,8 +168,11 @@ MISSION = Mission(
     dispersions={
         "lift-to-drag-held": lift_to_drag_held,
         "independent": independent,
+        "hard-air": hard_air_errors,
         "knowledge": NAVIGATION.knowledge,
         "lift-to-drag-held-and-knowledge": NAVIGATION.usual_and_knowledge,
+        "hard-air-and-knowledge": lambda: air_and_vehicle() | NAVIGATION.knowledge(),
     },
     train=predictor_corrector.train,
+    law_trainings={"neural": neural_law.training},
 )

@@ -1,0 +1,259 @@
+"""A recurrent network that commands a signed bank: a law that only training can make.
+
+The network reads the measurement in dimensionless numbers, about the onboard model and the
+aim. Its memory is that of the law: it can learn to estimate what no single measurement
+shows, such as the air below. The command is smooth in all of it. There is no logic of
+reversals: the bank has a sign, and turns through zero as fast as the vehicle can.
+
+`jentry.learning.train_neural_law` trains such a law through the flight.
+"""
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._math import sincos
+from ..fields import Scalar, scalar
+from ..motion.quantities import direction_to, from_ground_track
+from ..motion.state import Controls
+from ..onboard.measurement import Measurement, measure
+from ..onboard.model import OnboardModel
+from ..onboard.recurrent_network import RecurrentNetwork
+from ..units import degree
+from .aim import Aim, TargetOfScenario, known
+from .cycle import FixedCycle
+from .law import AbstractSampledLaw, begun, commanded, decided
+
+
+PURPOSE = "signed bank from measurements, to a target"
+
+INPUTS = (
+    "velocity",
+    "ln of the velocity",
+    "altitude to go",
+    "flight-path angle",
+    "range ahead",
+    "range ahead, close to the target",
+    "range to the right, over the distance to go",
+    "range to the right",
+    "ln of the deceleration that is needed",
+    "ln of the deceleration that is needed, over the drag of the model",
+    "ln of the drag of the model",
+    "ln of the sensed drag, over that of the model",
+    "ln of the sensed lift, over that of the model",
+    "sine of the bank",
+    "cosine of the bank",
+)
+"""Inputs of the network, dimensionless. Lengths are over the downrange of the aim from its
+origin, velocities over that of the origin, accelerations over their square by the length"""
+
+_NEAR = 0.003
+"""Length, as a share of the downrange of the aim, by which the distance to go is smoothed:
+closer, a logarithm of it would only show noise"""
+
+_CLOSE = 0.03
+"""Length, as a share of the downrange, over which `range ahead, close to the target` goes
+from full size to zero"""
+
+_ASIDE = 0.02
+"""Unit of `range to the right`, as a share of the downrange"""
+
+_LEAST_FORCE = 1e-3
+"""Smoothing of a specific force, in the unit of accelerations: above the air its logarithm
+is constant"""
+
+_LEAST_SQUARE = 0.1
+"""Smoothing of the difference of squared velocities, as a share of that of the aim"""
+
+
+def inputs_of(
+    model: OnboardModel, aim: Aim, measurement: Measurement, bank: Scalar
+) -> Float[Array, " inputs"]:
+    """Inputs of the network, in the order of `INPUTS`.
+
+    All are smooth functions of the measurement, also above the air, and where the vehicle
+    flies over the aim. `bank` is that commanded before, rad.
+    """
+    planet, state = model.planet, measurement.state
+    length, speed = aim.downrange, aim.origin.velocity
+    acceleration = speed * speed / length
+    place = from_ground_track(planet, aim.origin, aim.downrange, aim.crossrange)
+    ahead, right, up = direction_to(*place, state)
+    ahead = planet.radius * jnp.arctan2(ahead, up) / length
+    right = planet.radius * jnp.arcsin(right) / length
+    to_go = _smooth(ahead, _NEAR)
+
+    # Smooth, and positive also where the vehicle is slower than at the aim.
+    square, end = (x * x / (speed * speed) for x in (state.velocity, aim.velocity))
+    excess = square - end
+    excess = 0.5 * (excess + _smooth(excess, _LEAST_SQUARE * end))
+    needed = jnp.log(0.5 * excess / to_go)
+
+    def ln(force: Scalar) -> Scalar:
+        return jnp.log(_smooth(force / acceleration, _LEAST_FORCE))
+
+    angle = measurement.angle_of_attack
+    believed = measure(planet, model.vehicle, state, angle)
+    sine, cosine = sincos(bank)
+    velocity = state.velocity / speed
+    return jnp.stack(
+        [
+            velocity,
+            jnp.log(velocity),
+            (state.altitude - aim.altitude) / aim.origin.altitude,
+            state.flight_path_angle,
+            ahead,
+            jnp.tanh(ahead / _CLOSE),
+            right / to_go,
+            right / _ASIDE,
+            needed,
+            needed - ln(believed.drag),
+            ln(believed.drag),
+            ln(measurement.drag) - ln(believed.drag),
+            ln(measurement.lift) - ln(believed.lift),
+            sine,
+            cosine,
+        ]
+    )
+
+
+def _smooth(x: Scalar, width: Scalar | float) -> Scalar:
+    """The magnitude of a number, rounded off where it is smaller than a width."""
+    return jnp.sqrt(x * x + width * width)
+
+
+class NeuralDecision(eqx.Module):
+    """Decision of a neural law at a guidance cycle."""
+
+    bank: Scalar
+    """Bank, or its difference from that of the law beside; rad, positive to the right"""
+    memory: Float[Array, " memory"]
+    """Memory of the network"""
+    beside: Any
+    """What the law beside holds; None without one"""
+    beyond: Scalar
+    """1 if an input of this decision is beyond its range in training, else 0"""
+    decisions: Scalar
+    """Number of decisions so far"""
+    decisions_beyond: Scalar
+    """Number of decisions so far beyond the ranges of the training"""
+
+
+class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
+    """Commands the bank by a recurrent network, at the trim angle of attack.
+
+    At the start of a cycle the network reads the `INPUTS` and gives y. The bank that it
+    wishes is `largest_bank` times tanh(y). A cycle turns towards it by at most `turn_rate`
+    times the period. Both limits are smooth.
+
+    Another law may fly beside. Then the network is trusted within the ranges of its
+    training only, and beyond them the other law commands alone. With `corrects=True` the
+    bank of the network adds to that of the other law, such that a network of zeros is that
+    law; with False it replaces it.
+
+    Decisions beyond the ranges of the training appear in `Flight.caveats`.
+    """
+
+    network: RecurrentNetwork
+    model: OnboardModel
+    turn_rate: Scalar = scalar(20.0 * degree, unit="rad/s", positive=True)
+    """Largest rate at which the commanded bank turns"""
+    largest_bank: Scalar = scalar(math.pi, unit="rad", positive=True)
+    """Largest bank to either side that the network commands"""
+    first_bank: Scalar = scalar(0.0, unit="rad")
+    """Bank before the first decision"""
+    beside: AbstractSampledLaw | None = None
+    """Law that flies beside, with the same cycle; None for the network alone"""
+    aim: Aim | TargetOfScenario = TargetOfScenario()
+    cycle: FixedCycle = FixedCycle(2.0)
+    corrects: bool = eqx.field(default=False, static=True)
+    """Whether the network corrects the command of the law beside"""
+
+    def __check_init__(self):
+        if self.network.names != INPUTS or self.network.outputs != 1:
+            raise ValueError(
+                f"the network reads {', '.join(self.network.names)} and has "
+                f"{self.network.outputs} outputs: a neural law reads "
+                f"{', '.join(INPUTS)}, and has one, the bank"
+            )
+        if self.corrects and self.beside is None:
+            raise ValueError(
+                "corrects is True and beside is None: give the law to correct, or leave it "
+                "at False"
+            )
+        if self.beside is not None and self.beside.cycle != self.cycle:
+            raise ValueError(
+                f"the law beside decides with {self.beside.cycle}, and the neural law with "
+                f"{self.cycle}: both must decide together; change one of them"
+            )
+
+    def caveats(self, held: NeuralDecision) -> dict[str, Scalar]:
+        share = held.decisions_beyond / jnp.maximum(held.decisions, 1.0)
+        other = {} if self.beside is None else self.beside.caveats(held.beside)
+        return {"decisions_beyond_training": share, **other}
+
+    def init(self, measurement: Measurement) -> tuple[Any, NeuralDecision]:
+        zero = 0.0 * measurement.drag
+        memory, beside = (), None
+        if self.beside is not None:
+            memory, beside = begun(self.beside, measurement)
+        bank = zero if self.corrects else self.first_bank + zero
+        network = self.network.start() + zero
+        return memory, NeuralDecision(bank, network, beside, zero, zero, zero)
+
+    def update(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        memory: Any,
+        held: NeuralDecision,
+    ) -> tuple[Any, NeuralDecision]:
+        beside = held.beside
+        if self.beside is not None:
+            memory, beside = decided(self.beside, time, measurement, memory, beside)
+        read = inputs_of(self.model, known(self.aim), measurement, held.bank)
+        (output,), network = self.network(read, held.memory)
+        beyond = jnp.where(self.network.knows(read), 0.0, 1.0)
+        decision = NeuralDecision(
+            self.turned(held.bank, output),
+            network,
+            beside,
+            beyond,
+            held.decisions + 1.0,
+            held.decisions_beyond + beyond,
+        )
+        return memory, decision
+
+    def turned(self, bank: Scalar, output: Scalar) -> Scalar:
+        """Bank (rad) after one cycle from a bank (rad), by the output of the network."""
+        wish = self.largest_bank * jnp.tanh(output)
+        most = self.turn_rate * self.cycle.period
+        return bank + most * jnp.tanh((wish - bank) / most)
+
+    def __call__(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        memory: Any,
+        held: NeuralDecision,
+    ) -> tuple[Controls, Any]:
+        sine, cosine = sincos(held.bank)
+        angle = measurement.trim_angle_of_attack
+        if self.beside is None:
+            return Controls(angle, cosine, sine), ()
+        other, rate = commanded(self.beside, time, measurement, memory, held.beside)
+        if self.corrects:
+            sine, cosine = (
+                other.sin_bank * cosine + other.cos_bank * sine,
+                other.cos_bank * cosine - other.sin_bank * sine,
+            )
+        own = held.beyond == 0.0
+        controls = Controls(
+            other.angle_of_attack,
+            jnp.where(own, cosine, other.cos_bank),
+            jnp.where(own, sine, other.sin_bank),
+        )
+        return controls, rate

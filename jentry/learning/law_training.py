@@ -1,0 +1,125 @@
+"""What the training of a neural law of a mission needs, and the training as a whole."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from .._setup import needs_float64
+from ..campaign.campaign import drawn_inputs
+from ..campaign.dispersions import Dispersion, key_of
+from ..flight.scenario import Scenario
+from ..flight.solver import AbstractSolver, FixedStep
+from ..guidance.neural_law import INPUTS, PURPOSE
+from ..onboard.recurrent_network import RecurrentNetwork, save_recurrent_network
+from .flight_residuals import Residuals, ground_miss, neural_law_of
+from .imitation import imitated
+from .neural_law import METHODS, PERCENTILES, Judged, TrainedLaw, train_neural_law
+from .recorded_law import record_inputs
+from .weight_steps import AbstractMethod
+
+
+NETWORK_FILE, COURSE_FILE = "law.npz", "course.npz"
+
+
+@dataclasses.dataclass(frozen=True)
+class LawTraining:
+    """A neural law of a mission to train: its scenario, its flights and its losses."""
+
+    teacher: Scenario
+    """Scenario with another law. Its flights normalise the inputs of the network"""
+    with_network: Callable[[RecurrentNetwork], Scenario]
+    """Function from a network to the scenario with the neural law"""
+    dispersions: Mapping[str, Dispersion]
+    residuals: Residuals = ground_miss
+    methods: tuple[AbstractMethod, ...] = METHODS
+    solver: AbstractSolver = FixedStep(1.0)
+    """Solver of the training. Judge the law with the solver with which it shall fly"""
+    memory: int = 16
+    """Size of the memory of the network; 0 for none"""
+    hidden: tuple[int, ...] = (16,)
+    """Sizes of its hidden layers"""
+    taught_flights: int = 512
+    """Number of flights of the teacher"""
+    taught_steps: int = 2000
+    """Number of steps of an imitation of them, if there is one"""
+
+
+@needs_float64
+def train_law(
+    training: LawTraining,
+    seed: int,
+    folder: Path | str,
+    *,
+    imitate: bool = False,
+    card: Mapping[str, Any] | None = None,
+    say: Callable[[str], None] = lambda line: None,
+    report: Callable[[Judged], None] = lambda judged: None,
+) -> TrainedLaw:
+    """Train a neural law from random weights, and store its network with its model card.
+
+    The folder has the network, `law.npz`, and the file from which the same call resumes,
+    `course.npz`.
+
+    **Arguments:**
+
+    - `seed`: seed of weights and flights.
+    - `imitate`: whether to begin with an imitation of the teacher.
+    - `card`: further entries of the model card.
+    - `say`: function that is called with lines of text on the progress.
+    - `report`: function that is called with each judgement.
+    """
+    folder = Path(folder)
+    teach, weights, learn, fly = jax.random.split(key_of(seed), 4)
+    flights = training.taught_flights
+    say(f"{flights} flights of the teacher, {type(training.teacher.law).__name__}")
+    runs = drawn_inputs(
+        training.teacher, training.dispersions, teach, np.arange(flights)
+    )
+
+    def scenario(samples: dict[str, np.ndarray]) -> Scenario:
+        sizes = training.memory, training.hidden
+        network = RecurrentNetwork.untrained(samples, *sizes, 1, weights)
+        return training.with_network(network)
+
+    # The onboard model of the law does not depend on its network.
+    blank = scenario(dict.fromkeys(INPUTS, np.zeros(1)))
+    model = neural_law_of(blank).model
+    recording = record_inputs(training.teacher, model, runs, training.solver)
+    read = recording.inputs[np.all(np.isfinite(recording.inputs), axis=-1)]
+    start = scenario(dict(zip(INPUTS, read.T, strict=True)))
+    if imitate:
+        steps = training.taught_steps
+        start = imitated(start, recording, learn, steps=steps, report=say)
+    trained = train_neural_law(
+        start,
+        training.dispersions,
+        fly,
+        residuals=training.residuals,
+        methods=training.methods,
+        solver=training.solver,
+        store=folder / COURSE_FILE,
+        report=report,
+    )
+    best = trained.course[trained.best]
+    about = {
+        "purpose": PURPOSE,
+        "seed": seed,
+        "begins with an imitation": imitate,
+        "flights with derivatives": trained.course[-1].flights,
+        "flights left out": trained.course[-1].left_out,
+        "flights scaled down": trained.course[-1].clipped,
+        "training, s": round(trained.course[-1].seconds, 1),
+        "best after flights": best.flights,
+        "held out flights without an end": trained.final.without_end,
+        "held out distance": {
+            f"{p:g} %": d
+            for p, d in zip(PERCENTILES, trained.final.distances, strict=True)
+        },
+    }
+    network = neural_law_of(trained.scenario).network
+    save_recurrent_network(folder / NETWORK_FILE, network, about | dict(card or {}))
+    return trained

@@ -1,0 +1,448 @@
+"""Trains a neural law through the flight, on fresh dispersed flights in each step.
+
+The training is a sequence of methods, see `weight_steps`. At intervals the weights are
+judged on flights that no step uses. The result has the best ones.
+"""
+
+import dataclasses
+import json
+import time
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Key
+
+from .._files import read_sealed, write_sealed
+from .._setup import needs_float64
+from ..addresses import addresses_of
+from ..campaign.campaign import drawn_inputs
+from ..campaign.description import describe, first_difference
+from ..campaign.dispersions import (
+    Dispersion,
+    check_dispersions,
+    scaled_dispersions,
+)
+from ..flight.scenario import Scenario, check
+from ..flight.solver import AbstractSolver, FixedStep
+from ..onboard.recurrent_network import ranges_of
+from ..tuning.batch_gradients import Simulation
+from ..tuning.losses import power_mean
+from ..tuning.record import told
+from .flight_residuals import (
+    Residuals,
+    Weights,
+    curved,
+    distances,
+    flown,
+    flown_with_derivatives,
+    ground_miss,
+    neural_law_of,
+    weights_of,
+    with_weights,
+)
+from .recorded_law import record_inputs
+from .weight_steps import (
+    AbstractMethod,
+    AdamSteps,
+    GaussNewtonSteps,
+    State,
+)
+
+
+_KIND = "jentry law training 1"
+
+PERCENTILES = 50.0, 95.0, 99.0, 99.9
+"""Percentiles of the distance in a judgement"""
+
+_JUDGED = 99.0
+"""Percentile by which weights are compared"""
+
+_WIDER = 0.1
+"""Share of the range of an input in training by which the law is trusted beyond it"""
+
+
+def robust_mean(distances: Array) -> Array:
+    """Mean of sqrt(c^2 + d^2) - c, where c is twice the median of the distances d.
+
+    It is quadratic for most flights, and linear for those that are far off.
+    """
+    scale = 2.0 * jax.lax.stop_gradient(jnp.median(distances))
+    scale = jnp.maximum(scale, 1e-12)
+    return jnp.mean(jnp.sqrt(scale * scale + distances * distances) - scale)
+
+
+def tail_mean(distances: Array) -> Array:
+    """The root of the mean eighth power of the distances: mostly of those farthest off."""
+    return jnp.asarray(power_mean(distances, 8.0))
+
+
+METHODS: tuple[AbstractMethod, ...] = (
+    AdamSteps(robust_mean, steps=500, flights=128),
+    GaussNewtonSteps(robust_mean, steps=120, flights=512),
+    GaussNewtonSteps(power_mean, steps=80, flights=512, share=0.15),
+    GaussNewtonSteps(tail_mean, steps=60, flights=512, share=0.1),
+)
+"""Methods of a training if none are given: a law from random weights, then one that is
+exact for most flights, then one that is for all"""
+
+
+@dataclasses.dataclass(frozen=True)
+class Judged:
+    """Weights at one place of a training, on flights that no step uses."""
+
+    method: int
+    """Position of the method"""
+    step: int
+    """Number of steps of this method so far"""
+    flights: int
+    """Number of flights with derivatives so far, of all methods"""
+    seconds: float
+    """Time since the start of the training, s, with compilation"""
+    loss: float
+    """Loss of the last step; NaN before the first"""
+    distances: tuple[float, ...]
+    """`PERCENTILES` of the distance"""
+    without_end: int
+    """Number of judged flights without an end"""
+    left_out: int
+    """Number of flights, of all steps so far, that had no end or no finite derivatives"""
+    clipped: int
+    """Number of flights, of all steps so far, whose large derivatives were scaled down"""
+
+    def better_than(self, other: "Judged") -> bool:
+        """Fewer flights without an end or, if equal, a smaller distance of 99 %."""
+        place = PERCENTILES.index(_JUDGED)
+        mine, theirs = ((x.without_end, x.distances[place]) for x in (self, other))
+        return mine < theirs
+
+
+@dataclasses.dataclass(frozen=True)
+class TrainedLaw:
+    """A scenario with the best weights of a training, and the course of the training."""
+
+    scenario: Scenario
+    course: list[Judged]
+    best: int
+    """Position of the best weights in the course"""
+    final: Judged
+    """The best weights on further flights, which have not selected them"""
+
+
+@dataclasses.dataclass
+class _Progress:
+    """All that a training needs to go on."""
+
+    method: int
+    step: int
+    weights: Weights
+    state: State
+    best: Weights
+    course: list[Judged]
+    flights: int = 0
+    left_out: int = 0
+    clipped: int = 0
+    seconds: float = 0.0
+    loss: float = np.nan
+
+
+@needs_float64
+def train_neural_law(
+    scenario: Scenario,
+    dispersions: Mapping[str, Dispersion],
+    key: Key[Array, ""],
+    *,
+    residuals: Residuals = ground_miss,
+    methods: Sequence[AbstractMethod] = METHODS,
+    widths: Sequence[float] | None = None,
+    held_out: int = 2048,
+    judge_every: int = 1024 * 10,
+    patience: int | None = None,
+    solver: AbstractSolver = FixedStep(),
+    history: float | None = None,
+    store: Path | str | None = None,
+    labels: Mapping[str, Any] | None = None,
+    report: Callable[[Judged], None] = lambda judged: None,
+) -> TrainedLaw:
+    """Train the network of a `NeuralLaw` with exact derivatives of dispersed flights.
+
+    **Arguments:**
+
+    - `scenario`: scenario with a `NeuralLaw`; its weights are the start.
+    - `residuals`: function of a scenario and its flight that returns numbers of order one
+      which shall be zero. The loss is a statistic of their root sum of squares, the
+      distance.
+    - `methods`: methods in their order, each with its loss and its numbers of steps and
+      flights.
+    - `widths`: factor on the width of the dispersions with each method; ones if not given.
+    - `held_out`: number of flights of a judgement. All judgements in the course have equal
+      draws, and the final one has others.
+    - `judge_every`: number of flights with derivatives between judgements.
+    - `patience`: number of judgements without a better one after which a method ends;
+      None for all steps.
+    - `solver`, `history`: as for `fly`.
+    - `store`: file from which the same call resumes, with the same bits.
+    - `labels`: further values that must be the same for a training to resume.
+    - `report`: function that is called with each judgement.
+
+    **Raises:** `ValueError` for a scenario with another law, for dispersions that move the
+    weights, for methods and widths of different numbers, for a file of another training,
+    and if no flight of a step has finite derivatives.
+    """
+    widths = [1.0] * len(methods) if widths is None else list(widths)
+    if not methods or len(widths) != len(methods):
+        raise ValueError(
+            f"there are {len(methods)} methods and {len(widths)} widths: give one of each "
+            "for every part of the training"
+        )
+    for name, value in (("held_out", held_out), ("judge_every", judge_every)):
+        if value < 1:
+            raise ValueError(f"{name} is {value}: it must be at least 1")
+    neural_law_of(scenario)
+    check(scenario)
+    check_dispersions(scenario, dispersions)
+    _require_fixed_weights(scenario, dispersions)
+    simulation = Simulation(residuals, solver, history)
+    tables = [scaled_dispersions(dispersions, w) for w in widths]
+    file = None
+    if store is not None:
+        asked = {
+            **describe(scenario, dispersions, 0, solver, history),
+            "seed": jax.random.key_data(key).tolist(),
+            "residuals": told(residuals),
+            "methods": [told(method) for method in methods],
+            "widths": widths,
+            "held out": held_out,
+            "judge every": judge_every,
+            "labels": {n: str(x) for n, x in (labels or {}).items()},
+        }
+        file = _File(Path(store), asked)
+    training = _Training(scenario, simulation, tables, key, held_out)
+    progress = None if file is None else file.read()
+    if progress is None:
+        start = weights_of(scenario)
+        progress = _Progress(0, 0, start, methods[0].start(start), start, [])
+    began = time.perf_counter() - progress.seconds
+
+    def judge() -> None:
+        progress.seconds = time.perf_counter() - began
+        found = training.judged(progress)
+        best = _best(progress.course)
+        if best is None or found.better_than(progress.course[best]):
+            progress.best = progress.weights
+        progress.course.append(found)
+        if file is not None:
+            file.write(progress)
+        report(found)
+
+    if not progress.course:
+        judge()
+    while progress.method < len(methods):
+        method = methods[progress.method]
+        every = max(1, judge_every // method.flights)
+        while progress.step < method.steps:
+            training.advance(progress, method)
+            if progress.step % every == 0 or progress.step == method.steps:
+                judge()
+                if _is_spent(progress, patience):
+                    break
+        progress.method, progress.step = progress.method + 1, 0
+        if progress.method < len(methods):
+            # The next method begins where this one was best.
+            progress.weights = progress.best
+            progress.state = methods[progress.method].start(progress.weights)
+        if file is not None:
+            file.write(progress)
+    best = _best(progress.course)
+    assert best is not None
+    progress.weights = progress.best
+    trained = training.with_ranges(with_weights(scenario, progress.best))
+    return TrainedLaw(
+        trained, progress.course, best, training.judged(progress, final=True)
+    )
+
+
+def _require_fixed_weights(
+    scenario: Scenario, dispersions: Mapping[str, Dispersion]
+) -> None:
+    """Refuse dispersions of the weights: a run draws about their values at the start."""
+    trained = {
+        f"guidance.{address}"
+        for address in addresses_of(
+            scenario.guidance, lambda law: jax.tree.leaves(law.network.trained)
+        )
+    }
+    for name, dispersion in dispersions.items():
+        for address in addresses_of(scenario, dispersion.where):
+            if address in trained:
+                raise ValueError(
+                    f"{address} is trained, and the dispersion {name!r} moves it: leave "
+                    "the dispersion out"
+                )
+
+
+def _best(course: Sequence[Judged]) -> int | None:
+    best = None
+    for place, judged in enumerate(course):
+        if best is None or judged.better_than(course[best]):
+            best = place
+    return best
+
+
+def _is_spent(progress: _Progress, patience: int | None) -> bool:
+    """Whether the last judgements of the present method were not better."""
+    if patience is None:
+        return False
+    own = [j.method == progress.method for j in progress.course]
+    best = _best(progress.course)
+    assert best is not None
+    since = sum(own[best + 1 :])
+    return since >= patience
+
+
+class _Training:
+    """Flies the steps and the judgements of a training."""
+
+    def __init__(self, scenario, simulation, tables, key, held_out):
+        self._scenario, self._simulation = scenario, simulation
+        self._tables, self._key, self._held_out = tables, key, held_out
+
+    def advance(self, progress: _Progress, method: AbstractMethod) -> None:
+        """Take the next step of a method."""
+        step, place = progress.step, progress.method
+        runs = step * method.flights + np.arange(method.flights)
+        flights = flown_with_derivatives(
+            with_weights(self._scenario, progress.weights),
+            self._simulation,
+            self._drawn(place, f"steps of {place}", runs),
+        )
+        found = curved(flights, method.statistic, method.needs_matrix)
+        trial: list[dict[str, np.ndarray]] = []
+
+        def tried(weights: Weights) -> float:
+            if not trial:
+                trial.append(self._drawn(place, f"trials of {place}", runs))
+            there = with_weights(self._scenario, weights)
+            residuals, finite = flown(there, self._simulation, trial[0])
+            if not np.all(finite):
+                return np.inf
+            loss = float(method.statistic(jnp.asarray(distances(residuals))))
+            return loss if np.isfinite(loss) else np.inf
+
+        progress.weights, progress.state = method.step(
+            step, progress.weights, progress.state, found, tried
+        )
+        progress.step += 1
+        progress.flights += method.flights
+        progress.left_out += int(np.sum(~flights.finite))
+        progress.clipped += found.clipped
+        progress.loss = found.loss
+
+    def judged(self, progress: _Progress, final: bool = False) -> Judged:
+        runs = np.arange(self._held_out)
+        there = with_weights(self._scenario, progress.weights)
+        residuals, finite = flown(
+            there,
+            self._simulation,
+            self._drawn(-1, "final" if final else "judgement", runs),
+        )
+        off = distances(residuals[finite]) if np.any(finite) else np.array([np.nan])
+        return Judged(
+            method=progress.method,
+            step=progress.step,
+            flights=progress.flights,
+            seconds=progress.seconds,
+            loss=progress.loss,
+            distances=tuple(float(x) for x in np.percentile(off, PERCENTILES)),
+            without_end=int(np.sum(~finite)),
+            left_out=progress.left_out,
+            clipped=progress.clipped,
+        )
+
+    def with_ranges(self, scenario: Scenario) -> Scenario:
+        """The scenario with the ranges of the inputs on the flights of its law."""
+        inputs = self._drawn(-1, "ranges", np.arange(self._held_out))
+        model = neural_law_of(scenario).model
+        read = record_inputs(scenario, model, inputs, self._simulation.solver).inputs
+        samples = read[np.all(np.isfinite(read), axis=-1)]
+        ranges = ranges_of(samples)
+        wider = _WIDER * (ranges[:, 1:] - ranges[:, :1]) * np.array([-1.0, 1.0])
+        return eqx.tree_at(
+            lambda s: s.guidance.network.input_ranges,
+            scenario,
+            jnp.asarray(ranges + wider),
+        )
+
+    def _drawn(self, method: int, purpose: str, runs: np.ndarray) -> dict[str, Any]:
+        """Draws for a purpose, with the dispersions of a method."""
+        key = jax.random.fold_in(self._key, zlib.crc32(purpose.encode()))
+        return drawn_inputs(self._scenario, self._tables[method], key, runs)
+
+
+_ARRAYS = "weights", "best"
+_NUMBERS = (
+    "method",
+    "step",
+    "flights",
+    "left_out",
+    "clipped",
+    "seconds",
+    "loss",
+)
+
+
+@dataclasses.dataclass(frozen=True)
+class _File:
+    """The file from which a training resumes."""
+
+    path: Path
+    description: dict[str, Any]
+
+    def write(self, progress: _Progress) -> None:
+        course = [dataclasses.asdict(judged) for judged in progress.course]
+        about = {"description": self.description, "course": course}
+        numbers = {n: np.array(getattr(progress, n)) for n in _NUMBERS}
+        arrays = {n: getattr(progress, n) for n in _ARRAYS}
+        state = {f"state/{n}": x for n, x in progress.state.items()}
+        write_sealed(
+            self.path,
+            {"about": np.array(json.dumps(about)), **numbers, **arrays, **state},
+            _KIND,
+        )
+
+    def read(self) -> _Progress | None:
+        """The stored progress, or None if there is no file."""
+        if not self.path.exists():
+            return None
+        try:
+            arrays = read_sealed(self.path, _KIND)
+            about = json.loads(str(arrays["about"]))
+        except (ValueError, KeyError) as error:
+            raise ValueError(
+                f"{self.path} is no file of a training: {error}; remove it, and the "
+                "training begins again"
+            ) from None
+        wanted = json.loads(json.dumps(self.description))
+        difference = first_difference(about["description"], wanted)
+        if difference:
+            raise ValueError(
+                f"{self.path} holds another training: {difference}; choose another place, "
+                "or remove it"
+            )
+        course = [
+            Judged(**{**each, "distances": tuple(each["distances"])})
+            for each in about["course"]
+        ]
+        state = {
+            n.removeprefix("state/"): x
+            for n, x in arrays.items()
+            if n.startswith("state/")
+        }
+        known: dict[str, Any] = {n: arrays[n].item() for n in _NUMBERS}
+        known |= {n: arrays[n] for n in _ARRAYS}
+        return _Progress(state=state, course=course, **known)

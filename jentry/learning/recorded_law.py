@@ -1,0 +1,128 @@
+"""Records what a neural law reads, also while another law flies."""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..campaign.batch import over_runs
+from ..campaign.campaign import fly_run
+from ..fields import Scalar
+from ..flight.scenario import Scenario
+from ..flight.solver import AbstractSolver
+from ..guidance.aim import Aim, TargetOfScenario, known
+from ..guidance.cycle import AbstractCycle, FixedCycle
+from ..guidance.law import (
+    AbstractSampledLaw,
+    Command,
+    begun,
+    commanded,
+    decided,
+)
+from ..guidance.neural_law import INPUTS, inputs_of
+from ..onboard.measurement import Measurement
+from ..onboard.model import OnboardModel
+
+
+class RecordedDecision(eqx.Module):
+    """Decision of a recorded law, with the inputs that a neural law has at this cycle."""
+
+    held: Any
+    inputs: Float[Array, " inputs"]
+    bank: Scalar
+    """Commanded bank after the decision, rad"""
+
+
+class RecordedLaw(AbstractSampledLaw[Any, RecordedDecision]):
+    """A law that flies as it is, and holds beside its decision what a neural law reads."""
+
+    law: AbstractSampledLaw
+    model: OnboardModel
+    """Onboard model of the inputs"""
+    cycle: AbstractCycle
+    """That of the law"""
+    aim: Aim | TargetOfScenario = TargetOfScenario()
+
+    def caveats(self, held: RecordedDecision) -> dict[str, Scalar]:
+        return self.law.caveats(held.held)
+
+    def init(self, measurement: Measurement) -> tuple[Any, RecordedDecision]:
+        memory, held = begun(self.law, measurement)
+        zero = 0.0 * measurement.drag
+        return memory, RecordedDecision(held, jnp.zeros(len(INPUTS)) + zero, zero)
+
+    def update(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        memory: Any,
+        held: RecordedDecision,
+    ) -> tuple[Any, RecordedDecision]:
+        read = inputs_of(self.model, known(self.aim), measurement, held.bank)
+        memory, own = decided(self.law, time, measurement, memory, held.held)
+        command, _ = commanded(self.law, time, measurement, memory, own)
+        return memory, RecordedDecision(own, read, command.bank_angle)
+
+    def __call__(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        memory: Any,
+        held: RecordedDecision,
+    ) -> tuple[Command, Any]:
+        return commanded(self.law, time, measurement, memory, held.held)
+
+
+class Recording(NamedTuple):
+    """What a neural law reads along flights; NaN after their ends."""
+
+    inputs: np.ndarray
+    """Shape (flights, cycles, inputs)"""
+    banks: np.ndarray
+    """Bank that was commanded from each cycle on, rad; shape (flights, cycles)"""
+
+
+def record_inputs(
+    scenario: Scenario,
+    model: OnboardModel,
+    inputs: dict[str, Any],
+    solver: AbstractSolver,
+) -> Recording:
+    """Fly runs with the sampled law of a scenario, and record what a neural law reads.
+
+    `model` is the onboard model of the neural law.
+
+    **Raises:** `ValueError` for a law without a fixed guidance cycle.
+    """
+    law = scenario.guidance
+    if not isinstance(law, AbstractSampledLaw) or not isinstance(law.cycle, FixedCycle):
+        raise ValueError(
+            f"the law is {type(law).__name__}: recorded is a sampled law with a FixedCycle"
+        )
+    cycle = law.cycle
+    recorded = eqx.tree_at(
+        lambda s: s.guidance, scenario, RecordedLaw(law=law, model=model, cycle=cycle)
+    )
+    inputs = {
+        a.replace("guidance.", "guidance.law.", 1)
+        if a.startswith("guidance.")
+        else a: x
+        for a, x in inputs.items()
+    }
+    held, time = over_runs(
+        _recorded, (recorded, solver, cycle.period), inputs, large=True
+    )
+    flying = np.isfinite(time)
+    return Recording(
+        np.where(flying[..., None], held.inputs, np.nan),
+        np.where(flying, held.bank, np.nan),
+    )
+
+
+def _recorded(shared: tuple[Any, ...], inputs: dict[str, Array]) -> Any:
+    scenario, solver, period = shared
+    flight, _ = fly_run(scenario, inputs, solver, period)
+    assert flight.history is not None
+    return flight.history.decisions, flight.history.time

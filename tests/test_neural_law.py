@@ -1,0 +1,280 @@
+"""The neural law: what it reads, what it commands, its limits, and its derivatives."""
+
+import dataclasses
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from great_circles import by_trigonometry
+from helpers import fly_compiled
+from jax.flatten_util import ravel_pytree
+from neural_laws import PERIOD, SOLVER, law_of, network_of, scenario_of
+
+from jentry.flight import misses
+from jentry.flight.scenario import check
+from jentry.guidance import BankProfile, Sampled
+from jentry.guidance.neural_law import INPUTS, inputs_of
+from jentry.missions.mars.drag_tracking import entry
+from jentry.onboard import (
+    Measurement,
+    PolynomialProfile,
+    RecurrentNetwork,
+    measure,
+)
+from jentry.units import degree, km
+
+
+def flown(law, history=None):
+    return fly_compiled(scenario_of(law), SOLVER, history)
+
+
+def aim_of(law):
+    return scenario_of(law).law.aim
+
+
+def sensed(state, lift_factor=1.0, drag_factor=1.0, law=None):
+    model = (law or law_of()).model
+    angle = model.vehicle.trim_angle_of_attack
+    found = measure(model.planet, model.vehicle, state, angle)
+    return Measurement(
+        state, lift_factor * found.lift, drag_factor * found.drag, angle, angle, {}
+    )
+
+
+def state_at(**moved):
+    return dataclasses.replace(
+        entry().initial_state, **{n: jnp.asarray(x) for n, x in moved.items()}
+    )
+
+
+def read_at(state, bank=0.0, **factors):
+    law = law_of()
+    read = inputs_of(
+        law.model, aim_of(law), sensed(state, **factors), jnp.asarray(bank)
+    )
+    return dict(zip(INPUTS, np.asarray(read), strict=True))
+
+
+MIDDLE = {
+    "altitude": 31.0 * km,
+    "longitude": 7.3 * degree,
+    "latitude": 0.4 * degree,
+    "velocity": 3100.0,
+    "flight_path_angle": -9.0 * degree,
+    "heading": 88.0 * degree,
+}
+
+
+def test_the_inputs_are_those_of_their_formulas():
+    """Every input by numpy, of the state, the target and an exponential atmosphere."""
+    read = read_at(state_at(**MIDDLE), bank=0.7, lift_factor=1.1, drag_factor=0.9)
+    speed, length, radius = 6750.0, 723.32 * km, 3397.0 * km
+    here = MIDDLE["longitude"], MIDDLE["latitude"], MIDDLE["heading"]
+    ahead, left = by_trigonometry(radius, here, (length / radius, 0.0))
+    density = 0.0158 * np.exp(-MIDDLE["altitude"] / 9354.5)
+    drag = 0.5 * density * MIDDLE["velocity"] ** 2 / 115.0
+    unit = speed**2 / length
+
+    def ln(force):
+        return np.log(np.hypot(force / unit, 1e-3))
+
+    to_go = np.hypot(ahead / length, 0.003)
+    square, end = (MIDDLE["velocity"] / speed) ** 2, (503.0 / speed) ** 2
+    excess = 0.5 * (square - end + np.hypot(square - end, 0.1 * end))
+    needed = np.log(0.5 * excess / to_go)
+    expected = [
+        MIDDLE["velocity"] / speed,
+        np.log(MIDDLE["velocity"] / speed),
+        (MIDDLE["altitude"] - 10.0 * km) / (126.1 * km),
+        MIDDLE["flight_path_angle"],
+        ahead / length,
+        np.tanh(ahead / length / 0.03),
+        -left / length / to_go,
+        -left / length / 0.02,
+        needed,
+        needed - ln(drag),
+        ln(drag),
+        ln(0.9 * drag) - ln(drag),
+        ln(1.1 * 0.18 * drag) - ln(0.18 * drag),
+        np.sin(0.7),
+        np.cos(0.7),
+    ]
+    np.testing.assert_allclose(list(read.values()), expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize(
+    "moved",
+    [
+        {},
+        {"altitude": 400.0 * km},
+        {"velocity": 200.0, "altitude": 9.0 * km},
+        {"longitude": 723.32 / 3397.0},
+        {"longitude": 730.0 / 3397.0, "latitude": 0.0},
+    ],
+)
+def test_inputs_and_their_derivatives_are_finite_everywhere(moved):
+    """Above the air, slower than the aim, over the target and beyond it."""
+    law = law_of()
+    aim, state = aim_of(law), state_at(**{**MIDDLE, **moved})
+
+    def read(state):
+        return inputs_of(law.model, aim, sensed(state), jnp.asarray(0.1))
+
+    value, slopes = read(state), jax.jacfwd(read)(state)
+    assert np.all(np.isfinite(value))
+    assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(slopes))
+
+
+def test_a_place_to_the_right_is_a_positive_number():
+    """The heading is east: south is to the right."""
+    read = read_at(
+        state_at(**{**MIDDLE, "latitude": 0.5 * degree, "heading": math.pi / 2})
+    )
+    assert read["range to the right"] > 0.0
+    assert read["range to the right, over the distance to go"] > 0.0
+
+
+def test_a_cycle_turns_as_fast_as_the_vehicle_can():
+    law = law_of(turn_rate=2.0 * degree, largest_bank=1.2)
+    most = 2.0 * degree * PERIOD
+    for bank, output in ((0.0, 50.0), (0.5, -50.0), (-1.1, 50.0)):
+        turned = float(law.turned(jnp.asarray(bank), jnp.asarray(output)))
+        assert turned - bank == pytest.approx(math.copysign(most, output), rel=1e-6)
+    close = float(law.turned(jnp.asarray(0.3), jnp.arctanh(jnp.asarray(0.301 / 1.2))))
+    assert close == pytest.approx(0.301, abs=1e-6)
+
+
+def test_the_bank_of_a_flight_keeps_its_limits():
+    law = law_of(network_of(size=300.0), largest_bank=0.9, turn_rate=5.0 * degree)
+    history = flown(law, PERIOD).history
+    bank = np.asarray(history.decisions.bank)
+    bank = bank[np.isfinite(np.asarray(history.time))]
+    assert np.max(np.abs(bank)) <= 0.9
+    assert np.max(np.abs(np.diff(bank))) <= 5.0 * degree * PERIOD + 1e-12
+    assert np.ptp(bank) > 0.2
+
+
+def test_the_first_bank_is_that_before_the_first_decision():
+    """A slow vehicle still has most of it after the first one."""
+    law = law_of(first_bank=1.0, turn_rate=0.1 * degree)
+    held = flown(law, PERIOD).history.decisions.bank
+    assert float(held[0]) == pytest.approx(1.0, abs=0.1 * degree * PERIOD + 1e-12)
+
+
+def test_the_law_remembers():
+    """The same network without what its memory adds flies elsewhere."""
+    network = network_of(size=20.0)
+    forgetful = eqx.tree_at(
+        lambda n: n.layers[0].weight,
+        network,
+        replace_fn=lambda w: w.at[:, len(INPUTS) :].set(0.0),
+    )
+    a, b = (flown(law_of(n)).state.longitude for n in (network, forgetful))
+    assert abs(float(a - b)) > 1e-5
+
+
+def test_decisions_beyond_the_training_are_a_caveat():
+    network = network_of()
+    assert float(flown(law_of(network)).caveats["decisions_beyond_training"]) == 0.0
+    narrow = eqx.tree_at(
+        lambda n: n.input_ranges, network, network.input_ranges.at[0].set([0.5, 2.0])
+    )
+    flight = flown(law_of(narrow), PERIOD)
+    velocity = np.asarray(flight.history.states.velocity) / 6750.0
+    velocity = velocity[np.isfinite(velocity)]
+    share = float(flight.caveats["decisions_beyond_training"])
+    assert share == pytest.approx(np.mean(velocity < 0.5), abs=2.0 / len(velocity))
+    assert 0.1 < share < 0.9
+
+
+def other_law():
+    return Sampled(BankProfile(PolynomialProfile(jnp.array([0.6, 0.0001]))), PERIOD)
+
+
+def same(a, b):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-9)
+
+
+def test_a_network_of_zeros_corrects_nothing():
+    zero = jax.tree.map(jnp.zeros_like, network_of().layers)
+    network = eqx.tree_at(lambda n: n.layers, network_of(), zero)
+    beside = law_of(network, beside=other_law(), corrects=True)
+    same(flown(beside).state, flown(other_law()).state)
+
+
+def test_a_correction_adds_to_the_bank():
+    beside = law_of(network_of(size=20.0), beside=other_law(), corrects=True)
+    history = flown(beside, PERIOD).history
+    flying = np.isfinite(np.asarray(history.time))
+    command = np.arctan2(history.controls.sin_bank, history.controls.cos_bank)[flying]
+    correction = np.asarray(history.decisions.bank)[flying]
+    held = history.decisions.beside.command
+    other = np.arctan2(held.sin_bank, held.cos_bank)[flying]
+    np.testing.assert_allclose(np.sin(command - other - correction), 0.0, atol=1e-12)
+    assert np.max(np.abs(correction)) > 0.1
+
+
+def test_beyond_the_training_the_law_beside_flies():
+    network = network_of(size=20.0)
+    never = eqx.tree_at(
+        lambda n: n.input_ranges, network, jnp.full((len(INPUTS), 2), 1e3)
+    )
+    same(flown(law_of(never, beside=other_law())).state, flown(other_law()).state)
+    same(
+        flown(law_of(never, beside=other_law(), corrects=True)).state,
+        flown(other_law()).state,
+    )
+    alone, beside = law_of(network), law_of(network, beside=other_law())
+    same(flown(beside).state, flown(alone).state)
+
+
+def test_what_does_not_fit_is_refused():
+    with pytest.raises(ValueError, match="corrects is True and beside is None"):
+        law_of(corrects=True)
+    other = Sampled(BankProfile(PolynomialProfile(jnp.ones(1))), 2.0)
+    with pytest.raises(ValueError, match="both must decide together"):
+        law_of(beside=other)
+    samples = {name: np.zeros(2) for name in ("a", "b")}
+    wrong = RecurrentNetwork.untrained(samples, 2, (3,), 1, jax.random.key(0))
+    with pytest.raises(ValueError, match="the network reads a, b and has 1 outputs"):
+        law_of(wrong)
+    two = RecurrentNetwork.untrained(
+        dict.fromkeys(INPUTS, np.zeros(2)), 2, (3,), 2, jax.random.key(0)
+    )
+    with pytest.raises(ValueError, match="has 2 outputs"):
+        law_of(two)
+    with pytest.raises(ValueError, match="turn_rate"):
+        check(scenario_of(law_of(turn_rate=-1.0)))
+
+
+def test_the_derivatives_by_all_weights_are_those_of_differences():
+    """Along a random direction, in forward and in reverse mode."""
+    law = law_of(network_of(size=10.0))
+    vector, put_back = ravel_pytree(law.network.trained)
+
+    @jax.jit
+    def missed(vector):
+        network = eqx.tree_at(lambda n: n.trained, law.network, put_back(vector))
+        scenario = scenario_of(dataclasses.replace(law, network=network))
+        return misses(scenario, fly_compiled(scenario, SOLVER, None)).downrange
+
+    along = np.random.default_rng(2).normal(0.0, 1.0, vector.shape)
+    along = jnp.asarray(along / np.linalg.norm(along))
+    _, forward = jax.jvp(missed, (vector,), (along,))
+    backward = jax.grad(missed)(vector) @ along
+
+    def difference(size):
+        return (
+            (missed(vector + size * along) - missed(vector - size * along)) / size / 2
+        )
+
+    # Richardson: the error of a central difference is of the second order.
+    coarse, fine = difference(2e-4), difference(1e-4)
+    expected = fine + (fine - coarse) / 3.0
+    assert abs(float(expected)) > 1.0
+    np.testing.assert_allclose(forward, expected, rtol=1e-6)
+    np.testing.assert_allclose(backward, forward, rtol=1e-10)

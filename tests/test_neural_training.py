@@ -1,0 +1,334 @@
+"""Training of a neural law through the flight: small networks and few steps."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from neural_laws import PERIOD, SOLVER, law_of, network_of, scenario_of
+
+from jentry.campaign import Dispersion, Normal, Uniform, add, monte_carlo
+from jentry.campaign.campaign import drawn_inputs
+from jentry.flight import fly, misses
+from jentry.guidance import BankProfile, Sampled
+from jentry.guidance.neural_law import INPUTS, inputs_of
+from jentry.learning import (
+    AdamSteps,
+    GaussNewtonSteps,
+    LawTraining,
+    imitated,
+    record_inputs,
+    robust_mean,
+    train_law,
+    train_neural_law,
+)
+from jentry.learning.flight_residuals import (
+    distances,
+    flown,
+    flown_with_derivatives,
+    ground_miss,
+    weights_of,
+    with_weights,
+)
+from jentry.onboard import (
+    Measurement,
+    PolynomialProfile,
+    load_recurrent_network,
+    measure,
+)
+from jentry.tuning.batch_gradients import Simulation
+from jentry.tuning.losses import power_mean
+from jentry.units import degree, km
+
+
+pytestmark = pytest.mark.slow
+
+FLIGHTS = 64
+
+TABLE = {
+    "density": Dispersion(lambda s: s.planet.density_scale, Uniform(0.9, 1.1)),
+    "path": Dispersion(
+        lambda s: s.initial_state.flight_path_angle,
+        Normal(0.0, 0.1 * degree),
+        apply=add,
+    ),
+}
+
+METHODS = (
+    AdamSteps(robust_mean, steps=12, flights=FLIGHTS, rate=3e-2),
+    GaussNewtonSteps(robust_mean, steps=6, flights=FLIGHTS),
+    GaussNewtonSteps(power_mean, steps=2, flights=FLIGHTS),
+)
+
+SIMULATION = Simulation(ground_miss, SOLVER)
+
+
+def start():
+    return scenario_of(law_of())
+
+
+def trained(**options):
+    given = {
+        "methods": METHODS,
+        "held_out": FLIGHTS,
+        "judge_every": 4 * FLIGHTS,
+        "solver": SOLVER,
+    }
+    return train_neural_law(start(), TABLE, jax.random.key(4), **(given | options))
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return trained()
+
+
+def test_it_learns(whole):
+    first, best = whole.course[0], whole.course[whole.best]
+    assert first.distances[0] > 100.0
+    assert best.distances[0] < 0.1 * first.distances[0]
+    assert [j.method for j in whole.course] == [0, 0, 0, 0, 1, 1, 2]
+    assert [j.step for j in whole.course] == [0, 4, 8, 12, 4, 6, 2]
+    assert whole.course[-1].flights == 20 * FLIGHTS
+    assert whole.best == min(range(7), key=lambda i: whole.course[i].distances[2])
+
+
+def test_the_final_judgement_is_of_other_flights(whole):
+    """By a plain Monte Carlo of the trained scenario: the same statistics, not draws."""
+    best = whole.course[whole.best]
+    assert whole.final.distances != best.distances
+    flights = monte_carlo(
+        whole.scenario, TABLE, jax.random.key(99), 256, solver=SOLVER
+    ).misses
+    off = np.hypot(flights.downrange, flights.crossrange) / km
+    assert np.median(off) == pytest.approx(whole.final.distances[0], rel=0.5)
+
+
+def test_the_ranges_are_those_of_its_own_flights(whole):
+    law = whole.scenario.guidance
+    runs = drawn_inputs(whole.scenario, TABLE, jax.random.key(98), np.arange(FLIGHTS))
+    read = record_inputs(whole.scenario, law.model, runs, SOLVER).inputs
+    read = read[np.all(np.isfinite(read), axis=-1)]
+    lower, upper = np.asarray(law.network.input_ranges).T
+    width = (upper - lower) / 1.2
+    assert np.all(read >= lower) and np.all(read <= upper)
+    varies = width > 1e-6
+    assert np.all(np.ptp(read, axis=0)[varies] > 0.7 * width[varies])
+
+
+class Stopped(Exception):
+    pass
+
+
+@pytest.mark.parametrize("after", [3, 5])
+def test_a_training_resumes_bit_for_bit(whole, tmp_path, after):
+    """Stopped within the first method, and within the second."""
+    seen = []
+
+    def stop(judged):
+        seen.append(judged)
+        if len(seen) == after:
+            raise Stopped
+
+    store = tmp_path / "course.npz"
+    with pytest.raises(Stopped):
+        trained(store=store, report=stop)
+    again = trained(store=store)
+    assert eqx.tree_equal(again.scenario.guidance, whole.scenario.guidance)
+    for a, b in zip(again.course, whole.course, strict=True):
+        a, b = (
+            dataclasses.replace(x, seconds=0.0, loss=np.nan_to_num(x.loss))
+            for x in (a, b)
+        )
+        assert a == b
+    # Once more: all is done, and nothing is flown but the final judgement.
+    assert trained(store=store, report=stop).course == again.course
+    with pytest.raises(ValueError, match="holds another training: judge every"):
+        trained(store=store, judge_every=5 * FLIGHTS)
+    store.write_bytes(store.read_bytes()[:-100])
+    with pytest.raises(ValueError, match="is no file of a training"):
+        trained(store=store)
+
+
+def test_a_method_ends_without_progress():
+    """At a rate of zero nothing gets better."""
+    still = AdamSteps(robust_mean, steps=20, flights=FLIGHTS, rate=0.0)
+    found = trained(methods=(still,), patience=2, judge_every=FLIGHTS)
+    assert len(found.course) == 3
+    assert found.best == 0
+
+
+def test_widths_scale_the_dispersions_of_a_method():
+    """With a width near zero the flights of a step are one flight."""
+    losses = []
+    for width in (1e-9, 1.0):
+        one = AdamSteps(power_mean, steps=1, flights=FLIGHTS)
+        found = trained(methods=(one,), widths=[width])
+        losses.append(found.course[-1].loss)
+    nominal = fly(start(), SOLVER, None)
+    missed = misses(start(), nominal)
+    alone = np.hypot(missed.downrange, missed.crossrange) / km
+    assert losses[0] == pytest.approx(float(alone), rel=1e-6)
+    assert abs(losses[1] - losses[0]) > 1e-3
+
+
+def test_what_cannot_be_trained_is_refused():
+    with pytest.raises(ValueError, match="3 methods and 2 widths"):
+        trained(widths=[1.0, 1.0])
+    with pytest.raises(ValueError, match="held_out is 0"):
+        trained(held_out=0)
+    weight = lambda s: s.guidance.network.layers[0].bias
+    moved = {"bias": Dispersion(weight, Uniform(0.9, 1.1))}
+    with pytest.raises(ValueError, match="layers.0.bias is trained"):
+        train_neural_law(start(), moved, jax.random.key(0))
+    other = dataclasses.replace(
+        start(), guidance=BankProfile(PolynomialProfile(jnp.ones(1)))
+    )
+    with pytest.raises(ValueError, match="a NeuralLaw is trained"):
+        train_neural_law(other, TABLE, jax.random.key(0))
+
+
+def test_derivatives_of_flights_are_those_of_differences():
+    scenario = start()
+    runs = drawn_inputs(scenario, TABLE, jax.random.key(5), np.arange(FLIGHTS))
+    found = flown_with_derivatives(scenario, SIMULATION, runs)
+    assert np.all(found.finite)
+    vector = weights_of(scenario)
+    along = np.random.default_rng(0).normal(0.0, 1.0, vector.shape)
+    along /= np.linalg.norm(along)
+
+    def residuals(size):
+        return flown(with_weights(scenario, vector + size * along), SIMULATION, runs)[0]
+
+    coarse, fine = ((residuals(h) - residuals(-h)) / (2.0 * h) for h in (2e-4, 1e-4))
+    expected = fine + (fine - coarse) / 3.0
+    np.testing.assert_allclose(
+        found.derivatives @ along,
+        expected,
+        rtol=1e-5,
+        atol=1e-6 * np.abs(expected).max(),
+    )
+    np.testing.assert_array_equal(found.residuals, residuals(0.0))
+    np.testing.assert_allclose(
+        distances(found.residuals), np.hypot(*found.residuals.T), rtol=1e-14
+    )
+
+
+def teacher():
+    """Banks by a polynomial over the velocity, to the right."""
+    law = Sampled(BankProfile(PolynomialProfile(jnp.array([0.2, 1e-4]))), PERIOD)
+    return scenario_of(law)
+
+
+def test_a_recorded_law_flies_as_it_does_and_holds_what_is_read():
+    scenario, model = teacher(), law_of().model
+    runs = drawn_inputs(scenario, TABLE, jax.random.key(6), np.arange(FLIGHTS))
+    recording = record_inputs(scenario, model, runs, SOLVER)
+    history = monte_carlo(
+        scenario, TABLE, jax.random.key(6), FLIGHTS, solver=SOLVER, history=PERIOD
+    ).flights.history
+    flying = np.isfinite(history.time)
+    np.testing.assert_array_equal(np.isfinite(recording.banks), flying)
+    np.testing.assert_array_equal(np.all(np.isfinite(recording.inputs), -1), flying)
+    banks = np.arctan2(history.controls.sin_bank, history.controls.cos_bank)
+    np.testing.assert_allclose(recording.banks[flying], banks[flying], rtol=1e-12)
+    # Of one flight: state and true forces in the measurement, and the bank before.
+    states = jax.tree.map(lambda x: jnp.asarray(x[2, 5]), history.states)
+    density = float(runs["planet.density_scale"][2])
+    planet = eqx.tree_at(
+        lambda p: p.density_scale, scenario.planet, jnp.asarray(density)
+    )
+    angle = scenario.vehicle.trim_angle_of_attack
+    forces = measure(planet, scenario.vehicle, states, angle)
+    read = inputs_of(
+        model,
+        start().law.aim,
+        Measurement(states, forces.lift, forces.drag, angle, angle, {}),
+        jnp.asarray(banks[2, 4]),
+    )
+    np.testing.assert_allclose(recording.inputs[2, 5], read, rtol=1e-9, atol=1e-12)
+
+
+def test_only_a_sampled_law_is_recorded():
+    scenario = dataclasses.replace(
+        teacher(), guidance=BankProfile(PolynomialProfile(jnp.ones(1)))
+    )
+    with pytest.raises(ValueError, match="recorded is a sampled law with a FixedCycle"):
+        record_inputs(scenario, law_of().model, {}, SOLVER)
+
+
+def test_an_imitation_flies_like_its_teacher():
+    scenario, model = teacher(), law_of().model
+    runs = drawn_inputs(scenario, TABLE, jax.random.key(6), np.arange(FLIGHTS))
+    recording = record_inputs(scenario, model, runs, SOLVER)
+    said = []
+    found = imitated(
+        start(), recording, jax.random.key(1), steps=600, rate=2e-2, report=said.append
+    )
+    assert [line.split(":")[0] for line in said] == [
+        "imitation, 500 steps",
+        "imitation, 600 steps",
+    ]
+    ends = [
+        monte_carlo(
+            s, TABLE, jax.random.key(7), FLIGHTS, solver=SOLVER
+        ).misses.downrange
+        for s in (start(), scenario, found)
+    ]
+    before, after = (np.median(np.abs(x - ends[1])) for x in (ends[0], ends[2]))
+    assert after < 0.05 * before
+    beside = scenario_of(law_of(beside=teacher().guidance))
+    with pytest.raises(ValueError, match="imitation is for a network alone"):
+        imitated(beside, recording, jax.random.key(1))
+
+
+def training_of(methods=METHODS):
+    return LawTraining(
+        teacher=teacher(),
+        with_network=lambda network: scenario_of(law_of(network)),
+        dispersions=TABLE,
+        methods=methods,
+        solver=SOLVER,
+        memory=2,
+        hidden=(3,),
+        taught_flights=FLIGHTS,
+        taught_steps=20,
+    )
+
+
+def test_a_training_of_a_mission_stores_the_network_and_its_card(tmp_path):
+    few = (AdamSteps(robust_mean, steps=2, flights=FLIGHTS),)
+    said, judged = [], []
+    found = train_law(
+        training_of(few),
+        3,
+        tmp_path,
+        imitate=True,
+        card={"mission": "a test"},
+        say=said.append,
+        report=judged.append,
+    )
+    network, card = load_recurrent_network(tmp_path / "law.npz")
+    assert eqx.tree_equal(network, found.scenario.guidance.network)
+    assert card["mission"] == "a test" and card["seed"] == 3
+    assert card["begins with an imitation"] is True
+    assert card["memory"], card["hidden"] == (2, [3])
+    assert tuple(card["held out distance"].values()) == found.final.distances
+    assert card["flights with derivatives"] == 2 * FLIGHTS
+    assert said[0] == "64 flights of the teacher, Sampled"
+    assert [j.step for j in judged] == [0, 2]
+    assert set(card["inputs"]) == set(INPUTS)
+    assert said[1].startswith("imitation, 20 steps")
+    again = train_law(training_of(few), 3, tmp_path, imitate=True)
+    assert eqx.tree_equal(again.scenario.guidance, found.scenario.guidance)
+
+
+def test_weights_go_in_and_out():
+    scenario = start()
+    vector = weights_of(scenario)
+    assert eqx.tree_equal(with_weights(scenario, vector), scenario)
+    moved = weights_of(with_weights(scenario, vector + 1.0))
+    np.testing.assert_allclose(moved, vector + 1.0, rtol=1e-14)
+    plain = scenario_of(law_of(network_of(memory=0)))
+    assert eqx.tree_equal(with_weights(plain, weights_of(plain)), plain)
