@@ -161,6 +161,11 @@ def over_ground(statistic: Callable[[np.ndarray], float]) -> Callable[..., float
     return of
 
 
+def end_velocity(statistic: Callable[[np.ndarray], float]) -> Callable[..., float]:
+    """Of the velocity at the end, m/s."""
+    return lambda results: float(statistic(results["end_velocity"].values))
+
+
 def beyond_limits(results) -> float:
     """Share of the flights that exceed a limit of the mission `cav-h-glide`, %"""
     constraints = find_mission("cav-h-glide").scenario().constraints
@@ -272,6 +277,13 @@ ROWS = {
         ("predictor-corrector world in-plane", "independent"),
         ("predictor-corrector-network world in-plane", "independent"),
         ("predictor-corrector-network", "independent"),
+        ("range-tracking world hard-air", "hard-air-without-noise"),
+        ("predictor-corrector world hard-air", "hard-air"),
+        ("neural world hard-air", "hard-air"),
+        ("neural world hard-air", "hard-air-wider"),
+        ("predictor-corrector world hard-air", "hard-air-wider"),
+        ("predictor-corrector world aided world hard-air", "hard-air-and-knowledge"),
+        ("neural world aided world hard-air", "hard-air-and-knowledge"),
         ("range-tracking world inertial", "lift-to-drag-held-and-knowledge"),
         ("predictor-corrector world inertial", "lift-to-drag-held-and-knowledge"),
         ("range-tracking world aided", "lift-to-drag-held-and-knowledge"),
@@ -340,6 +352,21 @@ ROWS = {
     ),
 }
 
+HARD_AIR = {
+    **{
+        f"miss over ground, {name}, km": over_ground(statistic)
+        for name, statistic in (
+            ("median", np.median),
+            ("95th percentile", percentile(95)),
+            ("99.9th percentile", percentile(99.9)),
+            ("maximum", np.max),
+        )
+    },
+    "velocity at the end, median, m/s": end_velocity(np.median),
+    "velocity at the end, 95th percentile, m/s": end_velocity(percentile(95)),
+}
+"""Headings of flights in hard air beside those of their mission"""
+
 RUNS = {
     "cav-h": 500,
     "mars-range-tracking": 1000,
@@ -394,7 +421,8 @@ def save(mission: str, rows: dict[tuple[str, str, str], Statistic]) -> None:
 def statistics_of(mission: str, choice: str) -> dict[str, Callable[..., float]]:
     """By heading; each takes the results of a set."""
     columns = COLUMNS[mission] + MORE.get((mission, choice), ())
-    return {c.heading: c.of for c in columns} | OTHERS[mission]
+    others = HARD_AIR if "hard-air" in choice else {}
+    return {c.heading: c.of for c in columns} | OTHERS[mission] | others
 
 
 def statistics() -> dict[tuple[str, ...], Statistic]:

@@ -166,7 +166,17 @@ def test_mars_by_a_predictor_corrector():
         assert_has(scenario, expected)
         assert type(scenario.dynamics) is dynamics
         assert scenario.guidance.in_space == (dynamics is EntryDynamics)
-    assert len(RANGE.laws) == 3
+    assert len(RANGE.laws) == 4
+
+
+def test_mars_by_a_neural_law():
+    """To the same target from the same entry, as the scenario has them."""
+    expected = mars_world() | mars_world("guidance.model.") | mars_entry()
+    expected |= mars_target()
+    scenario = RANGE.scenario("neural")
+    assert_has(scenario, expected)
+    assert type(scenario.dynamics) is EntryDynamics
+    assert scenario.guidance.cycle.period == 2.0
 
 
 def test_downrange_of_the_paper_is_its_longitude():

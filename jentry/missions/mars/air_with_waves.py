@@ -10,7 +10,7 @@ from typing import Any
 
 import equinox as eqx
 
-from ...campaign.dispersions import Dispersion, multiply
+from ...campaign.dispersions import Dispersion, multiply, scaled_dispersions
 from ...campaign.distributions import Constant, Normal, Uniform
 from ...flight.scenario import Scenario
 from ...onboard.measurement import Accelerometers, PerfectAccelerometers
@@ -69,6 +69,25 @@ def hard_air_errors() -> dict[str, Dispersion]:
         "noise": Dispersion(lambda s: sensors(s).noise, Constant(NOISE)),
         "noise seed": Dispersion(lambda s: sensors(s).noise_seed, Uniform(0, 1)),
     }
+
+
+def without_noise() -> dict[str, Dispersion]:
+    """Errors in hard air but for the noise of samples, for laws without guidance cycles."""
+    noisy = "noise", "noise seed"
+    return {n: d for n, d in hard_air_errors().items() if n not in noisy}
+
+
+def wider() -> dict[str, Dispersion]:
+    """Errors in hard air, 1.5 times as wide as in the training of the law `neural`.
+
+    The waves are 1.5 times as high. The phases and the seed of the noise have no width."""
+    table = hard_air_errors()
+    same = {n: d for n, d in table.items() if "phase" in n or n == "noise seed"}
+    waves = {
+        f"wave {place}": Dispersion(_of_wave(place, "amplitude"), Constant(1.5 * share))
+        for place, (_, share) in enumerate(WAVES)
+    }
+    return scaled_dispersions(table, 1.5) | same | waves
 
 
 def _of_wave(place: int, name: str) -> Callable[[Any], Any]:

@@ -10,6 +10,7 @@ import equinox as eqx
 
 from ..._computed_once import computed_once
 from ..._programs import cached
+from ...campaign.dispersions import Dispersion
 from ...flight.scenario import Scenario
 from ...guidance.lateral import CrossrangeCorridor, FixedSide
 from ...guidance.predictor_corrector import PredictorCorrector
@@ -26,7 +27,13 @@ from ...units import degree, km
 from ..inertial import Errors, Inertial, Sensors, near
 from ..mission import Mission
 from . import neural_law, predictor_corrector
-from .air_with_waves import air_and_vehicle, hard_air, hard_air_errors
+from .air_with_waves import (
+    air_and_vehicle,
+    hard_air,
+    hard_air_errors,
+    wider,
+    without_noise,
+)
 from .drag_tracking import (
     TABULATED_TO,
     entry,
@@ -141,6 +148,11 @@ The attitude is chosen. The instruments are those of `Errors`. At the end the ve
 opens its parachute, by the velocity or the altitude that it believes"""
 
 
+def _hard_air_and_knowledge() -> dict[str, Dispersion]:
+    """Errors of the hard air and the vehicle, and of what navigation knows."""
+    return air_and_vehicle() | dict(NAVIGATION.knowledge())
+
+
 MISSION = Mission(
     name="mars-range-tracking",
     title="Mars lander, drag tracking scaled to the range to go, with bank reversals",
@@ -169,9 +181,11 @@ MISSION = Mission(
         "lift-to-drag-held": lift_to_drag_held,
         "independent": independent,
         "hard-air": hard_air_errors,
+        "hard-air-without-noise": without_noise,
+        "hard-air-wider": wider,
         "knowledge": NAVIGATION.knowledge,
         "lift-to-drag-held-and-knowledge": NAVIGATION.usual_and_knowledge,
-        "hard-air-and-knowledge": lambda: air_and_vehicle() | NAVIGATION.knowledge(),
+        "hard-air-and-knowledge": _hard_air_and_knowledge,
     },
     train=predictor_corrector.train,
     law_trainings={"neural": neural_law.training},

@@ -1,0 +1,207 @@
+"""Ways to the weights of the neural law of the Mars lander, and what its flights cost.
+
+    python benchmarks/neural_law.py through --seeds 0 1 2 --save
+    python benchmarks/neural_law.py imitation --seeds 0 1 2 --save
+    python benchmarks/neural_law.py evolution --seeds 0 1 2 --save
+    python benchmarks/neural_law.py cost --save
+
+All begin with the same random weights, and fly in the hard air of the mission. `through`
+trains through the flight, with exact derivatives, as `jentry train` does. `imitation`
+learns the banks of the predictor-corrector, and no more. `evolution` is a search without
+derivatives: CMA-ES with a diagonal covariance matrix, by the package cmaes, with the
+residuals and the robust mean of `through`, and ten times its flights. The distance is that
+of the training: miss over the ground and a share of the excess velocity, on 2048 flights
+that none of the ways has used.
+
+`cost` is the number of flights a second, over that of the predictor-corrector.
+
+`neural_law.csv` beside this file has what is saved.
+"""
+
+import argparse
+import time
+from pathlib import Path
+from typing import Any
+
+import cmaes
+import jax
+import jax.numpy as jnp
+import numpy as np
+import records
+
+import jentry
+from jentry.campaign.campaign import drawn_inputs
+from jentry.guidance.neural_law import INPUTS
+from jentry.learning import imitated, record_inputs, robust_mean
+from jentry.learning.flight_residuals import (
+    distances,
+    flown,
+    neural_law_of,
+    weights_of,
+    with_weights,
+)
+from jentry.learning.law_training import train_law
+from jentry.missions import find_mission
+from jentry.onboard import RecurrentNetwork
+from jentry.tuning.batch_gradients import Simulation
+
+
+MISSION, LAW, WORLD = "mars-range-tracking", "neural", "hard-air"
+SAVED = Path(__file__).with_suffix(".csv")
+HELD_OUT, JUDGED_BY = 2048, 987_654_321
+"""Number of flights of a judgement, and the seed of their draws"""
+
+TAUGHT = 512
+"""Flights of the predictor-corrector"""
+
+POPULATION, FLIGHTS, GENERATIONS, FIRST_DEVIATION = 32, 128, 500, 0.1
+"""Evolution: points in a generation, fresh flights of each, and the first deviation of the
+weights. All points of a generation have the same draws. In all 2 million flights"""
+
+
+class Task:
+    """The scenario with random weights of a seed, and its judgement."""
+
+    def __init__(self, seed: int):
+        self.training = find_mission(MISSION).law_training(LAW)
+        self.seed = seed
+        self.simulation = Simulation(self.training.residuals, self.training.solver)
+        # The same split as in `train_law`, so that all ways begin with equal weights.
+        teach, weights, self.learn, _ = jax.random.split(jax.random.key(seed), 4)
+        runs = drawn_inputs(
+            self.training.teacher, self.training.dispersions, teach, np.arange(TAUGHT)
+        )
+        blank = self._scenario(dict.fromkeys(INPUTS, np.zeros(1)), weights)
+        self.recording = record_inputs(
+            self.training.teacher,
+            neural_law_of(blank).model,
+            runs,
+            self.training.solver,
+        )
+        read = self.recording.inputs
+        read = read[np.all(np.isfinite(read), axis=-1)]
+        self.start = self._scenario(dict(zip(INPUTS, read.T, strict=True)), weights)
+
+    def _scenario(self, samples: dict[str, np.ndarray], key: Any):
+        sizes = self.training.memory, self.training.hidden
+        network = RecurrentNetwork.untrained(samples, *sizes, 1, key)
+        return self.training.with_network(network)
+
+    def off(self, scenario, draws: int, runs: np.ndarray) -> np.ndarray:
+        """Distances of runs of a seed of draws; infinite without an end."""
+        inputs = drawn_inputs(
+            scenario, self.training.dispersions, jax.random.key(draws), runs
+        )
+        residuals, finite = flown(scenario, self.simulation, inputs)
+        return np.where(finite, distances(residuals), np.inf)
+
+    def judged(self, scenario) -> list[float]:
+        """Median and 95 % of the distance, km."""
+        off = self.off(scenario, JUDGED_BY, np.arange(HELD_OUT))
+        return [float(x) for x in np.percentile(off, [50.0, 95.0], method="higher")]
+
+
+def through(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
+    task = Task(seed)
+    trained = train_law(task.training, seed, folder / f"through-{seed}", say=print)
+    course = [(j.flights, list(j.distances[:2])) for j in trained.course]
+    return [*course, (course[-1][0], task.judged(trained.scenario))]
+
+
+def imitation(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
+    task = Task(seed)
+    learnt = imitated(task.start, task.recording, task.learn, report=print)
+    return [(TAUGHT, task.judged(learnt))]
+
+
+def evolution(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
+    task = Task(seed)
+    search = cmaes.SepCMA(
+        mean=weights_of(task.start),
+        sigma=FIRST_DEVIATION,
+        seed=seed,
+        population_size=POPULATION,
+    )
+    course = []
+    for generation in range(GENERATIONS):
+        runs = generation * FLIGHTS + np.arange(FLIGHTS)
+        points = [search.ask() for _ in range(POPULATION)]
+        losses = [
+            float(robust_mean(jnp.asarray(off)))
+            for off in (
+                task.off(with_weights(task.start, p), 1000 + seed, runs) for p in points
+            )
+        ]
+        worst = max((x for x in losses if np.isfinite(x)), default=0.0)
+        told = [x if np.isfinite(x) else 10.0 * worst for x in losses]
+        search.tell(list(zip(points, told, strict=True)))
+        if (generation + 1) % 50 == 0:
+            flights = (generation + 1) * POPULATION * FLIGHTS
+            # The mean of the distribution is its best estimate.
+            found = task.judged(with_weights(task.start, search.mean))
+            course.append((flights, found))
+            print(f"evolution, seed {seed}: {flights} flights, {found}", flush=True)
+    return course
+
+
+def cost(rounds: int = 3, runs: int = 2048) -> list[records.Cell]:
+    mission = find_mission(MISSION)
+    table = mission.dispersion_table(WORLD)
+    laws = {n: mission.scenario(n, world=WORLD) for n in ("predictor-corrector", LAW)}
+    rates: dict[str, list[float]] = {name: [] for name in laws}
+    for turn in range(rounds + 1):
+        for name, scenario in laws.items():
+            began = time.perf_counter()
+            jentry.monte_carlo(scenario, table, jax.random.key(turn), runs)
+            if turn:
+                rates[name].append(runs / (time.perf_counter() - began))
+    ratios = np.array(rates[LAW]) / np.array(rates["predictor-corrector"])
+    print({name: np.round(x) for name, x in rates.items()}, ratios)
+    cores = len(jax.local_devices(backend="cpu"))
+    return [
+        records.Cell(
+            LAW, "flights a second and core", np.median(rates[LAW]) / cores, 0
+        ),
+        records.Cell(
+            LAW, "over those of the predictor-corrector", np.median(ratios), 1
+        ),
+    ]
+
+
+WAYS = {"through": through, "imitation": imitation, "evolution": evolution}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("part", choices=[*WAYS, "cost"])
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0])
+    parser.add_argument("--out", type=Path, default=Path("results/neural-law"))
+    parser.add_argument("--save", action="store_true", help=f"to {SAVED.name}")
+    options = parser.parse_args()
+    jentry.setup()
+    if options.part == "cost":
+        cells = cost()
+        if options.save:
+            records.save(SAVED, "cost", cells)
+        return
+    for seed in options.seeds:
+        course = WAYS[options.part](seed, options.out)
+        flights, (median, high) = course[-1]
+        print(
+            f"{options.part}, seed {seed}: {flights} flights, {median:.4g}, {high:.4g}"
+        )
+        row = f"{options.part}, seed {seed}"
+        cells = [
+            cell
+            for flights, found in course
+            for cell in (
+                records.Cell(row, f"median after {flights} flights, km", found[0], -1),
+                records.Cell(row, f"95 % after {flights} flights, km", found[1], -1),
+            )
+        ]
+        if options.save:
+            records.save(SAVED, row, cells)
+
+
+if __name__ == "__main__":
+    main()
