@@ -65,7 +65,9 @@ class Task:
     def __init__(self, seed: int):
         self.training = find_mission(MISSION).law_training(LAW)
         self.seed = seed
-        self.simulation = Simulation(self.training.residuals, self.training.solver)
+        self.simulation = Simulation(
+            self.training.residuals, self.training.solver, self.training.history
+        )
         # The same split as in `train_law`, so that all ways begin with equal weights.
         teach, weights, self.learn, _ = jax.random.split(jax.random.key(seed), 4)
         runs = drawn_inputs(

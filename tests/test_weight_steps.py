@@ -32,6 +32,10 @@ def loss_at(weights, statistic=root_mean_square):
     return float(statistic(jnp.asarray(distances(residuals_at(weights)))))
 
 
+def tried(weights):
+    return 0, loss_at(weights)
+
+
 def best_weights():
     """Least squares by numpy."""
     rows = DERIVATIVES.reshape(-1, COUNT)
@@ -140,7 +144,7 @@ def test_whole_steps_of_gauss_and_newton_find_the_least_squares():
     weights, state = np.zeros(COUNT), method.start(np.zeros(COUNT))
     for number in range(method.steps):
         found = curved(flown_at(weights), root_mean_square)
-        weights, state = method.step(number, weights, state, found, loss_at)
+        weights, state = method.step(number, weights, state, found, tried)
     # Factors on large derivatives move the least squares slightly.
     factor = np.sqrt(lightened(flown_at(weights)))[:, None]
     rows = (DERIVATIVES * factor[..., None]).reshape(-1, COUNT)
@@ -154,20 +158,20 @@ def test_a_first_step_is_a_share_of_the_damped_solution():
     method = GaussNewtonSteps(root_mean_square, steps=10, flights=FLIGHTS, share=0.4)
     weights = np.zeros(COUNT)
     found = curved(flown_at(weights), root_mean_square)
-    tried = []
+    points = []
 
     def remember(there):
-        tried.append(there)
-        return -float(len(tried))  # each is better than the one before
+        points.append(there)
+        return 0, -float(len(points))  # each is better than the one before
 
     moved, state = method.step(0, weights, method.start(weights), found, remember)
     diagonal = np.diag(found.matrix)
-    for there, factor in zip(tried[1:], (1 / 3, 1.0, 3.0), strict=True):
+    for there, factor in zip(points[1:], (1 / 3, 1.0, 3.0), strict=True):
         damped = found.matrix + factor * 1e-2 * np.diag(diagonal.mean() + diagonal)
         expected = -0.4 * np.linalg.solve(damped, found.gradient)
         np.testing.assert_allclose(there, expected, rtol=1e-10)
-    np.testing.assert_array_equal(tried[0], weights)
-    np.testing.assert_array_equal(moved, tried[3])
+    np.testing.assert_array_equal(points[0], weights)
+    np.testing.assert_array_equal(moved, points[3])
     assert float(state["damping"]) == pytest.approx(3e-2)
 
 
@@ -178,7 +182,7 @@ def test_the_matrix_is_an_average_over_the_steps():
     state = method.start(weights)
     for factor in (1.0, 2.0, 4.0):
         given = found._replace(matrix=factor * found.matrix)
-        _, state = method.step(0, weights, state, given, lambda there: 0.0)
+        _, state = method.step(0, weights, state, given, lambda there: (0, 0.0))
     weighed = np.array([0.64, 0.8, 1.0]) @ np.array([1.0, 2.0, 4.0]) / 2.44
     average = state["matrix"] / state["weight"]
     np.testing.assert_allclose(average, weighed * found.matrix, rtol=1e-12)
@@ -189,10 +193,29 @@ def test_without_a_better_point_the_weights_stay_and_the_damping_grows():
     weights = np.zeros(COUNT)
     found = curved(flown_at(weights), root_mean_square)
     state = method.start(weights)
-    for worse in (lambda there: float(np.any(there)), lambda there: np.inf):
+    for worse in (
+        lambda there: (0, float(np.any(there))),
+        lambda there: (int(np.any(there)), 1.0 - float(np.any(there))),
+        lambda there: (512, np.inf),
+    ):
         moved, after = method.step(0, weights, state, found, worse)
         np.testing.assert_array_equal(moved, weights)
         assert float(after["damping"]) == 2.0 * float(state["damping"])
+
+
+def test_flights_without_an_end_before_and_after_do_not_stop_a_step():
+    """Fewer of them are better than a smaller loss."""
+    method = GaussNewtonSteps(root_mean_square, steps=10, flights=2)
+    weights = np.zeros(COUNT)
+    found = curved(flown_at(weights), root_mean_square)
+    state = method.start(weights)
+    for better in (
+        lambda there: (3, -float(np.any(there))),
+        lambda there: (3 - int(np.any(there)), float(np.any(there))),
+    ):
+        moved, after = method.step(0, weights, state, found, better)
+        assert np.any(moved)
+        assert float(after["damping"]) < float(state["damping"])
 
 
 def test_the_share_falls_to_the_least_one():
@@ -210,7 +233,9 @@ def test_adam_is_that_of_its_paper():
     mean, square = np.zeros(COUNT), np.zeros(COUNT)
     for number in range(4):
         found = curved(flown_at(weights), root_mean_square, with_matrix=False)
-        weights, state = method.step(number, weights, state, found, lambda there: 0.0)
+        weights, state = method.step(
+            number, weights, state, found, lambda there: (0, 0.0)
+        )
         g = found.gradient / max(1.0, np.linalg.norm(found.gradient))
         mean, square = 0.9 * mean + 0.1 * g, 0.999 * square + 0.001 * g * g
         m = mean / (1.0 - 0.9 ** (number + 1))

@@ -38,6 +38,10 @@ class LawTraining:
     methods: tuple[AbstractMethod, ...] = METHODS
     solver: AbstractSolver = FixedStep(1.0)
     """Solver of the training. Judge the law with the solver with which it shall fly"""
+    history: float | None = None
+    """Interval of the histories that the residuals need, s; None if they need none"""
+    widths: tuple[float, ...] | None = None
+    """Factor on the width of the dispersions with each method; None for ones"""
     memory: int = 16
     """Size of the memory of the network; 0 for none"""
     hidden: tuple[int, ...] = (16,)
@@ -100,7 +104,9 @@ def train_law(
         fly,
         residuals=training.residuals,
         methods=training.methods,
+        widths=training.widths,
         solver=training.solver,
+        history=training.history,
         store=folder / COURSE_FILE,
         report=report,
     )

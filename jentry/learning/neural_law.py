@@ -324,15 +324,16 @@ class _Training:
         found = curved(flights, method.statistic, method.needs_matrix)
         trial: list[dict[str, np.ndarray]] = []
 
-        def tried(weights: Weights) -> float:
+        def tried(weights: Weights) -> tuple[int, float]:
             if not trial:
                 trial.append(self._drawn(place, f"trials of {place}", runs))
             there = with_weights(self._scenario, weights)
             residuals, finite = flown(there, self._simulation, trial[0])
-            if not np.all(finite):
-                return np.inf
-            loss = float(method.statistic(jnp.asarray(distances(residuals))))
-            return loss if np.isfinite(loss) else np.inf
+            without = int(np.sum(~finite))
+            if without == len(finite):
+                return without, np.inf
+            off = jnp.asarray(distances(residuals[finite]))
+            return without, float(method.statistic(off))
 
         progress.weights, progress.state = method.step(
             step, progress.weights, progress.state, found, tried

@@ -22,8 +22,9 @@ from .flight_residuals import Curved, Statistic, Weights
 State = dict[str, np.ndarray]
 """State of a method by name, as arrays that a file can hold"""
 
-Tried = Callable[[Weights], float]
-"""Loss of weights on other fresh flights of the step; infinite if a flight has no end"""
+Tried = Callable[[Weights], tuple[int, float]]
+"""Number of flights without an end, and loss of the others, of weights on other fresh
+flights of the step. Fewer without an end are better, and then a smaller loss"""
 
 
 class Stepped(NamedTuple):

@@ -10,6 +10,7 @@ from .gradients import (
 from .judgement import Judgement as Judgement
 from .losses import (
     MeanSquare as MeanSquare,
+    bank_turns as bank_turns,
     conditional_value_at_risk as conditional_value_at_risk,
     control_effort as control_effort,
     excess as excess,

@@ -151,6 +151,29 @@ def control_effort(history: History) -> Scalar:
     return total / jnp.where(duration > 0.0, duration, 1.0)
 
 
+_LEAST_TURN = 1e-6
+"""rad; a bank that never turns still has a derivative"""
+
+
+def bank_turns(history: History) -> Scalar:
+    """Root mean square turn of the commanded bank in a guidance cycle, of one flight, rad.
+
+    It is that of a `NeuralLaw`, whose bank has a sign and turns through zero. The history
+    must have the interval of the guidance cycle. It is defined for one flight, so compute
+    it in the outputs, as `control_effort`.
+    """
+    if history.time.ndim != 1:
+        raise ValueError(
+            f"the history has times of shape {history.time.shape}: the turns are of one "
+            "flight, take them in the outputs"
+        )
+    flying = jnp.isfinite(history.time)
+    between = flying[1:] & flying[:-1]
+    turns = jnp.where(between, jnp.diff(history.decisions.bank), 0.0)
+    mean = jnp.sum(turns * turns) / jnp.maximum(jnp.sum(between), 1)
+    return jnp.sqrt(mean + _LEAST_TURN**2)
+
+
 class MeanSquare(eqx.Module):
     """Sum of the mean squares of residuals, such as the misses of a law.
 
