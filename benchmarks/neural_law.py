@@ -9,9 +9,10 @@ All begin with the same random weights, and fly in the hard air of the mission. 
 trains through the flight, with exact derivatives, as `jentry train` does. `imitation`
 learns the banks of the predictor-corrector, and no more. `evolution` is a search without
 derivatives: CMA-ES with a diagonal covariance matrix, by the package cmaes, with the
-residuals and the robust mean of `through`, and ten times its flights. The distance is that
-of the training: miss over the ground and a share of the excess velocity, on 2048 flights
-that none of the ways has used.
+residuals and the robust mean of `through`. The distance is that of the training: miss over
+the ground and a share of the excess velocity, on 2048 flights that none of the ways has
+used. All flights count: of `through` those with derivatives and those on which steps are
+tried.
 
 `cost` is the number of flights a second, over that of the predictor-corrector.
 
@@ -106,8 +107,22 @@ class Task:
 def through(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
     task = Task(seed)
     trained = train_law(task.training, seed, folder / f"through-{seed}", say=print)
-    course = [(j.flights, list(j.distances[:2])) for j in trained.course]
-    return [*course, (course[-1][0], task.judged(trained.scenario))]
+    methods = task.training.methods
+    before = [
+        sum(_flights(m, m.steps) for m in methods[:place])
+        for place in range(len(methods))
+    ]
+    course = [
+        (before[j.method] + _flights(methods[j.method], j.step), list(j.distances[:2]))
+        for j in trained.course[:-1]
+    ]
+    everything = sum(_flights(m, m.steps) for m in methods)
+    return [*course, (everything, task.judged(trained.scenario))]
+
+
+def _flights(method: Any, steps: int) -> int:
+    """Flights of some steps: those with derivatives, and four trials of the same number."""
+    return steps * method.flights * (5 if method.needs_matrix else 1)
 
 
 def imitation(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
@@ -129,14 +144,13 @@ def evolution(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
         runs = generation * FLIGHTS + np.arange(FLIGHTS)
         points = [search.ask() for _ in range(POPULATION)]
         losses = [
-            float(robust_mean(jnp.asarray(off)))
+            # As in `through`, the loss leaves out flights without an end.
+            float(robust_mean(jnp.asarray(off[np.isfinite(off)])))
             for off in (
                 task.off(with_weights(task.start, p), 1000 + seed, runs) for p in points
             )
         ]
-        worst = max((x for x in losses if np.isfinite(x)), default=0.0)
-        told = [x if np.isfinite(x) else 10.0 * worst for x in losses]
-        search.tell(list(zip(points, told, strict=True)))
+        search.tell(list(zip(points, losses, strict=True)))
         if (generation + 1) % 50 == 0:
             flights = (generation + 1) * POPULATION * FLIGHTS
             # The mean of the distribution is its best estimate.

@@ -1,5 +1,7 @@
 """Losses are what their names say, and so are their derivatives."""
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +15,7 @@ from jentry.tuning.losses import (
     MeanSquare,
     OfDistance,
     ScaledMisses,
+    bank_turns,
     conditional_value_at_risk,
     control_effort,
     excess,
@@ -324,3 +327,37 @@ def test_a_miss_that_the_target_does_not_have_is_an_error():
     missed = Misses(*(jnp.asarray(x) for x in (1.0, 2.0, 3.0, 4.0)))
     with pytest.raises(ValueError, match="the target has no heading"):
         ScaledMisses((("heading", 1.0),))(missed)
+
+
+class Turned(NamedTuple):
+    """What a neural law holds, as far as its turns are concerned."""
+
+    bank: jax.Array
+
+
+def turning(bank, time):
+    """A history with banks of a neural law."""
+
+    def entry(time, bank):
+        state, still = EntryState(*(time for _ in range(6))), Controls(time, time, time)
+        return time, state, still, ConstraintValues({"drag": time}), bank
+
+    time, state, controls, values, banks = jax.vmap(entry)(time, bank)
+    return History(time, state, controls, None, values, Turned(banks))
+
+
+def test_turns_of_the_bank_are_those_of_their_formula():
+    """Root mean square of the differences, up to the end of the flight."""
+    bank = jnp.asarray([0.1, 0.5, -0.2, -0.2, 3.0, 9.0])
+    time = jnp.asarray([0.0, 2.0, 4.0, 6.0, np.nan, np.nan])
+    expected = np.sqrt((0.4**2 + 0.7**2 + 0.0) / 3.0)
+    assert float(bank_turns(turning(bank, time))) == pytest.approx(expected, rel=1e-9)
+    still = jnp.full(6, 0.3)
+    value, slope = jax.value_and_grad(lambda b: bank_turns(turning(b, time)))(still)
+    assert float(value) < 1e-5 and np.all(np.isfinite(slope))
+
+
+def test_turns_are_of_one_flight():
+    two = jax.vmap(turning)(jnp.zeros((2, 3)), jnp.zeros((2, 3)))
+    with pytest.raises(ValueError, match="the turns are of one flight"):
+        bank_turns(two)

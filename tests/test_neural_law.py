@@ -238,6 +238,8 @@ def test_what_does_not_fit_is_refused():
     other = Sampled(BankProfile(PolynomialProfile(jnp.ones(1))), 2.0)
     with pytest.raises(ValueError, match="both must decide together"):
         law_of(beside=other)
+    with pytest.raises((ValueError, TypeError), match="beside"):
+        law_of(beside=BankProfile(PolynomialProfile(jnp.ones(1))))
     samples = {name: np.zeros(2) for name in ("a", "b")}
     wrong = RecurrentNetwork.untrained(samples, 2, (3,), 1, jax.random.key(0))
     with pytest.raises(ValueError, match="the network reads a, b and has 1 outputs"):

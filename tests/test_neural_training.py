@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from neural_laws import PERIOD, SOLVER, law_of, network_of, scenario_of
 
+import jentry.learning.neural_law as training_of_laws
 from jentry.campaign import Dispersion, Normal, Uniform, add, monte_carlo
 from jentry.campaign.campaign import drawn_inputs
 from jentry.flight import fly, misses
 from jentry.guidance import BankProfile, Sampled
-from jentry.guidance.neural_law import INPUTS, inputs_of
+from jentry.guidance.neural_law import INPUTS, PURPOSE, inputs_of
 from jentry.learning import (
     AdamSteps,
     GaussNewtonSteps,
@@ -108,7 +109,7 @@ def test_the_final_judgement_is_of_other_flights(whole):
 def test_the_ranges_are_those_of_its_own_flights(whole):
     law = whole.scenario.guidance
     runs = drawn_inputs(whole.scenario, TABLE, jax.random.key(98), np.arange(FLIGHTS))
-    read = record_inputs(whole.scenario, law.model, runs, SOLVER).inputs
+    read = record_inputs(whole.scenario, law, runs, SOLVER).inputs
     read = read[np.all(np.isfinite(read), axis=-1)]
     lower, upper = np.asarray(law.network.input_ranges).T
     width = (upper - lower) / 1.2
@@ -119,6 +120,73 @@ def test_the_ranges_are_those_of_its_own_flights(whole):
 
 class Stopped(Exception):
     pass
+
+
+def test_no_flight_is_used_twice(monkeypatch):
+    """Steps, trials, judgements, the final one and the ranges have draws of their own."""
+    drawn = []
+
+    def remember(*given):
+        found = drawn_inputs(*given)
+        drawn.append(found["planet.density_scale"])
+        return found
+
+    monkeypatch.setattr(training_of_laws, "drawn_inputs", remember)
+    few = (
+        AdamSteps(robust_mean, steps=2, flights=FLIGHTS),
+        GaussNewtonSteps(robust_mean, steps=2, flights=FLIGHTS),
+    )
+    found = trained(methods=few, judge_every=FLIGHTS)
+    judgements = len(found.course)
+    # Four steps, two trials, the final judgement and the ranges; and the judgements.
+    assert len(drawn) == 4 + 2 + 2 + judgements
+    different = {values.tobytes() for values in drawn}
+    assert len(different) == 4 + 2 + 2 + 1
+    numbers = np.concatenate([np.frombuffer(values) for values in different])
+    assert len(np.unique(numbers)) == len(numbers)
+
+
+def test_beside_another_law_the_trained_one_is_judged_with_its_ranges():
+    beside = scenario_of(law_of(beside=teacher().guidance, corrects=True))
+    one = AdamSteps(robust_mean, steps=2, flights=FLIGHTS)
+    found = train_neural_law(
+        beside,
+        TABLE,
+        jax.random.key(2),
+        methods=(one,),
+        held_out=FLIGHTS,
+        solver=SOLVER,
+    )
+    flown_again = monte_carlo(
+        found.scenario, TABLE, jax.random.key(97), FLIGHTS, solver=SOLVER
+    )
+    beyond = np.asarray(flown_again.flights.caveats["decisions_beyond_training"])
+    assert np.mean(beyond) < 0.01
+    runs = drawn_inputs(found.scenario, TABLE, jax.random.key(97), np.arange(FLIGHTS))
+    read = record_inputs(found.scenario, law_of(), runs, SOLVER).inputs
+    history = monte_carlo(
+        found.scenario,
+        TABLE,
+        jax.random.key(97),
+        FLIGHTS,
+        solver=SOLVER,
+        history=PERIOD,
+    ).flights.history
+    own = np.sin(history.decisions.bank)[:, :5]
+    np.testing.assert_allclose(read[:, 1:6, -2], own, rtol=1e-9, atol=1e-12)
+
+
+def test_an_inner_model_that_is_dispersed_is_the_one_that_reads():
+    model = {
+        "model": Dispersion(
+            lambda s: s.guidance.model.planet.density_scale, Uniform(0.5, 2.0)
+        )
+    }
+    runs = drawn_inputs(start(), model, jax.random.key(3), np.arange(FLIGHTS))
+    read = record_inputs(start(), law_of(), runs, SOLVER).inputs
+    ratio = read[:, 8, INPUTS.index("ln of the sensed drag, over that of the model")]
+    factor = runs["guidance.model.planet.density_scale"]
+    np.testing.assert_allclose(ratio, -np.log(factor), atol=0.05)
 
 
 @pytest.mark.parametrize("after", [3, 5])
@@ -151,12 +219,26 @@ def test_a_training_resumes_bit_for_bit(whole, tmp_path, after):
         trained(store=store)
 
 
-def test_a_method_ends_without_progress():
+def test_a_method_ends_without_progress(tmp_path):
     """At a rate of zero nothing gets better."""
     still = AdamSteps(robust_mean, steps=20, flights=FLIGHTS, rate=0.0)
-    found = trained(methods=(still,), patience=2, judge_every=FLIGHTS)
+    given = {"methods": (still,), "patience": 2, "judge_every": FLIGHTS}
+    found = trained(**given)
     assert len(found.course) == 3
     assert found.best == 0
+    seen = []
+
+    def stop(judged):
+        seen.append(judged)
+        if len(seen) == 3:
+            raise Stopped
+
+    store = tmp_path / "course.npz"
+    with pytest.raises(Stopped):
+        trained(store=store, report=stop, **given)
+    assert len(trained(store=store, **given).course) == 3
+    with pytest.raises(ValueError, match="patience is 0"):
+        trained(patience=0)
 
 
 def test_widths_scale_the_dispersions_of_a_method():
@@ -178,10 +260,6 @@ def test_what_cannot_be_trained_is_refused():
         trained(widths=[1.0, 1.0])
     with pytest.raises(ValueError, match="held_out is 0"):
         trained(held_out=0)
-    weight = lambda s: s.guidance.network.layers[0].bias
-    moved = {"bias": Dispersion(weight, Uniform(0.9, 1.1))}
-    with pytest.raises(ValueError, match="layers.0.bias is trained"):
-        train_neural_law(start(), moved, jax.random.key(0))
     other = dataclasses.replace(
         start(), guidance=BankProfile(PolynomialProfile(jnp.ones(1)))
     )
@@ -224,7 +302,10 @@ def teacher():
 def test_a_recorded_law_flies_as_it_does_and_holds_what_is_read():
     scenario, model = teacher(), law_of().model
     runs = drawn_inputs(scenario, TABLE, jax.random.key(6), np.arange(FLIGHTS))
-    recording = record_inputs(scenario, model, runs, SOLVER)
+    recording = record_inputs(scenario, law_of(first_bank=0.4), runs, SOLVER)
+    assert recording.inputs[:, 0, -2:] == pytest.approx(
+        np.tile([np.sin(0.4), np.cos(0.4)], (FLIGHTS, 1))
+    )
     history = monte_carlo(
         scenario, TABLE, jax.random.key(6), FLIGHTS, solver=SOLVER, history=PERIOD
     ).flights.history
@@ -255,13 +336,13 @@ def test_only_a_sampled_law_is_recorded():
         teacher(), guidance=BankProfile(PolynomialProfile(jnp.ones(1)))
     )
     with pytest.raises(ValueError, match="recorded is a sampled law with a FixedCycle"):
-        record_inputs(scenario, law_of().model, {}, SOLVER)
+        record_inputs(scenario, law_of(), {}, SOLVER)
 
 
 def test_an_imitation_flies_like_its_teacher():
-    scenario, model = teacher(), law_of().model
+    scenario = teacher()
     runs = drawn_inputs(scenario, TABLE, jax.random.key(6), np.arange(FLIGHTS))
-    recording = record_inputs(scenario, model, runs, SOLVER)
+    recording = record_inputs(scenario, law_of(), runs, SOLVER)
     said = []
     found = imitated(
         start(), recording, jax.random.key(1), steps=600, rate=2e-2, report=said.append
@@ -309,11 +390,11 @@ def test_a_training_of_a_mission_stores_the_network_and_its_card(tmp_path):
         say=said.append,
         report=judged.append,
     )
-    network, card = load_recurrent_network(tmp_path / "law.npz")
+    network, card = load_recurrent_network(tmp_path / "law.npz", PURPOSE)
     assert eqx.tree_equal(network, found.scenario.guidance.network)
     assert card["mission"] == "a test" and card["seed"] == 3
     assert card["begins with an imitation"] is True
-    assert card["memory"], card["hidden"] == (2, [3])
+    assert (card["memory"], card["hidden"]) == (2, [3])
     assert tuple(card["held out distance"].values()) == found.final.distances
     assert card["flights with derivatives"] == 2 * FLIGHTS
     assert said[0] == "64 flights of the teacher, Sampled"

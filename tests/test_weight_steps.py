@@ -245,6 +245,43 @@ def test_adam_is_that_of_its_paper():
         np.testing.assert_allclose(weights, expected, rtol=1e-9)
 
 
+def test_a_loss_that_is_no_loss_is_refused():
+    flights = flown_at(np.zeros(COUNT))
+    with pytest.raises(ValueError, match="it must grow with each"):
+        curved(flights, lambda d: -jnp.mean(d))
+    with pytest.raises(ValueError, match="the loss of 40 flights is nan"):
+        curved(flights, lambda d: jnp.nan * jnp.mean(d))
+    still = Flown(flights.residuals, 0.0 * DERIVATIVES, flights.finite)
+    with pytest.raises(ValueError, match="0 flights depend on the weights"):
+        curved(still, root_mean_square)
+
+
+def test_the_median_of_sizes_is_of_flights_that_depend_on_the_weights():
+    """Most flights do not: those that do still count fully."""
+    some = np.arange(FLIGHTS) < 5
+    flights = flown_at(np.zeros(COUNT))
+    few = Flown(
+        flights.residuals,
+        np.where(some[:, None, None], DERIVATIVES, 0.0),
+        flights.finite,
+    )
+    alone = Flown(*(x[some] for x in flights))
+    found = curved(few, root_mean_square).gradient
+    expected = curved(alone, root_mean_square).gradient * 5 / FLIGHTS
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "method, given",
+    [(GaussNewtonSteps, {"memory": 1.0}), (GaussNewtonSteps, {"share": 1.1})]
+    + [(AdamSteps, {"rate": -1.0}), (GaussNewtonSteps, {"least_share": np.nan})],
+)
+def test_numbers_out_of_their_range_are_refused(method, given):
+    (name,) = given
+    with pytest.raises(ValueError, match=f"{name} is .*: it must be from 0 to"):
+        method(root_mean_square, steps=3, flights=3, **given)
+
+
 @pytest.mark.parametrize("given", [{"steps": 0}, {"flights": 0}])
 def test_numbers_must_be_positive(given):
     (name,) = given

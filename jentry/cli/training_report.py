@@ -73,6 +73,6 @@ def print_trained_law(mission: Mission, law: str, trained: TrainedLaw) -> None:
         f"{last.seconds:.0f} s"
     )
     console.print(
-        f"left out: {last.left_out} flights without an end or finite derivatives; scaled "
-        f"down: {last.clipped} with large derivatives"
+        f"left out: {last.left_out} flights without an end or finite derivatives; counted "
+        f"less than half: {last.clipped} with large derivatives"
     )

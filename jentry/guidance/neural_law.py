@@ -3,7 +3,7 @@
 The network reads the measurement in dimensionless numbers, about the onboard model and the
 aim. Its memory is that of the law: it can learn to estimate what no single measurement
 shows, such as the air below. The command is smooth in all of it. There is no logic of
-reversals: the bank has a sign, and turns through zero as fast as the vehicle can.
+reversals: the bank has a sign, and turns through zero at a limited rate.
 
 `jentry.learning.train_neural_law` trains such a law through the flight.
 """
@@ -47,8 +47,9 @@ INPUTS = (
     "sine of the bank",
     "cosine of the bank",
 )
-"""Inputs of the network, dimensionless. Lengths are over the downrange of the aim from its
-origin, velocities over that of the origin, accelerations over their square by the length"""
+"""Inputs of the network, dimensionless. Ranges are over the downrange of the aim from its
+origin, the altitude over that of the origin, velocities over that of the origin, and
+accelerations over the square of that velocity by that downrange. Lift is its magnitude"""
 
 _NEAR = 0.003
 """Length, as a share of the downrange of the aim, by which the distance to go is smoothed:
@@ -125,6 +126,10 @@ def _smooth(x: Scalar, width: Scalar | float) -> Scalar:
     return jnp.sqrt(x * x + width * width)
 
 
+_BEYOND = "decisions_beyond_training"
+"""Name of the caveat"""
+
+
 class NeuralDecision(eqx.Module):
     """Decision of a neural law at a guidance cycle."""
 
@@ -152,7 +157,8 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
     Another law may fly beside. Then the network is trusted within the ranges of its
     training only, and beyond them the other law commands alone. With `corrects=True` the
     bank of the network adds to that of the other law, such that a network of zeros is that
-    law; with False it replaces it.
+    law; with False it replaces it. Where one law takes over from the other the command
+    jumps.
 
     Decisions beyond the ranges of the training appear in `Flight.caveats`.
     """
@@ -164,7 +170,7 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
     largest_bank: Scalar = scalar(math.pi, unit="rad", positive=True)
     """Largest bank to either side that the network commands"""
     first_bank: Scalar = scalar(0.0, unit="rad")
-    """Bank before the first decision"""
+    """Bank before the first decision; that of a correction too"""
     beside: AbstractSampledLaw | None = None
     """Law that flies beside, with the same cycle; None for the network alone"""
     aim: Aim | TargetOfScenario = TargetOfScenario()
@@ -184,7 +190,14 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
                 "corrects is True and beside is None: give the law to correct, or leave it "
                 "at False"
             )
-        if self.beside is not None and self.beside.cycle != self.cycle:
+        if self.beside is None:
+            return
+        if not isinstance(self.beside, AbstractSampledLaw):
+            raise ValueError(
+                f"beside is a {type(self.beside).__name__}: it must be a sampled law, such "
+                "as Sampled(law, period)"
+            )
+        if self.beside.cycle != self.cycle:
             raise ValueError(
                 f"the law beside decides with {self.beside.cycle}, and the neural law with "
                 f"{self.cycle}: both must decide together; change one of them"
@@ -193,15 +206,16 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
     def caveats(self, held: NeuralDecision) -> dict[str, Scalar]:
         share = held.decisions_beyond / jnp.maximum(held.decisions, 1.0)
         other = {} if self.beside is None else self.beside.caveats(held.beside)
-        return {"decisions_beyond_training": share, **other}
+        if _BEYOND in other:  # of a neural law that flies beside this one
+            share = jnp.maximum(share, other[_BEYOND])
+        return {**other, _BEYOND: share}
 
     def init(self, measurement: Measurement) -> tuple[Any, NeuralDecision]:
         zero = 0.0 * measurement.drag
         memory, beside = (), None
         if self.beside is not None:
             memory, beside = begun(self.beside, measurement)
-        bank = zero if self.corrects else self.first_bank + zero
-        network = self.network.start() + zero
+        bank, network = self.first_bank + zero, self.network.start() + zero
         return memory, NeuralDecision(bank, network, beside, zero, zero, zero)
 
     def update(
@@ -214,7 +228,7 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
         beside = held.beside
         if self.beside is not None:
             memory, beside = decided(self.beside, time, measurement, memory, beside)
-        read = inputs_of(self.model, known(self.aim), measurement, held.bank)
+        read = self.reads(measurement, held.bank)
         (output,), network = self.network(read, held.memory)
         beyond = jnp.where(self.network.knows(read), 0.0, 1.0)
         decision = NeuralDecision(
@@ -226,6 +240,10 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
             held.decisions_beyond + beyond,
         )
         return memory, decision
+
+    def reads(self, measurement: Measurement, bank: Scalar) -> Float[Array, " inputs"]:
+        """Inputs of the network, with its bank before this decision (rad)."""
+        return inputs_of(self.model, known(self.aim), measurement, bank)
 
     def turned(self, bank: Scalar, output: Scalar) -> Scalar:
         """Bank (rad) after one cycle from a bank (rad), by the output of the network."""

@@ -143,7 +143,7 @@ class Curved(NamedTuple):
     matrix: np.ndarray | None
     """Shape (weights, weights); None if it was not asked for"""
     clipped: int
-    """Number of flights whose large derivatives were scaled down"""
+    """Number of flights that count less than half, since their derivatives are large"""
 
 
 _LARGE = 4.0
@@ -176,7 +176,19 @@ def curved(flights: Flown, statistic: Statistic, with_matrix: bool = True) -> Cu
         jnp.asarray(distance)
     )
     weights = np.asarray(slopes) / np.maximum(distance, floor)
-    ratio = sizes / max(float(np.median(sizes)), 1e-300)
+    if not (np.isfinite(loss) and np.all(np.isfinite(slopes)) and np.any(sizes > 0.0)):
+        raise ValueError(
+            f"the loss of {len(distance)} flights is {float(loss):g}, its derivatives are "
+            f"{'' if np.all(np.isfinite(slopes)) else 'not '}finite, and "
+            f"{np.sum(sizes > 0.0)} flights depend on the weights: check the residuals "
+            "and the statistic on the flights of the start"
+        )
+    if np.any(np.asarray(slopes) < 0.0):
+        raise ValueError(
+            "the statistic falls where a distance grows: it must grow with each, as those "
+            "of jentry.tuning.losses"
+        )
+    ratio = sizes / float(np.median(sizes[sizes > 0.0]))
     kept = 1.0 / (1.0 + (ratio / _LARGE) ** 2)
     gradient = np.einsum("i,ij,ijk->k", weights * kept, residuals, derivatives)
     matrix = None

@@ -89,10 +89,9 @@ def train_law(
         network = RecurrentNetwork.untrained(samples, *sizes, 1, weights)
         return training.with_network(network)
 
-    # The onboard model of the law does not depend on its network.
-    blank = scenario(dict.fromkeys(INPUTS, np.zeros(1)))
-    model = neural_law_of(blank).model
-    recording = record_inputs(training.teacher, model, runs, training.solver)
+    # What the law reads does not depend on its network.
+    reader = neural_law_of(scenario(dict.fromkeys(INPUTS, np.zeros(1))))
+    recording = record_inputs(training.teacher, reader, runs, training.solver)
     read = recording.inputs[np.all(np.isfinite(recording.inputs), axis=-1)]
     start = scenario(dict(zip(INPUTS, read.T, strict=True)))
     if imitate:
@@ -117,7 +116,7 @@ def train_law(
         "begins with an imitation": imitate,
         "flights with derivatives": trained.course[-1].flights,
         "flights left out": trained.course[-1].left_out,
-        "flights scaled down": trained.course[-1].clipped,
+        "flights that counted less than half": trained.course[-1].clipped,
         "training, s": round(trained.course[-1].seconds, 1),
         "best after flights": best.flights,
         "held out flights without an end": trained.final.without_end,

@@ -20,7 +20,6 @@ from jaxtyping import Array, Key
 
 from .._files import read_sealed, write_sealed
 from .._setup import needs_float64
-from ..addresses import addresses_of
 from ..campaign.campaign import drawn_inputs
 from ..campaign.description import describe, first_difference
 from ..campaign.dispersions import (
@@ -28,6 +27,7 @@ from ..campaign.dispersions import (
     check_dispersions,
     scaled_dispersions,
 )
+from ..campaign.users_code import own_code
 from ..flight.scenario import Scenario, check
 from ..flight.solver import AbstractSolver, FixedStep
 from ..onboard.recurrent_network import ranges_of
@@ -64,7 +64,11 @@ _JUDGED = 99.0
 """Percentile by which weights are compared"""
 
 _WIDER = 0.1
-"""Share of the range of an input in training by which the law is trusted beyond it"""
+"""Share of the range of an input on flights of the law by which it is trusted beyond it"""
+
+
+_EVERYWHERE = np.array([-1e300, 1e300])
+"""Range of an input in training: the network is trusted wherever it leads"""
 
 
 def robust_mean(distances: Array) -> Array:
@@ -113,7 +117,8 @@ class Judged:
     left_out: int
     """Number of flights, of all steps so far, that had no end or no finite derivatives"""
     clipped: int
-    """Number of flights, of all steps so far, whose large derivatives were scaled down"""
+    """Number of flights, of all steps so far, that counted less than half, since their
+    derivatives are large"""
 
     def better_than(self, other: "Judged") -> bool:
         """Fewer flights without an end or, if equal, a smaller distance of 99 %."""
@@ -131,7 +136,7 @@ class TrainedLaw:
     best: int
     """Position of the best weights in the course"""
     final: Judged
-    """The best weights on further flights, which have not selected them"""
+    """The trained law on further flights, which have not selected its weights"""
 
 
 @dataclasses.dataclass
@@ -171,6 +176,9 @@ def train_neural_law(
 ) -> TrainedLaw:
     """Train the network of a `NeuralLaw` with exact derivatives of dispersed flights.
 
+    In training the network is trusted everywhere, also beside another law. The trained law
+    has the ranges of its inputs on `held_out` further flights, a tenth wider to both sides.
+
     **Arguments:**
 
     - `scenario`: scenario with a `NeuralLaw`; its weights are the start.
@@ -180,6 +188,7 @@ def train_neural_law(
     - `methods`: methods in their order, each with its loss and its numbers of steps and
       flights.
     - `widths`: factor on the width of the dispersions with each method; ones if not given.
+      Constants keep their value. Judgements are with the dispersions themselves.
     - `held_out`: number of flights of a judgement. All judgements in the course have equal
       draws, and the final one has others.
     - `judge_every`: number of flights with derivatives between judgements.
@@ -190,9 +199,9 @@ def train_neural_law(
     - `labels`: further values that must be the same for a training to resume.
     - `report`: function that is called with each judgement.
 
-    **Raises:** `ValueError` for a scenario with another law, for dispersions that move the
-    weights, for methods and widths of different numbers, for a file of another training,
-    and if no flight of a step has finite derivatives.
+    **Raises:** `ValueError` for a scenario with another law, for methods and widths of
+    different numbers, for a file of another training, and if no flight of a step has finite
+    derivatives, or none of the trained law an end.
     """
     widths = [1.0] * len(methods) if widths is None else list(widths)
     if not methods or len(widths) != len(methods):
@@ -203,10 +212,11 @@ def train_neural_law(
     for name, value in (("held_out", held_out), ("judge_every", judge_every)):
         if value < 1:
             raise ValueError(f"{name} is {value}: it must be at least 1")
-    neural_law_of(scenario)
+    if patience is not None and patience < 1:
+        raise ValueError(f"patience is {patience}: it must be at least 1, or None")
+    scenario = _with_ranges(scenario, _EVERYWHERE)
     check(scenario)
     check_dispersions(scenario, dispersions)
-    _require_fixed_weights(scenario, dispersions)
     simulation = Simulation(residuals, solver, history)
     tables = [scaled_dispersions(dispersions, w) for w in widths]
     file = None
@@ -219,10 +229,12 @@ def train_neural_law(
             "widths": widths,
             "held out": held_out,
             "judge every": judge_every,
+            "patience": patience,
+            "own code": own_code(residuals, *(m.statistic for m in methods)),
             "labels": {n: str(x) for n, x in (labels or {}).items()},
         }
         file = _File(Path(store), asked)
-    training = _Training(scenario, simulation, tables, key, held_out)
+    training = _Training(scenario, simulation, [*tables, dispersions], key, held_out)
     progress = None if file is None else file.read()
     if progress is None:
         start = weights_of(scenario)
@@ -245,12 +257,10 @@ def train_neural_law(
     while progress.method < len(methods):
         method = methods[progress.method]
         every = max(1, judge_every // method.flights)
-        while progress.step < method.steps:
+        while progress.step < method.steps and not _is_spent(progress, patience):
             training.advance(progress, method)
             if progress.step % every == 0 or progress.step == method.steps:
                 judge()
-                if _is_spent(progress, patience):
-                    break
         progress.method, progress.step = progress.method + 1, 0
         if progress.method < len(methods):
             # The next method begins where this one was best.
@@ -260,30 +270,25 @@ def train_neural_law(
             file.write(progress)
     best = _best(progress.course)
     assert best is not None
-    progress.weights = progress.best
     trained = training.with_ranges(with_weights(scenario, progress.best))
-    return TrainedLaw(
-        trained, progress.course, best, training.judged(progress, final=True)
-    )
-
-
-def _require_fixed_weights(
-    scenario: Scenario, dispersions: Mapping[str, Dispersion]
-) -> None:
-    """Refuse dispersions of the weights: a run draws about their values at the start."""
-    trained = {
-        f"guidance.{address}"
-        for address in addresses_of(
-            scenario.guidance, lambda law: jax.tree.leaves(law.network.trained)
+    final = training.on_held_out(trained, "final")
+    if final["without_end"] == held_out:
+        raise ValueError(
+            f"none of {held_out} flights of the trained law has an end: train with "
+            "smaller dispersions first, or start with other weights"
         )
-    }
-    for name, dispersion in dispersions.items():
-        for address in addresses_of(scenario, dispersion.where):
-            if address in trained:
-                raise ValueError(
-                    f"{address} is trained, and the dispersion {name!r} moves it: leave "
-                    "the dispersion out"
-                )
+    of_best = dataclasses.replace(progress.course[best], **final)
+    return TrainedLaw(trained, progress.course, best, of_best)
+
+
+def _with_ranges(scenario: Scenario, ranges: np.ndarray) -> Scenario:
+    """The scenario with other ranges of the inputs, or with one range for all of them."""
+    known = neural_law_of(scenario).network.input_ranges
+    return eqx.tree_at(
+        lambda s: s.guidance.network.input_ranges,
+        scenario,
+        jnp.asarray(np.broadcast_to(ranges, known.shape)),
+    )
 
 
 def _best(course: Sequence[Judged]) -> int | None:
@@ -344,43 +349,41 @@ class _Training:
         progress.clipped += found.clipped
         progress.loss = found.loss
 
-    def judged(self, progress: _Progress, final: bool = False) -> Judged:
-        runs = np.arange(self._held_out)
+    def judged(self, progress: _Progress) -> Judged:
         there = with_weights(self._scenario, progress.weights)
-        residuals, finite = flown(
-            there,
-            self._simulation,
-            self._drawn(-1, "final" if final else "judgement", runs),
-        )
-        off = distances(residuals[finite]) if np.any(finite) else np.array([np.nan])
         return Judged(
             method=progress.method,
             step=progress.step,
             flights=progress.flights,
             seconds=progress.seconds,
             loss=progress.loss,
-            distances=tuple(float(x) for x in np.percentile(off, PERCENTILES)),
-            without_end=int(np.sum(~finite)),
             left_out=progress.left_out,
             clipped=progress.clipped,
+            **self.on_held_out(there, "judgement"),
         )
+
+    def on_held_out(self, scenario: Scenario, purpose: str) -> dict[str, Any]:
+        """Percentiles of the distance, and the number of flights without an end."""
+        inputs = self._drawn(-1, purpose, np.arange(self._held_out))
+        residuals, finite = flown(scenario, self._simulation, inputs)
+        off = distances(residuals[finite]) if np.any(finite) else np.array([np.inf])
+        return {
+            "distances": tuple(float(x) for x in np.percentile(off, PERCENTILES)),
+            "without_end": int(np.sum(~finite)),
+        }
 
     def with_ranges(self, scenario: Scenario) -> Scenario:
         """The scenario with the ranges of the inputs on the flights of its law."""
         inputs = self._drawn(-1, "ranges", np.arange(self._held_out))
-        model = neural_law_of(scenario).model
-        read = record_inputs(scenario, model, inputs, self._simulation.solver).inputs
+        law, solver = neural_law_of(scenario), self._simulation.solver
+        read = record_inputs(scenario, law, inputs, solver).inputs
         samples = read[np.all(np.isfinite(read), axis=-1)]
         ranges = ranges_of(samples)
         wider = _WIDER * (ranges[:, 1:] - ranges[:, :1]) * np.array([-1.0, 1.0])
-        return eqx.tree_at(
-            lambda s: s.guidance.network.input_ranges,
-            scenario,
-            jnp.asarray(ranges + wider),
-        )
+        return _with_ranges(scenario, ranges + wider)
 
     def _drawn(self, method: int, purpose: str, runs: np.ndarray) -> dict[str, Any]:
-        """Draws for a purpose, with the dispersions of a method."""
+        """Draws for a purpose, with the dispersions of a method, or of full width (-1)."""
         key = jax.random.fold_in(self._key, zlib.crc32(purpose.encode()))
         return drawn_inputs(self._scenario, self._tables[method], key, runs)
 

@@ -12,7 +12,6 @@ from ..campaign.campaign import fly_run
 from ..fields import Scalar
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
-from ..guidance.aim import Aim, TargetOfScenario, known
 from ..guidance.cycle import AbstractCycle, FixedCycle
 from ..guidance.law import (
     AbstractSampledLaw,
@@ -21,9 +20,8 @@ from ..guidance.law import (
     commanded,
     decided,
 )
-from ..guidance.neural_law import INPUTS, inputs_of
+from ..guidance.neural_law import INPUTS, NeuralLaw
 from ..onboard.measurement import Measurement
-from ..onboard.model import OnboardModel
 
 
 class RecordedDecision(eqx.Module):
@@ -39,11 +37,10 @@ class RecordedLaw(AbstractSampledLaw[Any, RecordedDecision]):
     """A law that flies as it is, and holds beside its decision what a neural law reads."""
 
     law: AbstractSampledLaw
-    model: OnboardModel
-    """Onboard model of the inputs"""
+    reader: NeuralLaw
+    """The law whose inputs are recorded. A neural law that flies records its own"""
     cycle: AbstractCycle
     """That of the law"""
-    aim: Aim | TargetOfScenario = TargetOfScenario()
 
     def caveats(self, held: RecordedDecision) -> dict[str, Scalar]:
         return self.law.caveats(held.held)
@@ -51,7 +48,8 @@ class RecordedLaw(AbstractSampledLaw[Any, RecordedDecision]):
     def init(self, measurement: Measurement) -> tuple[Any, RecordedDecision]:
         memory, held = begun(self.law, measurement)
         zero = 0.0 * measurement.drag
-        return memory, RecordedDecision(held, jnp.zeros(len(INPUTS)) + zero, zero)
+        first = self.reader.first_bank + zero
+        return memory, RecordedDecision(held, jnp.zeros(len(INPUTS)) + zero, first)
 
     def update(
         self,
@@ -60,7 +58,10 @@ class RecordedLaw(AbstractSampledLaw[Any, RecordedDecision]):
         memory: Any,
         held: RecordedDecision,
     ) -> tuple[Any, RecordedDecision]:
-        read = inputs_of(self.model, known(self.aim), measurement, held.bank)
+        if isinstance(self.law, NeuralLaw):
+            read = self.law.reads(measurement, held.held.bank)
+        else:
+            read = self.reader.reads(measurement, held.bank)
         memory, own = decided(self.law, time, measurement, memory, held.held)
         command, _ = commanded(self.law, time, measurement, memory, own)
         return memory, RecordedDecision(own, read, command.bank_angle)
@@ -86,13 +87,13 @@ class Recording(NamedTuple):
 
 def record_inputs(
     scenario: Scenario,
-    model: OnboardModel,
+    reader: NeuralLaw,
     inputs: dict[str, Any],
     solver: AbstractSolver,
 ) -> Recording:
     """Fly runs with the sampled law of a scenario, and record what a neural law reads.
 
-    `model` is the onboard model of the neural law.
+    `reader` is the neural law. If the scenario has a neural law, that one is recorded.
 
     **Raises:** `ValueError` for a law without a fixed guidance cycle.
     """
@@ -103,7 +104,7 @@ def record_inputs(
         )
     cycle = law.cycle
     recorded = eqx.tree_at(
-        lambda s: s.guidance, scenario, RecordedLaw(law=law, model=model, cycle=cycle)
+        lambda s: s.guidance, scenario, RecordedLaw(law=law, reader=reader, cycle=cycle)
     )
     inputs = {
         a.replace("guidance.", "guidance.law.", 1)

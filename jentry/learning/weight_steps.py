@@ -49,6 +49,14 @@ class AbstractMethod:
             value = getattr(self, name)
             if value < 1:
                 raise ValueError(f"{name} is {value}: it must be at least 1")
+        for name, largest in self.limits().items():
+            value = getattr(self, name)
+            if not 0.0 <= value <= largest:
+                raise ValueError(f"{name} is {value}: it must be from 0 to {largest:g}")
+
+    @abstractmethod
+    def limits(self) -> dict[str, float]:
+        """Largest values of the fields that must not be negative, by name."""
 
     @property
     @abstractmethod
@@ -80,6 +88,9 @@ class AdamSteps(AbstractMethod):
     rate: float = 1e-2
     largest_norm: float = 1.0
     """Norm to which a longer gradient is scaled"""
+
+    def limits(self) -> dict[str, float]:
+        return {"rate": math.inf, "largest_norm": math.inf}
 
     @property
     def needs_matrix(self) -> bool:
@@ -132,6 +143,9 @@ class GaussNewtonSteps(AbstractMethod):
     memory: float = 0.9
     """Factor on the weight of a matrix in the average with each further step"""
 
+    def limits(self) -> dict[str, float]:
+        return {"share": 1.0, "least_share": 1.0, "memory": _LONGEST_MEMORY}
+
     @property
     def needs_matrix(self) -> bool:
         return True
@@ -178,6 +192,8 @@ class GaussNewtonSteps(AbstractMethod):
             },
         )
 
+
+_LONGEST_MEMORY = 0.9999
 
 _FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-2, 1e-7, 10.0
 

@@ -32,9 +32,10 @@ _LEAST_DEVIATION = 1e-3
 class RecurrentNetwork(eqx.Module):
     """A gated recurrent unit, and layers that read its memory and the inputs.
 
-    The inputs are shifted and scaled to the mean of 0 and the deviation of 1 that they had
-    in training. Hidden layers have tanh, the last layer is linear. A cell without memory,
-    None, leaves a network that maps inputs to outputs.
+    The inputs are shifted and scaled to a mean of 0 and a deviation of 1 on the samples
+    with which the network began; an input that hardly varies is scaled less. Hidden layers
+    have tanh, the last layer is linear. A cell without memory, None, leaves a network that
+    maps inputs to outputs.
 
     The cell is that of K. Cho and others, "Learning Phrase Representations using RNN
     Encoder-Decoder for Statistical Machine Translation", 2014, as `equinox.nn.GRUCell`.
@@ -46,11 +47,11 @@ class RecurrentNetwork(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True)
     """Names of the inputs, shape (n,)"""
     input_mean: Float[Array, "..."] = table()
-    """Means of the inputs in training, shape (n,)"""
+    """Means of the inputs on the first samples, shape (n,)"""
     input_scale: Float[Array, "..."] = table()
     """One over their deviations, shape (n,)"""
     input_ranges: Float[Array, "..."] = table()
-    """Smallest and largest values in training, shape (n, 2)"""
+    """Smallest and largest values for which the network is known, shape (n, 2)"""
 
     def __check_init__(self):
         count = len(self.names)
@@ -150,7 +151,7 @@ class RecurrentNetwork(eqx.Module):
         return self.layers[-1](x), memory
 
     def knows(self, inputs: Float[Array, " n"]) -> Flag:
-        """Whether every input is within its range in training; NaN is not.
+        """Whether every input is within its range; NaN is not.
 
         Each input is checked alone: a combination of inputs within their ranges may still
         be one that never occurred in training.

@@ -159,13 +159,18 @@ def bank_turns(history: History) -> Scalar:
     """Root mean square turn of the commanded bank in a guidance cycle, of one flight, rad.
 
     It is that of a `NeuralLaw`, whose bank has a sign and turns through zero. The history
-    must have the interval of the guidance cycle. It is defined for one flight, so compute
-    it in the outputs, as `control_effort`.
+    must have the interval of the guidance cycle: with a shorter one the value is smaller.
+    Beside another law it is of the bank of the network. It is defined for one flight, so
+    compute it in the outputs, as `control_effort`.
     """
     if history.time.ndim != 1:
         raise ValueError(
             f"the history has times of shape {history.time.shape}: the turns are of one "
             "flight, take them in the outputs"
+        )
+    if not hasattr(history.decisions, "bank"):
+        raise ValueError(
+            f"the law holds a {type(history.decisions).__name__}: turns are of a NeuralLaw"
         )
     flying = jnp.isfinite(history.time)
     between = flying[1:] & flying[:-1]

@@ -80,14 +80,15 @@ def without_noise() -> dict[str, Dispersion]:
 def wider() -> dict[str, Dispersion]:
     """Errors in hard air, 1.5 times as wide as in the training of the law `neural`.
 
-    The waves are 1.5 times as high. The phases and the seed of the noise have no width."""
+    So are waves and noise. The phases and the seed of the noise have no width."""
     table = hard_air_errors()
+    noise = Dispersion(lambda s: s.accelerometers.noise, Constant(1.5 * NOISE))
     same = {n: d for n, d in table.items() if "phase" in n or n == "noise seed"}
     waves = {
         f"wave {place}": Dispersion(_of_wave(place, "amplitude"), Constant(1.5 * share))
         for place, (_, share) in enumerate(WAVES)
     }
-    return scaled_dispersions(table, 1.5) | same | waves
+    return scaled_dispersions(table, 1.5) | same | waves | {"noise": noise}
 
 
 def _of_wave(place: int, name: str) -> Callable[[Any], Any]:

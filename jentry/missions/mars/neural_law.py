@@ -37,10 +37,6 @@ EXCESS = 1000.0
 """Excess of the velocity at the end, m/s, that counts as much as a miss of 1 km"""
 
 
-TURNS = 0.05
-"""Miss, km, that counts as much as turns of one radian in each cycle"""
-
-
 @computed_once
 def law_network(folder: Path = FOLDER) -> RecurrentNetwork:
     """The stored network of the law. Raises `ValueError` for a file with another one."""
@@ -61,20 +57,15 @@ def neural() -> Scenario:
 
 
 def residuals(scenario: Scenario, flight: Flight) -> tuple[Scalar, ...]:
-    """Errors of downrange and crossrange, km, and shares of excess velocity and turns.
+    """Errors of downrange and crossrange, km, and a share of the excess velocity.
 
     A flight ends at the end altitude or at the end velocity. Without a cost of the excess
     the law comes down faster: half of its flights then end 220 m/s above the end velocity,
-    and those of the predictor-corrector 25 m/s. Without a cost of turns it rocks above the
-    air, where the bank has no effect.
+    and those of the predictor-corrector 25 m/s.
     """
-    from ...tuning.losses import bank_turns  # optax takes a while
-
-    assert flight.history is not None
     missed = misses(scenario, flight)
     excess = jax.nn.relu(flight.state.velocity - scenario.target.velocity)
-    turns = TURNS * bank_turns(flight.history)
-    return missed.downrange / km, missed.crossrange / km, excess / EXCESS, turns
+    return missed.downrange / km, missed.crossrange / km, excess / EXCESS
 
 
 def training() -> "LawTraining":
@@ -86,5 +77,4 @@ def training() -> "LawTraining":
         with_network=lambda network: hard_air(with_network(network)),
         dispersions=hard_air_errors(),
         residuals=residuals,
-        history=CYCLE,
     )
