@@ -77,7 +77,7 @@ class Task:
         blank = self._scenario(dict.fromkeys(INPUTS, np.zeros(1)), weights)
         self.recording = record_inputs(
             self.training.teacher,
-            neural_law_of(blank).model,
+            neural_law_of(blank),
             runs,
             self.training.solver,
         )

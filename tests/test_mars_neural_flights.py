@@ -1,6 +1,5 @@
 """The neural law that comes with the package: its flights in hard air."""
 
-import dataclasses
 import functools
 
 import jax
@@ -45,8 +44,8 @@ def test_its_flights_are_those_of_the_table():
     assert_first_set(*row, scenario(), campaign(), rel=1e-3)
 
 
-def test_half_of_the_miss_of_a_predictor_corrector_is_kept_by_far():
-    """The issue asks for half in 95 %; and no flight is lost or beyond the training."""
+def test_it_is_far_below_half_of_the_miss_of_a_predictor_corrector():
+    """0.66 km in 95 % was the least of it in this air; and no flight is lost."""
     assert np.all(np.asarray(campaign().flights.outcome) == Outcome.REACHED)
     assert np.percentile(miss(campaign()), 95) < 0.5 * 0.66
     beyond = np.asarray(campaign().flights.caveats["decisions_beyond_training"])
@@ -66,22 +65,11 @@ def test_a_longer_step_flies_the_same():
     )
 
 
-def test_beside_the_predictor_corrector_no_flight_is_lost_in_wider_air():
+def test_no_flight_goes_astray_with_errors_as_wide_as_in_its_training():
     table = MISSION.dispersion_table("hard-air-wider")
-    alone = scenario()
-    law = dataclasses.replace(
-        alone.guidance, beside=scenario("predictor-corrector").guidance
-    )
-    both = dataclasses.replace(alone, guidance=law)
-    flights = {
-        name: monte_carlo(s, table, jax.random.key(0), RUNS)
-        for name, s in (("alone", alone), ("both", both))
-    }
-    far = {name: np.sum(miss(flown) > 10.0) for name, flown in flights.items()}
-    beyond = np.asarray(flights["alone"].flights.caveats["decisions_beyond_training"])
-    assert far["both"] <= far["alone"]
-    # Those that go astray say so.
-    assert np.all(beyond[miss(flights["alone"]) > 10.0] > 0.0)
+    flown = monte_carlo(scenario(), table, jax.random.key(0), RUNS)
+    assert np.all(np.asarray(flown.flights.outcome) == Outcome.REACHED)
+    assert np.max(miss(flown)) < 10.0
 
 
 def test_the_card_says_how_to_make_it_again():

@@ -232,6 +232,24 @@ def test_beyond_the_training_the_law_beside_flies():
     same(flown(beside).state, flown(alone).state)
 
 
+def test_the_law_beside_does_not_give_back_the_command():
+    """Beyond only while the velocity is between two values: it flies to the end."""
+    network = network_of(size=20.0)
+    ranges = network.input_ranges.at[0].set([0.6, 2.0])
+    slow = eqx.tree_at(lambda n: n.input_ranges, network, ranges)
+    history = flown(law_of(slow, beside=other_law()), PERIOD).history
+    flying = np.isfinite(np.asarray(history.time))
+    beyond = np.asarray(history.decisions.beyond)[flying]
+    velocity = np.asarray(history.states.velocity)[flying] / 6750.0
+    np.testing.assert_array_equal(beyond, (velocity < 0.6).astype(float))
+    # The other way about: fast at first, which is beyond, and slow later.
+    ranges = network.input_ranges.at[0].set([-1.0, 0.99])
+    fast = eqx.tree_at(lambda n: n.input_ranges, network, ranges)
+    flight = flown(law_of(fast, beside=other_law()), PERIOD)
+    same(flight.state, flown(other_law()).state)
+    assert float(flight.caveats["decisions_beyond_training"]) < 0.9
+
+
 def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="corrects is True and beside is None"):
         law_of(corrects=True)

@@ -140,7 +140,7 @@ class NeuralDecision(eqx.Module):
     beside: Any
     """What the law beside holds; None without one"""
     beyond: Scalar
-    """1 if an input of this decision is beyond its range in training, else 0"""
+    """1 if an input of this decision or of one before is beyond its range, else 0"""
     decisions: Scalar
     """Number of decisions so far"""
     decisions_beyond: Scalar
@@ -155,12 +155,14 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
     times the period. Both limits are smooth.
 
     Another law may fly beside. Then the network is trusted within the ranges of its
-    training only, and beyond them the other law commands alone. With `corrects=True` the
-    bank of the network adds to that of the other law, such that a network of zeros is that
-    law; with False it replaces it. Where one law takes over from the other the command
-    jumps.
+    training only. From the first decision beyond them the other law commands alone. With
+    `corrects=True` the bank of the network adds to that of the other law, such that a
+    network of zeros is that law; with False it replaces it. Where one law takes over from
+    the other the command jumps.
 
-    Decisions beyond the ranges of the training appear in `Flight.caveats`.
+    Decisions beyond the ranges of the training appear in `Flight.caveats`. Each input is
+    checked alone, so that a flight without this caveat may still be unlike all of the
+    training.
     """
 
     network: RecurrentNetwork
@@ -235,7 +237,7 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
             self.turned(held.bank, output),
             network,
             beside,
-            beyond,
+            jnp.maximum(held.beyond, beyond),
             held.decisions + 1.0,
             held.decisions_beyond + beyond,
         )

@@ -78,7 +78,7 @@ def without_noise() -> dict[str, Dispersion]:
 
 
 def wider() -> dict[str, Dispersion]:
-    """Errors in hard air, 1.5 times as wide as in the training of the law `neural`.
+    """Errors in hard air, 1.5 times as wide, as the law `neural` was trained.
 
     So are waves and noise. The phases and the seed of the noise have no width."""
     table = hard_air_errors()
