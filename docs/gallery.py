@@ -12,6 +12,7 @@ ORDER = (
     "your_own_mission",
     "four_laws_mars",
     "tuning_mars",
+    "neural_law_mars",
     "bezier_cav_h",
     "feedback_linearization_sx2",
     "alpha_modulation_rlv",

@@ -298,6 +298,8 @@ def test_what_is_said_of_the_rlv():
     assert_says(said, *means("rlv", *known, *headings))
     perfect = means("rlv", law, "table-1", *headings)
     assert_says("place of 0.143 and 0.031 km with perfect", *perfect)
+    aided = means("rlv", f"{law} world aided", known[1], *headings)
+    assert_says("The medians are then 0.326 and 0.126 km", *aided)
 
 
 def test_what_is_said_of_the_glide():
@@ -312,5 +314,11 @@ def test_what_is_said_of_the_glide():
     largest = "miss over ground, maximum, km"
     most = np.max(populations.saved()["cav-h-glide", *known, largest])
     assert_says("the largest of 800 flights is 18 km", 800, most)
+    aided = f"{law} world aided", known[1]
+    (median,) = means("cav-h-glide", *aided, headings[0])
+    most = np.max(populations.saved()["cav-h-glide", *aided, largest])
+    assert_says(
+        "then 0.667 km, and the largest of 800 flights is 2.12", median, 800, most
+    )
     growth = np.sqrt(6378137.0**3 / 2.0 / 3.986e14)
     assert_says("by a factor of e in 9.5 minutes", growth / 60.0)

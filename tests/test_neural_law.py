@@ -176,6 +176,19 @@ def test_the_law_remembers():
     assert abs(float(a - b)) > 1e-5
 
 
+def test_the_memory_goes_from_decision_to_decision():
+    """A cell that reads nothing: its memory alone moves it, by the formula of the cell."""
+    network = network_of()
+    blind = eqx.tree_at(lambda n: n.cell.weight_ih, network, replace_fn=jnp.zeros_like)
+    blind = eqx.tree_at(lambda n: n.cell.bias, blind, replace_fn=lambda b: 0.3 + b)
+    memory = flown(law_of(blind), PERIOD).history.decisions.memory[:5]
+    expected = jnp.zeros(3)
+    for found in memory:
+        expected = blind.cell(jnp.zeros(len(INPUTS)), expected)
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+    assert np.all(np.abs(np.diff(memory, axis=0)).max(axis=1) > 1e-4)
+
+
 def test_decisions_beyond_the_training_are_a_caveat():
     network = network_of()
     assert float(flown(law_of(network)).caveats["decisions_beyond_training"]) == 0.0
