@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 from helpers import bank_profile, mars_planet, mars_vehicle
+from neural_laws import PERIOD, law_of
 
 from jentry.guidance import (
     Adjustment,
@@ -41,6 +42,7 @@ from jentry.guidance import (
     plan_gains,
 )
 from jentry.guidance.aim import TargetOfScenario
+from jentry.learning.recorded_law import RecordedLaw
 from jentry.missions.cav_h.scenario import stored
 from jentry.motion.index import EnergyIndex, VelocityIndex
 from jentry.onboard import (
@@ -234,6 +236,13 @@ all_laws = {
     "control profiles": control_profiles,
     "pseudospectral": pseudospectral_law,
     "stored gains": stored_gain_law,
+    "neural": lambda reference: law_of(),
+    "neural beside another": lambda reference: law_of(
+        beside=Sampled(bank_profile(), PERIOD), corrects=True
+    ),
+    "recorded": lambda reference: RecordedLaw(
+        law=Sampled(bank_profile(), 1.0), reader=law_of(), cycle=FixedCycle(1.0)
+    ),
     "Shuttle composition": shuttle_law,
     "modulation composition": modulation_law,
     "sampled bank profile": lambda reference: Sampled(bank_profile(), 1.0),
