@@ -134,7 +134,7 @@ def imitation(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
 def evolution(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
     task = Task(seed)
     search = cmaes.SepCMA(
-        mean=weights_of(task.start),
+        mean=weights_of(task.start).copy(),
         sigma=FIRST_DEVIATION,
         seed=seed,
         population_size=POPULATION,
