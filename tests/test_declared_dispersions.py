@@ -1,6 +1,7 @@
 """Each dispersion that a mission declares changes its flights."""
 
 import functools
+import itertools
 
 import jax
 import jax.numpy as jnp
@@ -92,12 +93,18 @@ def readings_by_variant(mission):
             f"{law} world {world}" for law in mission.laws for world in mission.worlds
         ]
         few = len(mission.worlds)
+        two = [
+            f"{law} world {one} world {other}"
+            for law in mission.laws
+            for one, other in itertools.permutations(mission.worlds, 2)
+        ]
         every = (
             *found,
             next(iter(mission.laws)),
             *worlds[:few],
             *choices(mission),
             *worlds,
+            *two,
         )
         variant = next(v for v in every if takes(v, reading))
         found.setdefault(variant, []).append(reading)
