@@ -35,13 +35,13 @@ def table(specification: str) -> str:
     **Arguments:**
 
     - `specification`: TOML. `source` names the file: `populations.csv`, `published.csv`,
-      `timings.csv`, `navigation.csv`, `sampling.csv`, `wind.csv`, or `tuned` for the files
-      of tuned gains. For the first, `rows` and `columns` are lists of tables whose keys
-      are merged for each cell: `title`, `choice`, `dispersions`, `heading`, `show` (see
-      `SHOWN`), `published`, `digits`, `mission`, or `cells` for several numbers in one
-      cell. For the next two, `table` is the name of the table in the file. For
-      `navigation.csv`, `part` is a part of its program, whose tables are put below each
-      other.
+      `timings.csv`, `navigation.csv`, `neural_law.csv`, `sampling.csv`, `wind.csv`, or
+      `tuned` for the files of tuned gains. For the first, `rows` and `columns` are lists
+      of tables whose keys are merged for each cell: `title`, `choice`, `dispersions`,
+      `heading`, `show` (see `SHOWN`), `published`, `digits`, `mission`, or `cells` for
+      several numbers in one cell. For the next two, `table` is the name of the table in the
+      file. For `navigation.csv`, `part` is a part of its program, whose tables are put
+      below each other.
 
     **Raises:** `ValueError` for an unknown key or source, `KeyError` for a number that is
     not in the file.
@@ -208,6 +208,21 @@ def of_navigation(part: str) -> tuple[list[str], Rows, str]:
     return headings[0], sum(rows, []), " ".join(dict.fromkeys(captions))
 
 
+def of_neural_law() -> tuple[list[str], Rows, str]:
+    path = BENCHMARKS / "neural_law.csv"
+    ways = [name for name in records.load(path) if name != "cost"]
+    headings, rows, captions = zip(
+        *(
+            _of_records(
+                path, name, f"python benchmarks/neural_law.py {name.split(',')[0]}"
+            )
+            for name in ways
+        ),
+        strict=True,
+    )
+    return headings[0], sum(rows, []), " ".join(dict.fromkeys(captions))
+
+
 def of_sampling() -> tuple[list[str], Rows, str]:
     dates, rows = sampling.saved_on(), sampling.saved()
     body = [
@@ -290,6 +305,7 @@ SOURCES: dict[str, tuple[set[str], Callable[..., tuple[list[str], Rows, str]]]] 
     "published.csv": ({"table"}, of_published),
     "timings.csv": ({"table"}, of_timings),
     "navigation.csv": ({"part"}, of_navigation),
+    "neural_law.csv": (set(), of_neural_law),
     "sampling.csv": (set(), of_sampling),
     "wind.csv": (set(), of_wind),
     "tuned": (set(), of_tuned),
