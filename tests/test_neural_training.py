@@ -241,6 +241,16 @@ def test_a_method_ends_without_progress(tmp_path):
         trained(patience=0)
 
 
+def test_a_method_begins_where_the_one_before_was_best():
+    """Steps that are far too long, and then none."""
+    wild = AdamSteps(robust_mean, steps=3, flights=FLIGHTS, rate=3.0)
+    still = AdamSteps(robust_mean, steps=1, flights=FLIGHTS, rate=0.0)
+    course = trained(methods=(wild, still), judge_every=FLIGHTS).course
+    best = min(course[:-1], key=lambda j: j.distances[2])
+    assert course[-2].distances != best.distances
+    assert course[-1].distances == best.distances
+
+
 def test_widths_scale_the_dispersions_of_a_method():
     """With a width near zero the flights of a step are one flight."""
     losses = []
