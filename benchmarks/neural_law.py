@@ -160,7 +160,7 @@ def evolution(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
     return course
 
 
-def cost(rounds: int = 3, runs: int = 2048) -> list[records.Cell]:
+def cost(rounds: int = 3, runs: int = 8192) -> list[records.Cell]:
     mission = find_mission(MISSION)
     table = mission.dispersion_table(WORLD)
     laws = {n: mission.scenario(n, world=WORLD) for n in ("predictor-corrector", LAW)}
