@@ -29,10 +29,6 @@ if TYPE_CHECKING:
 FOLDER = Path(__file__).parent / "networks"
 """Folder of the weights that come with the package"""
 
-
-CYCLE = 2.0
-"""Guidance cycle, s, that of the predictor-corrector"""
-
 EXCESS = 1000.0
 """Excess of the velocity at the end, m/s, that counts as much as a miss of 1 km"""
 
@@ -60,8 +56,7 @@ def residuals(scenario: Scenario, flight: Flight) -> tuple[Scalar, ...]:
     """Errors of downrange and crossrange, km, and a share of the excess velocity.
 
     A flight ends at the end altitude or at the end velocity. Without a cost of the excess
-    the law comes down faster: half of its flights then end 220 m/s above the end velocity,
-    and those of the predictor-corrector 25 m/s.
+    the law comes down faster, and has less time to miss.
     """
     missed = misses(scenario, flight)
     excess = jax.nn.relu(flight.state.velocity - scenario.target.velocity)
@@ -71,8 +66,8 @@ def residuals(scenario: Scenario, flight: Flight) -> tuple[Scalar, ...]:
 def training() -> "LawTraining":
     """Through flights in the hard air, with all errors 1.5 times as wide.
 
-    A law that was trained on the errors themselves comes nearer to the target with them,
-    and loses two flights in a hundred if they are 1.5 times as wide.
+    A law that is trained on the errors themselves comes nearer to the target with them, and
+    loses flights if they are 1.5 times as wide.
     """
     from ...learning.law_training import LawTraining  # optax takes a while
 
