@@ -12,6 +12,7 @@ from great_circles import by_trigonometry
 from helpers import fly_compiled
 from jax.flatten_util import ravel_pytree
 from neural_laws import PERIOD, SOLVER, law_of, network_of, scenario_of
+from winds_on_board import STATE, WINDS, air_velocity
 
 from jentry.flight import misses
 from jentry.flight.scenario import check
@@ -66,6 +67,27 @@ MIDDLE = {
     "flight_path_angle": -9.0 * degree,
     "heading": 88.0 * degree,
 }
+
+
+@pytest.mark.parametrize("wind", WINDS)
+def test_the_drag_of_the_model_is_that_in_its_wind(wind):
+    """In the wind of the model and of the air alike the drag is that of the model."""
+    law, wind = law_of(), WINDS[wind]
+    model = dataclasses.replace(
+        law.model, planet=dataclasses.replace(law.model.planet, wind=wind)
+    )
+    aim = aim_of(law)
+    law = dataclasses.replace(law, model=model)
+    read = inputs_of(model, aim, sensed(STATE, law=law), jnp.asarray(0.0))
+    read = dict(zip(INPUTS, np.asarray(read), strict=True))
+    density = 0.0158 * np.exp(-float(STATE.altitude) / 9354.5)
+    drag = 0.5 * density * np.sum(air_velocity(wind) ** 2) / 115.0
+    unit = 6750.0**2 / (723.32 * km)
+    expected = np.log(np.hypot(drag / unit, 1e-3))
+    assert read["ln of the drag of the model"] == pytest.approx(expected, abs=1e-10)
+    assert read["ln of the sensed drag, over that of the model"] == 0.0
+    still = 0.5 * density * float(STATE.velocity) ** 2 / 115.0
+    assert abs(drag / still - 1.0) > 1e-3
 
 
 def test_the_inputs_are_those_of_their_formulas():

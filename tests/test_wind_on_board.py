@@ -160,8 +160,12 @@ def test_a_prediction_in_a_known_wind_is_flown():
 # What cannot fly in a wind that is known says so
 
 
-KNOWS_WIND = {"Shuttle composition", "stored gains"}
-"""They ask their models for coefficients alone"""
+KNOWS_WIND = {"Shuttle composition", "stored gains"} | {
+    "neural",
+    "neural beside another",
+    "recorded",
+}
+"""They ask their models for coefficients alone, or for the forces in their wind"""
 NO_MODEL = {"bank profile", "control profiles", "sampled bank profile"}
 
 
