@@ -215,7 +215,7 @@ def test_a_training_resumes_bit_for_bit(whole, tmp_path, after):
     with pytest.raises(ValueError, match="holds another training: judge every"):
         trained(store=store, judge_every=5 * FLIGHTS)
     store.write_bytes(store.read_bytes()[:-100])
-    with pytest.raises(ValueError, match="is no file of a training"):
+    with pytest.raises(ValueError, match="is no record of a training"):
         trained(store=store)
 
 

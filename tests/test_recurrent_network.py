@@ -124,7 +124,7 @@ def changed(path, change):
     "change, said",
     [
         (lambda a, c: c.update(purpose="another"), "expected 'a test'"),
-        (lambda a, c: c.pop("purpose"), "purpose"),
+        (lambda a, c: c.pop("purpose"), "for None: expected 'a test'"),
         (lambda a, c: c.update(hidden=[5, 5]), "by its card they are"),
         (lambda a, c: c.update(memory=-1), "must not be negative"),
         (lambda a, c: c["inputs"].update(speed=[3.0, 1.0]), "range of 'speed'"),
@@ -148,7 +148,7 @@ def test_a_file_that_lies_is_refused(stored, change, said):
 
 def test_a_damaged_or_missing_file_is_refused(stored):
     stored.write_bytes(stored.read_bytes()[:-200])
-    with pytest.raises(ValueError, match="no stored law network"):
+    with pytest.raises(ValueError, match="is no stored network"):
         load_recurrent_network(stored)
     stored.unlink()
     with pytest.raises(FileNotFoundError, match="jentry train MISSION --law"):

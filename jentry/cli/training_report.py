@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..learning.law_training import LawTraining
-from ..learning.neural_law import PERCENTILES, Judged, TrainedLaw
+from ..learning.neural_law import TrainedLaw
+from ..learning.training_record import PERCENTILES, Judged
 from ..missions.mission import Mission
 from .tables import new_console, new_table, print_under
 

@@ -17,8 +17,9 @@ from ..guidance.neural_law import INPUTS, PURPOSE
 from ..onboard.recurrent_network import RecurrentNetwork, save_recurrent_network
 from .flight_residuals import Residuals, ground_miss, neural_law_of
 from .imitation import imitated
-from .neural_law import METHODS, PERCENTILES, Judged, TrainedLaw, train_neural_law
+from .neural_law import METHODS, TrainedLaw, train_neural_law
 from .recorded_law import record_inputs
+from .training_record import PERCENTILES, Judged
 from .weight_steps import AbstractMethod
 
 
@@ -114,6 +115,7 @@ def train_law(
         "purpose": PURPOSE,
         "seed": seed,
         "begins with an imitation": imitate,
+        "dispersed": list(training.dispersions),
         "flights with derivatives": trained.course[-1].flights,
         "flights left out": trained.course[-1].left_out,
         "flights that counted less than half": trained.course[-1].clipped,

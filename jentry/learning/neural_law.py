@@ -5,7 +5,6 @@ judged on flights that no step uses. The result has the best ones.
 """
 
 import dataclasses
-import json
 import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
@@ -18,10 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Key
 
-from .._files import read_sealed, write_sealed
 from .._setup import needs_float64
 from ..campaign.campaign import drawn_inputs
-from ..campaign.description import describe, first_difference
+from ..campaign.description import describe
 from ..campaign.dispersions import (
     Dispersion,
     check_dispersions,
@@ -47,21 +45,13 @@ from .flight_residuals import (
     with_weights,
 )
 from .recorded_law import record_inputs
+from .training_record import PERCENTILES, Judged, Progress, TrainingFile, best_of
 from .weight_steps import (
     AbstractMethod,
     AdamSteps,
     GaussNewtonSteps,
-    State,
 )
 
-
-_KIND = "jentry law training 1"
-
-PERCENTILES = 50.0, 95.0, 99.0, 99.9
-"""Percentiles of the distance in a judgement"""
-
-_JUDGED = 99.0
-"""Percentile by which weights are compared"""
 
 _WIDER = 0.1
 """Share of the range of an input on flights of the law by which it is trusted beyond it"""
@@ -97,37 +87,6 @@ exact for most flights, then one that is for all"""
 
 
 @dataclasses.dataclass(frozen=True)
-class Judged:
-    """Weights at one place of a training, on flights that no step uses."""
-
-    method: int
-    """Position of the method"""
-    step: int
-    """Number of steps of this method so far"""
-    flights: int
-    """Number of flights with derivatives so far, of all methods"""
-    seconds: float
-    """Time since the start of the training, s, with compilation"""
-    loss: float
-    """Loss of the last step; NaN before the first"""
-    distances: tuple[float, ...]
-    """`PERCENTILES` of the distance"""
-    without_end: int
-    """Number of judged flights without an end"""
-    left_out: int
-    """Number of flights, of all steps so far, that had no end or no finite derivatives"""
-    clipped: int
-    """Number of flights, of all steps so far, that counted less than half, since their
-    derivatives are large"""
-
-    def better_than(self, other: "Judged") -> bool:
-        """Fewer flights without an end or, if equal, a smaller distance of 99 %."""
-        place = PERCENTILES.index(_JUDGED)
-        mine, theirs = ((x.without_end, x.distances[place]) for x in (self, other))
-        return mine < theirs
-
-
-@dataclasses.dataclass(frozen=True)
 class TrainedLaw:
     """A scenario with the best weights of a training, and the course of the training."""
 
@@ -137,23 +96,6 @@ class TrainedLaw:
     """Position of the best weights in the course"""
     final: Judged
     """The trained law on further flights, which have not selected its weights"""
-
-
-@dataclasses.dataclass
-class _Progress:
-    """All that a training needs to go on."""
-
-    method: int
-    step: int
-    weights: Weights
-    state: State
-    best: Weights
-    course: list[Judged]
-    flights: int = 0
-    left_out: int = 0
-    clipped: int = 0
-    seconds: float = 0.0
-    loss: float = np.nan
 
 
 @needs_float64
@@ -233,18 +175,18 @@ def train_neural_law(
             "own code": own_code(residuals, *(m.statistic for m in methods)),
             "labels": {n: str(x) for n, x in (labels or {}).items()},
         }
-        file = _File(Path(store), asked)
+        file = TrainingFile(Path(store), asked)
     training = _Training(scenario, simulation, [*tables, dispersions], key, held_out)
     progress = None if file is None else file.read()
     if progress is None:
         start = weights_of(scenario)
-        progress = _Progress(0, 0, start, methods[0].start(start), start, [])
+        progress = Progress(0, 0, start, methods[0].start(start), start, [])
     began = time.perf_counter() - progress.seconds
 
     def judge() -> None:
         progress.seconds = time.perf_counter() - began
         found = training.judged(progress)
-        best = _best(progress.course)
+        best = best_of(progress.course)
         if best is None or found.better_than(progress.course[best]):
             progress.best = progress.weights
         progress.course.append(found)
@@ -268,7 +210,7 @@ def train_neural_law(
             progress.state = methods[progress.method].start(progress.weights)
         if file is not None:
             file.write(progress)
-    best = _best(progress.course)
+    best = best_of(progress.course)
     assert best is not None
     trained = training.with_ranges(with_weights(scenario, progress.best))
     final = training.on_held_out(trained, "final")
@@ -291,20 +233,12 @@ def _with_ranges(scenario: Scenario, ranges: np.ndarray) -> Scenario:
     )
 
 
-def _best(course: Sequence[Judged]) -> int | None:
-    best = None
-    for place, judged in enumerate(course):
-        if best is None or judged.better_than(course[best]):
-            best = place
-    return best
-
-
-def _is_spent(progress: _Progress, patience: int | None) -> bool:
+def _is_spent(progress: Progress, patience: int | None) -> bool:
     """Whether the last judgements of the present method were not better."""
     if patience is None:
         return False
     own = [j.method == progress.method for j in progress.course]
-    best = _best(progress.course)
+    best = best_of(progress.course)
     assert best is not None
     since = sum(own[best + 1 :])
     return since >= patience
@@ -317,7 +251,7 @@ class _Training:
         self._scenario, self._simulation = scenario, simulation
         self._tables, self._key, self._held_out = tables, key, held_out
 
-    def advance(self, progress: _Progress, method: AbstractMethod) -> None:
+    def advance(self, progress: Progress, method: AbstractMethod) -> None:
         """Take the next step of a method."""
         step, place = progress.step, progress.method
         runs = step * method.flights + np.arange(method.flights)
@@ -349,7 +283,7 @@ class _Training:
         progress.clipped += found.clipped
         progress.loss = found.loss
 
-    def judged(self, progress: _Progress) -> Judged:
+    def judged(self, progress: Progress) -> Judged:
         there = with_weights(self._scenario, progress.weights)
         return Judged(
             method=progress.method,
@@ -386,67 +320,3 @@ class _Training:
         """Draws for a purpose, with the dispersions of a method, or of full width (-1)."""
         key = jax.random.fold_in(self._key, zlib.crc32(purpose.encode()))
         return drawn_inputs(self._scenario, self._tables[method], key, runs)
-
-
-_ARRAYS = "weights", "best"
-_NUMBERS = (
-    "method",
-    "step",
-    "flights",
-    "left_out",
-    "clipped",
-    "seconds",
-    "loss",
-)
-
-
-@dataclasses.dataclass(frozen=True)
-class _File:
-    """The file from which a training resumes."""
-
-    path: Path
-    description: dict[str, Any]
-
-    def write(self, progress: _Progress) -> None:
-        course = [dataclasses.asdict(judged) for judged in progress.course]
-        about = {"description": self.description, "course": course}
-        numbers = {n: np.array(getattr(progress, n)) for n in _NUMBERS}
-        arrays = {n: getattr(progress, n) for n in _ARRAYS}
-        state = {f"state/{n}": x for n, x in progress.state.items()}
-        write_sealed(
-            self.path,
-            {"about": np.array(json.dumps(about)), **numbers, **arrays, **state},
-            _KIND,
-        )
-
-    def read(self) -> _Progress | None:
-        """The stored progress, or None if there is no file."""
-        if not self.path.exists():
-            return None
-        try:
-            arrays = read_sealed(self.path, _KIND)
-            about = json.loads(str(arrays["about"]))
-        except (ValueError, KeyError) as error:
-            raise ValueError(
-                f"{self.path} is no file of a training: {error}; remove it, and the "
-                "training begins again"
-            ) from None
-        wanted = json.loads(json.dumps(self.description))
-        difference = first_difference(about["description"], wanted)
-        if difference:
-            raise ValueError(
-                f"{self.path} holds another training: {difference}; choose another place, "
-                "or remove it"
-            )
-        course = [
-            Judged(**{**each, "distances": tuple(each["distances"])})
-            for each in about["course"]
-        ]
-        state = {
-            n.removeprefix("state/"): x
-            for n, x in arrays.items()
-            if n.startswith("state/")
-        }
-        known: dict[str, Any] = {n: arrays[n].item() for n in _NUMBERS}
-        known |= {n: arrays[n] for n in _ARRAYS}
-        return _Progress(state=state, course=course, **known)

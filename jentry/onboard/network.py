@@ -168,16 +168,11 @@ def load_network(
     itself or has another purpose; `FileNotFoundError` if there is no file. Nothing in a
     file is executed.
     """
-    path = Path(path)
-    if not path.exists():
-        raise FileNotFoundError(
-            f"no network at {path}: train one with `jentry train MISSION --out FOLDER`"
-        )
+    train = "jentry train MISSION --out FOLDER"
+    arrays, card = read_with_card(path, _FORMAT, purpose, train)
     try:
-        arrays = read_sealed(path, _FORMAT)
-        card = json.loads(str(arrays["card"]))
         layers = sum(name.startswith("weights") for name in arrays)
-        numbers = {n: _numbers(n, array) for n, array in arrays.items() if n != "card"}
+        numbers = {n: _numbers(n, array) for n, array in arrays.items()}
         weights, biases = (
             tuple(numbers.pop(f"{kind}{n}") for n in range(layers))
             for kind in ("weights", "biases")
@@ -190,12 +185,6 @@ def load_network(
             f"{path} is no stored network: {error}; train it again with `jentry train`, "
             "or restore the file"
         ) from None
-    if not isinstance(card, dict) or not isinstance(card.get("inputs"), dict):
-        raise ValueError(f"{path} has no ranges of inputs on its card: train it again")
-    if purpose is not None and card.get("purpose") != purpose:
-        raise ValueError(
-            f"{path} is a network for {card.get('purpose')!r}: expected {purpose!r}"
-        )
     try:
         ranges = card_ranges(card["inputs"])
         network = Network(
@@ -211,6 +200,39 @@ def load_network(
             f"{path} contradicts itself: {error}; train it again"
         ) from None
     return network, card
+
+
+def read_with_card(
+    path: Path | str, kind: str, purpose: str | None, train: str
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Arrays of a stored network, and its model card with ranges of inputs.
+
+    **Arguments:**
+
+    - `kind`: kind of the file and its version.
+    - `purpose`: purpose that the card must state; None for any.
+    - `train`: command that trains such a network.
+
+    **Raises:** `ValueError` for a file that is not a network, is damaged or has another
+    purpose; `FileNotFoundError` if there is no file. Nothing in a file is executed.
+    """
+    if not Path(path).exists():
+        raise FileNotFoundError(f"no network at {path}: train one with `{train}`")
+    try:
+        arrays = read_sealed(path, kind)
+        card = json.loads(str(arrays.pop("card")))
+    except (ValueError, KeyError) as error:
+        raise ValueError(
+            f"{path} is no stored network: {error}; train it again with `{train}`, or "
+            "restore the file"
+        ) from None
+    if not isinstance(card, dict) or not isinstance(card.get("inputs"), dict):
+        raise ValueError(f"{path} has no ranges of inputs on its card: train it again")
+    if purpose is not None and card.get("purpose") != purpose:
+        raise ValueError(
+            f"{path} is a network for {card.get('purpose')!r}: expected {purpose!r}"
+        )
+    return arrays, card
 
 
 def _numbers(name: str, array: np.ndarray) -> Array:

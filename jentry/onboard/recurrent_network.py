@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from .._files import read_sealed, write_sealed
+from .._files import write_sealed
 from ..addresses import leaves_by_address, replace_leaves
 from ..fields import Flag, table
-from .network import card_ranges
+from .network import card_ranges, read_with_card
 
 
 _FORMAT = "jentry recurrent network 1"
@@ -201,18 +201,9 @@ def load_recurrent_network(
     itself or has another purpose; `FileNotFoundError` if there is no file. Nothing in a
     file is executed.
     """
-    path = Path(path)
-    if not path.exists():
-        raise FileNotFoundError(
-            f"no network at {path}: train one with `jentry train MISSION --law neural`"
-        )
+    train = "jentry train MISSION --law neural"
+    arrays, card = read_with_card(path, _FORMAT, purpose, train)
     try:
-        arrays = read_sealed(path, _FORMAT)
-        card = json.loads(str(arrays.pop("card")))
-        if purpose is not None and card["purpose"] != purpose:
-            raise ValueError(
-                f"it is a network for {card['purpose']!r}: expected {purpose!r}"
-            )
         ranges = card_ranges(card["inputs"])
         count = len(ranges)
         shape = RecurrentNetwork.untrained(
@@ -235,8 +226,7 @@ def load_recurrent_network(
             raise ValueError("its ranges are not those of its card")
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(
-            f"{path} is no stored law network: {error}; train it again with `jentry "
-            "train`, or restore the file"
+            f"{path} contradicts itself: {error}; train it again with `{train}`"
         ) from None
     values = {address: jnp.asarray(array) for address, array in arrays.items()}
     return replace_leaves(shape, values), card

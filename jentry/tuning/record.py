@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -13,8 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from .._files import read_sealed, write_sealed
-from ..campaign.description import first_difference
+from ..campaign.resumed_file import (
+    part_of,
+    read_with_description,
+    write_with_description,
+)
 from ..parameters.parameters import Free
 
 
@@ -141,9 +143,10 @@ class CourseFile:
         self, entries: list[Entry], following: Free, state: PyTree, converged: bool
     ) -> None:
         """Write all that is needed to resume. The file is replaced as a whole."""
-        arrays = {"description": np.array(json.dumps(self.description))}
-        for name in NUMBERS:
-            arrays[name] = np.array([getattr(entry, name) for entry in entries])
+        arrays = {
+            name: np.array([getattr(entry, name) for entry in entries])
+            for name in NUMBERS
+        }
         for name in _BY_ADDRESS:
             for address in getattr(entries[0], name):
                 column = [getattr(entry, name)[address] for entry in entries]
@@ -152,7 +155,7 @@ class CourseFile:
         arrays["converged"] = np.array(converged)
         for number, leaf in enumerate(_leaves(state)):
             arrays[f"state/{number}"] = leaf
-        write_sealed(self.path, arrays, _KIND)
+        write_with_description(self.path, arrays, self.description, _KIND)
 
     def read(self) -> tuple[list[Entry], Free, list[np.ndarray], bool]:
         """Points, next point, leaves of the stepper's state, and whether it converged.
@@ -160,28 +163,8 @@ class CourseFile:
         **Raises:** `ValueError` for a file that is no record, or that belongs to another
         tuning run. The message names the first difference.
         """
-        try:
-            arrays = read_sealed(self.path, _KIND)
-            known = json.loads(str(arrays["description"]))
-        except (ValueError, KeyError) as error:
-            raise ValueError(
-                f"{self.path} is no record of a tuning run: {error}; remove it, and "
-                "tuning begins again"
-            ) from None
-        wanted = json.loads(json.dumps(self.description))
-        difference = first_difference(known, wanted)
-        if difference:
-            raise ValueError(
-                f"{self.path} holds another tuning run: {difference}; choose another "
-                "place, or remove it"
-            )
-
-        def part(name: str) -> dict[str, np.ndarray]:
-            prefix = f"{name}/"
-            names = [n for n in arrays if n.startswith(prefix)]
-            return {n.removeprefix(prefix): arrays[n] for n in names}
-
-        columns = {name: part(name) for name in _BY_ADDRESS}
+        arrays = read_with_description(self.path, self.description, _KIND, "tuning run")
+        columns = {name: part_of(arrays, name) for name in _BY_ADDRESS}
         entries = []
         for i in range(len(arrays["loss"])):
             numbers = {name: arrays[name][i].item() for name in NUMBERS}
@@ -193,8 +176,8 @@ class CourseFile:
                 gradient_shares={a: float(x) for a, x in at["gradient_shares"].items()},
             )
             entries.append(entry)
-        following = {a: jnp.asarray(x) for a, x in part("following").items()}
-        leaves = part("state")
+        following = {a: jnp.asarray(x) for a, x in part_of(arrays, "following").items()}
+        leaves = part_of(arrays, "state")
         state = [leaves[str(i)] for i in range(len(leaves))]
         return entries, following, state, bool(arrays["converged"])
 
