@@ -40,8 +40,8 @@ def table(specification: str) -> str:
       of tables whose keys are merged for each cell: `title`, `choice`, `dispersions`,
       `heading`, `show` (see `SHOWN`), `published`, `digits`, `mission`, or `cells` for
       several numbers in one cell. For the next two, `table` is the name of the table in the
-      file. For `navigation.csv`, `part` is a part of its program, whose tables are put
-      below each other.
+      file. For `navigation.csv` and `neural_law.csv`, `part` is a part of the program;
+      tables of a part are put below each other, and so are those of the `ways` to a law.
 
     **Raises:** `ValueError` for an unknown key or source, `KeyError` for a number that is
     not in the file.
@@ -208,9 +208,16 @@ def of_navigation(part: str) -> tuple[list[str], Rows, str]:
     return headings[0], sum(rows, []), " ".join(dict.fromkeys(captions))
 
 
-def of_neural_law() -> tuple[list[str], Rows, str]:
+_WAYS = "through", "imitation", "evolution", "policy"
+"""Parts of the program that come to the weights of the law, in the order of the page"""
+
+
+def of_neural_law(part: str) -> tuple[list[str], Rows, str]:
     path = BENCHMARKS / "neural_law.csv"
-    ways = [name for name in records.load(path) if name != "cost"]
+    if part != "ways":
+        return _of_records(path, part, f"python benchmarks/neural_law.py {part}")
+    known = [(name.split(",")[0], name) for name in records.load(path)]
+    ways = [name for way in _WAYS for found, name in known if found == way]
     headings, rows, captions = zip(
         *(
             _of_records(
@@ -305,7 +312,7 @@ SOURCES: dict[str, tuple[set[str], Callable[..., tuple[list[str], Rows, str]]]] 
     "published.csv": ({"table"}, of_published),
     "timings.csv": ({"table"}, of_timings),
     "navigation.csv": ({"part"}, of_navigation),
-    "neural_law.csv": (set(), of_neural_law),
+    "neural_law.csv": ({"part"}, of_neural_law),
     "sampling.csv": (set(), of_sampling),
     "wind.csv": (set(), of_wind),
     "tuned": (set(), of_tuned),

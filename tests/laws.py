@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 from helpers import bank_profile, mars_planet, mars_vehicle
-from neural_laws import PERIOD, law_of
+from neural_laws import ANGLES, PERIOD, law_of
 
 from jentry.guidance import (
     Adjustment,
@@ -240,6 +240,7 @@ all_laws = {
     "neural beside another": lambda reference: law_of(
         beside=Sampled(bank_profile(), PERIOD), corrects=True
     ),
+    "neural with an angle of attack": lambda reference: law_of(angles=ANGLES),
     "recorded": lambda reference: RecordedLaw(
         law=Sampled(bank_profile(), 1.0), reader=law_of(), cycle=FixedCycle(1.0)
     ),

@@ -9,23 +9,26 @@ import numpy as np
 
 from jentry.flight import FixedStep
 from jentry.guidance import FixedCycle, NeuralLaw
-from jentry.guidance.neural_law import INPUTS
+from jentry.guidance.neural_law import AngleOfAttackLimits, input_names
 from jentry.missions.mars.drag_tracking import entry, to_the_place
 from jentry.motion import EntryDynamics
 from jentry.onboard import OnboardModel, RecurrentNetwork
+from jentry.units import degree
+from jentry.world import PolynomialAerodynamics, Vehicle
 
 
 PERIOD = 4.0
 SOLVER = FixedStep(2.0)
+ANGLES = AngleOfAttackLimits(-5.0 * degree, 25.0 * degree, 2.0 * degree)
 
 
-def network_of(seed=0, memory=3, hidden=(4,), size=1.0):
+def network_of(seed=0, memory=3, hidden=(4,), size=1.0, angle=False):
     """Random weights, normalised by samples about what occurs."""
-    samples = {name: np.array([-2.0, 2.0]) for name in INPUTS}
+    samples = {name: np.array([-2.0, 2.0]) for name in input_names(angle)}
     network = RecurrentNetwork.untrained(
-        samples, memory, hidden, 1, jax.random.key(seed)
+        samples, memory, hidden, 1 + angle, jax.random.key(seed)
     )
-    wide = jnp.asarray([[-100.0, 100.0]] * len(INPUTS))
+    wide = jnp.asarray([[-100.0, 100.0]] * len(samples))
     network = eqx.tree_at(lambda n: n.input_ranges, network, wide)
     last = lambda n: n.layers[-1].weight
     return eqx.tree_at(last, network, replace_fn=lambda w: size * w)
@@ -33,8 +36,10 @@ def network_of(seed=0, memory=3, hidden=(4,), size=1.0):
 
 def law_of(network=None, **options):
     start = entry()
+    if network is None:
+        network = network_of(angle="angles" in options)
     return NeuralLaw(
-        network=network_of() if network is None else network,
+        network=network,
         model=OnboardModel(start.planet, start.vehicle),
         cycle=FixedCycle(PERIOD),
         **options,
@@ -44,3 +49,15 @@ def law_of(network=None, **options):
 def scenario_of(law):
     start = dataclasses.replace(to_the_place(entry()), dynamics=EntryDynamics())
     return dataclasses.replace(start, guidance=law)
+
+
+def gliding_scenario_of(law):
+    """With lift and drag that depend on the angle of attack."""
+    start = scenario_of(law)
+    vehicle = Vehicle(
+        992.0,
+        16.0,
+        aerodynamics=PolynomialAerodynamics([-0.04, 1.5], [0.5, -0.1, 3.0]),
+        trim_angle_of_attack=8.0 * degree,
+    )
+    return dataclasses.replace(start, vehicle=vehicle)

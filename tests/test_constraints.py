@@ -39,6 +39,7 @@ from jentry.motion import (
     NormalLoadFactor,
     entry_dynamics,
     excesses,
+    tightened,
 )
 from jentry.tuning.losses import penalty
 from jentry.units import degree, km
@@ -86,6 +87,26 @@ def test_equilibrium_glide_keeps_the_path_angle():
 
 
 # Limits and what exceeds them.
+
+
+def test_tightened_limits_are_lower_by_a_share():
+    """Those that have none are left out; one that is not positive stays."""
+    constraints = {
+        "drag": Drag(),
+        "heat_rate": HeatRate(2e6),
+        "glide": EquilibriumGlide(limit=0.0),
+        "load_factor": LoadFactor(4.0),
+    }
+    found = tightened(constraints, 0.05)
+    limits = {name: float(each.limit) for name, each in found.items()}
+    assert limits == {"heat_rate": 1.9e6, "glide": 0.0, "load_factor": 3.8}
+    assert {n: type(c) for n, c in found.items()} == {
+        "heat_rate": HeatRate,
+        "glide": EquilibriumGlide,
+        "load_factor": LoadFactor,
+    }
+    below = tightened({"glide": EquilibriumGlide(limit=-0.5)}, 0.05)
+    assert float(below["glide"].limit) == -0.5
 
 
 def test_what_exceeds_a_limit():

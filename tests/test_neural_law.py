@@ -11,13 +11,26 @@ import pytest
 from great_circles import by_trigonometry
 from helpers import fly_compiled
 from jax.flatten_util import ravel_pytree
-from neural_laws import PERIOD, SOLVER, law_of, network_of, scenario_of
+from neural_laws import (
+    ANGLES,
+    PERIOD,
+    SOLVER,
+    gliding_scenario_of,
+    law_of,
+    network_of,
+    scenario_of,
+)
 from winds_on_board import STATE, WINDS, air_velocity
 
 from jentry.flight import misses
 from jentry.flight.scenario import check
 from jentry.guidance import BankProfile, Sampled
-from jentry.guidance.neural_law import INPUTS, inputs_of
+from jentry.guidance.neural_law import (
+    ANGLE_INPUT,
+    INPUTS,
+    AngleOfAttackLimits,
+    inputs_of,
+)
 from jentry.missions.mars.drag_tracking import entry
 from jentry.onboard import (
     Measurement,
@@ -90,6 +103,25 @@ def test_the_drag_of_the_model_is_that_in_its_wind(wind):
     assert abs(drag / still - 1.0) > 1e-3
 
 
+ENTRY = {
+    "altitude": 126.1 * km,
+    "velocity": 6750.0,
+    "flight_path_angle": -14.4 * degree,
+}
+
+
+def periapsis(altitude, velocity, flight_path_angle, **others):
+    """By energy and angular momentum, in vectors: least radius of a Kepler orbit, m."""
+    parameter = float(entry().planet.gravity.gravitational_parameter)
+    radius = 3397.0 * km + altitude
+    place = np.array([radius, 0.0])
+    speed = velocity * np.array([np.sin(flight_path_angle), np.cos(flight_path_angle)])
+    momentum = radius * speed[1]
+    pull = place * (speed @ speed - parameter / radius) - speed * (place @ speed)
+    eccentricity = np.hypot(np.linalg.norm(pull) / parameter, 1e-3)
+    return momentum**2 / parameter / (1.0 + eccentricity)
+
+
 def test_the_inputs_are_those_of_their_formulas():
     """Every input by numpy, of the state, the target and an exponential atmosphere."""
     read = read_at(state_at(**MIDDLE), bank=0.7, lift_factor=1.1, drag_factor=0.9)
@@ -123,8 +155,22 @@ def test_the_inputs_are_those_of_their_formulas():
         ln(1.1 * 0.18 * drag) - ln(0.18 * drag),
         np.sin(0.7),
         np.cos(0.7),
+        np.tanh((periapsis(**MIDDLE) - periapsis(**ENTRY)) / (0.1 * 126.1 * km)),
+        # The plane of origin and aim is the equator: its normal points to the north.
+        -np.cos(MIDDLE["latitude"]) * np.cos(MIDDLE["heading"]),
     ]
     np.testing.assert_allclose(list(read.values()), expected, rtol=1e-10)
+
+
+@pytest.mark.parametrize("more", [-0.3, 0.05, 0.2])
+def test_a_shallow_entry_has_a_higher_periapsis(more):
+    """By some degrees at the entry, in a Kepler orbit."""
+    moved = ENTRY | {"flight_path_angle": ENTRY["flight_path_angle"] + more * degree}
+    read = read_at(state_at(**moved))
+    found = read["periapsis of a free flight, close to that of the aim's origin"]
+    expected = np.tanh((periapsis(**moved) - periapsis(**ENTRY)) / (0.1 * 126.1 * km))
+    assert found == pytest.approx(expected, rel=1e-9)
+    assert 0.05 < abs(found) < 0.95 and np.sign(found) == np.sign(more)
 
 
 @pytest.mark.parametrize(
@@ -156,6 +202,12 @@ def test_a_place_to_the_right_is_a_positive_number():
         state_at(**{**MIDDLE, "latitude": 0.5 * degree, "heading": math.pi / 2})
     )
     assert read["range to the right"] > 0.0
+    name = "sine of the course to the right of the plane of origin and aim"
+    assert read[name] == pytest.approx(0.0, abs=1e-12)
+    south = read_at(
+        state_at(**{**MIDDLE, "latitude": 0.5 * degree, "heading": 0.6 * math.pi})
+    )
+    assert south[name] > 0.1
     assert read["range to the right, over the distance to go"] > 0.0
 
 
@@ -184,6 +236,67 @@ def test_the_first_bank_is_that_before_the_first_decision():
     law = law_of(first_bank=1.0, turn_rate=0.1 * degree)
     held = flown(law, PERIOD).history.decisions.bank
     assert float(held[0]) == pytest.approx(1.0, abs=0.1 * degree * PERIOD + 1e-12)
+
+
+# The angle of attack
+
+
+def angle_flown(law):
+    history = fly_compiled(gliding_scenario_of(law), SOLVER, PERIOD).history
+    flying = np.isfinite(np.asarray(history.time))
+    return history, flying, np.asarray(history.controls.angle_of_attack)[flying]
+
+
+def test_the_angle_of_attack_of_a_flight_keeps_its_limits():
+    """Of its range and its rate, from the trim angle on; and bank and angle differ."""
+    limits = AngleOfAttackLimits(2.0 * degree, 14.0 * degree, 0.5 * degree)
+    law = law_of(network_of(size=300.0, angle=True), angles=limits)
+    history, _, angle = angle_flown(law)
+    steps = np.diff(np.append(8.0 * degree, angle))
+    assert np.max(np.abs(steps)) <= 0.5 * degree * PERIOD + 1e-12
+    assert np.max(np.abs(steps)) > 0.9 * 0.5 * degree * PERIOD
+    assert 2.0 * degree < np.min(angle) and np.max(angle) < 14.0 * degree
+    assert np.ptp(angle) > 3.0 * degree
+    assert np.ptp(np.asarray(history.decisions.bank)[: len(angle)]) > 0.2
+
+
+def test_the_second_output_is_the_angle_of_attack():
+    """Constant outputs: the bank and the angle of attack that they mean, by hand."""
+    network = network_of(angle=True)
+    zero = jax.tree.map(jnp.zeros_like, network.layers)
+    network = eqx.tree_at(lambda n: n.layers, network, zero)
+    bias = jnp.array([np.arctanh(0.25), np.arctanh(-0.5)])
+    network = eqx.tree_at(lambda n: n.layers[-1].bias, network, bias)
+    history, flying, angle = angle_flown(law_of(network, angles=ANGLES))
+    bank = np.asarray(history.decisions.bank)[flying]
+    assert bank[-1] == pytest.approx(0.25 * math.pi, abs=1e-9)
+    assert angle[-1] == pytest.approx((10.0 - 0.5 * 15.0) * degree, abs=1e-9)
+
+
+def test_the_network_reads_the_angle_of_attack_that_is_measured():
+    law = law_of(angles=ANGLES)
+    aimed = gliding_scenario_of(law).law
+    seen = dataclasses.replace(
+        sensed(state_at(**MIDDLE), law=law), angle_of_attack=jnp.asarray(4 * degree)
+    )
+    read = aimed.reads(seen, jnp.asarray(0.2))
+    assert law.network.names[-1] == ANGLE_INPUT
+    assert float(read[-1]) == pytest.approx((4.0 - 10.0) / 15.0, rel=1e-12)
+    known = inputs_of(law.model, aimed.aim, seen, jnp.asarray(0.2))
+    np.testing.assert_array_equal(read[:-1], known)
+
+
+def test_beyond_the_training_the_angle_of_attack_is_that_of_the_law_beside():
+    network = network_of(size=20.0, angle=True)
+    never = eqx.tree_at(
+        lambda n: n.input_ranges, network, jnp.full((len(INPUTS) + 1, 2), 1e3)
+    )
+    beside = law_of(never, beside=other_law(), angles=ANGLES)
+    flown_by = lambda law: fly_compiled(gliding_scenario_of(law), SOLVER, None)
+    same(flown_by(beside).state, flown_by(other_law()).state)
+    trusted = law_of(network, beside=other_law(), angles=ANGLES)
+    alone = law_of(network, angles=ANGLES)
+    same(flown_by(trusted).state, flown_by(alone).state)
 
 
 def test_the_law_remembers():
@@ -302,19 +415,24 @@ def test_what_does_not_fit_is_refused():
     )
     with pytest.raises(ValueError, match="has 2 outputs"):
         law_of(two)
+    with pytest.raises(ValueError, match="and has 2: bank and angle of attack"):
+        law_of(network_of(), angles=ANGLES)
+    with pytest.raises(ValueError, match="a correction is of the bank alone"):
+        law_of(angles=ANGLES, beside=other_law(), corrects=True)
     with pytest.raises(ValueError, match="turn_rate"):
         check(scenario_of(law_of(turn_rate=-1.0)))
 
 
-def test_the_derivatives_by_all_weights_are_those_of_differences():
+@pytest.mark.parametrize("options", [{}, {"angles": ANGLES}], ids=["bank", "angle"])
+def test_the_derivatives_by_all_weights_are_those_of_differences(options):
     """Along a random direction, in forward and in reverse mode."""
-    law = law_of(network_of(size=10.0))
+    law = law_of(network_of(size=10.0, angle=bool(options)), **options)
     vector, put_back = ravel_pytree(law.network.trained)
 
     @jax.jit
     def missed(vector):
         network = eqx.tree_at(lambda n: n.trained, law.network, put_back(vector))
-        scenario = scenario_of(dataclasses.replace(law, network=network))
+        scenario = gliding_scenario_of(dataclasses.replace(law, network=network))
         return misses(scenario, fly_compiled(scenario, SOLVER, None)).downrange
 
     along = np.random.default_rng(2).normal(0.0, 1.0, vector.shape)

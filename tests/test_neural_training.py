@@ -7,7 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from neural_laws import PERIOD, SOLVER, law_of, network_of, scenario_of
+from neural_laws import (
+    ANGLES,
+    PERIOD,
+    SOLVER,
+    gliding_scenario_of,
+    law_of,
+    network_of,
+    scenario_of,
+)
 
 import jentry.learning.neural_law as training_of_laws
 from jentry.campaign import Dispersion, Normal, Uniform, add, monte_carlo
@@ -19,6 +27,7 @@ from jentry.learning import (
     AdamSteps,
     GaussNewtonSteps,
     LawTraining,
+    Recording,
     imitated,
     record_inputs,
     robust_mean,
@@ -33,6 +42,8 @@ from jentry.learning.flight_residuals import (
     weights_of,
     with_weights,
 )
+from jentry.learning.law_training import random_law
+from jentry.learning.training_record import best_of
 from jentry.onboard import (
     Measurement,
     PolynomialProfile,
@@ -47,6 +58,7 @@ from jentry.units import degree, km
 pytestmark = pytest.mark.slow
 
 FLIGHTS = 64
+SINE = INPUTS.index("sine of the bank")
 
 TABLE = {
     "density": Dispersion(lambda s: s.planet.density_scale, Uniform(0.9, 1.1)),
@@ -95,6 +107,7 @@ def test_it_learns(whole):
     assert whole.best == min(range(7), key=lambda i: whole.course[i].distances[2])
 
 
+@pytest.mark.filterwarnings("ignore:.*decisions beyond training")
 def test_the_final_judgement_is_of_other_flights(whole):
     """By a plain Monte Carlo of the trained scenario: the same statistics, not draws."""
     best = whole.course[whole.best]
@@ -173,7 +186,7 @@ def test_beside_another_law_the_trained_one_is_judged_with_its_ranges():
         history=PERIOD,
     ).flights.history
     own = np.sin(history.decisions.bank)[:, :5]
-    np.testing.assert_allclose(read[:, 1:6, -2], own, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(read[:, 1:6, SINE], own, rtol=1e-9, atol=1e-12)
 
 
 def test_an_inner_model_that_is_dispersed_is_the_one_that_reads():
@@ -251,6 +264,26 @@ def test_a_method_begins_where_the_one_before_was_best():
     assert course[-1].distances == best.distances
 
 
+def test_weights_are_better_by_the_percentile_that_is_asked_for():
+    """Two judgements of which each is better by one percentile."""
+    first, *_ = trained(methods=METHODS[:1]).course
+    near = dataclasses.replace(first, distances=(1.0, 2.0, 3.0, 9.0))
+    safe = dataclasses.replace(first, distances=(2.0, 3.0, 4.0, 5.0))
+    lost = dataclasses.replace(near, without_end=1)
+    assert [best_of([near, safe, lost], p) for p in (50.0, 99.0, 99.9)] == [0, 0, 1]
+    assert best_of([lost, safe], 50.0) == 1
+    assert best_of([], 99.0) is None
+
+
+def test_the_best_weights_are_those_of_the_percentile():
+    wild = AdamSteps(robust_mean, steps=6, flights=FLIGHTS, rate=0.3)
+    for place, percentile in ((0, 50.0), (3, 99.9)):
+        given = {"methods": (wild,), "judge_every": FLIGHTS, "judged_by": percentile}
+        found = trained(**given)
+        off = [j.distances[place] for j in found.course]
+        assert found.best == int(np.argmin(off))
+
+
 def test_widths_scale_the_dispersions_of_a_method():
     """With a width near zero the flights of a step are one flight."""
     losses = []
@@ -265,9 +298,20 @@ def test_widths_scale_the_dispersions_of_a_method():
     assert abs(losses[1] - losses[0]) > 1e-3
 
 
+def test_a_method_says_which_derivatives_are_large():
+    """By the median of a step half of its flights have larger ones."""
+    clipped = []
+    for large in (1.0, 1e9):
+        one = AdamSteps(robust_mean, steps=1, flights=FLIGHTS, large=large)
+        clipped.append(trained(methods=(one,)).course[-1].clipped)
+    assert clipped == [FLIGHTS // 2, 0]
+
+
 def test_what_cannot_be_trained_is_refused():
     with pytest.raises(ValueError, match="3 methods and 2 widths"):
         trained(widths=[1.0, 1.0])
+    with pytest.raises(ValueError, match="judged_by is 90.0: choose from 50.0, 95.0"):
+        trained(judged_by=90.0)
     with pytest.raises(ValueError, match="held_out is 0"):
         trained(held_out=0)
     other = dataclasses.replace(
@@ -313,7 +357,7 @@ def test_a_recorded_law_flies_as_it_does_and_holds_what_is_read():
     scenario, model = teacher(), law_of().model
     runs = drawn_inputs(scenario, TABLE, jax.random.key(6), np.arange(FLIGHTS))
     recording = record_inputs(scenario, law_of(first_bank=0.4), runs, SOLVER)
-    assert recording.inputs[:, 0, -2:] == pytest.approx(
+    assert recording.inputs[:, 0, SINE : SINE + 2] == pytest.approx(
         np.tile([np.sin(0.4), np.cos(0.4)], (FLIGHTS, 1))
     )
     history = monte_carlo(
@@ -374,8 +418,16 @@ def test_an_imitation_flies_like_its_teacher():
         imitated(beside, recording, jax.random.key(1))
 
 
-def training_of(methods=METHODS):
+def test_banks_alone_are_imitated():
+    with_angle = gliding_scenario_of(law_of(angles=ANGLES))
+    recording = Recording(np.zeros((2, 3, len(INPUTS) + 1)), np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="imitation learns banks alone"):
+        imitated(with_angle, recording, jax.random.key(1))
+
+
+def training_of(methods=METHODS, **others):
     return LawTraining(
+        **others,
         teacher=teacher(),
         with_network=lambda network: scenario_of(law_of(network)),
         dispersions=TABLE,
@@ -398,7 +450,7 @@ def test_a_training_of_a_mission_stores_the_network_and_its_card(tmp_path):
         imitate=True,
         card={"mission": "a test"},
         say=said.append,
-        report=judged.append,
+        report=lambda training, one: judged.append(one),
     )
     network, card = load_recurrent_network(tmp_path / "law.npz", PURPOSE)
     assert eqx.tree_equal(network, found.scenario.guidance.network)
@@ -413,6 +465,60 @@ def test_a_training_of_a_mission_stores_the_network_and_its_card(tmp_path):
     assert said[1].startswith("imitation, 20 steps")
     again = train_law(training_of(few), 3, tmp_path, imitate=True)
     assert eqx.tree_equal(again.scenario.guidance, found.scenario.guidance)
+
+
+def test_a_training_begins_with_the_network_of_the_one_before(tmp_path):
+    """In another world: here a heavier vehicle."""
+
+    def heavier(network):
+        scenario = scenario_of(law_of(network))
+        return eqx.tree_at(
+            lambda s: s.vehicle.mass, scenario, replace_fn=lambda m: 2 * m
+        )
+
+    few = (AdamSteps(robust_mean, steps=2, flights=FLIGHTS, rate=3e-2),)
+    still = (AdamSteps(robust_mean, steps=1, flights=FLIGHTS, rate=0.0),)
+    first = training_of(few)
+    both = dataclasses.replace(
+        training_of(still, before=first), with_network=heavier, dispersions=TABLE
+    )
+    seen = []
+    report = lambda training, judged: seen.append((training is both, judged.step))
+    found = train_law(both, 3, tmp_path / "both", report=report)
+    assert seen == [(False, 0), (False, 2), (True, 0), (True, 1)]
+    alone = train_law(first, 3, tmp_path / "alone")
+    before, _ = load_recurrent_network(tmp_path / "both" / "before" / "law.npz")
+    assert eqx.tree_equal(before, alone.scenario.guidance.network)
+    # Its judgements are of other flights than those of the one before.
+    plain = dataclasses.replace(both, with_network=first.with_network, judged_by=50.0)
+    again = train_law(plain, 3, tmp_path / "plain")
+    first_judged, last_judged = alone.course[alone.best], again.course[0]
+    assert again.best == int(np.argmin([j.distances[0] for j in again.course]))
+    assert last_judged.distances != first_judged.distances
+    assert last_judged.distances[0] == pytest.approx(first_judged.distances[0], rel=0.2)
+    last, card = load_recurrent_network(tmp_path / "both" / "law.npz")
+    assert eqx.tree_equal(last.trained, before.trained)
+    assert float(found.scenario.vehicle.mass) == 2 * float(start().vehicle.mass)
+    assert card["begins with another training"] is True
+    assert card["flights with derivatives"] == 3 * FLIGHTS
+    assert card["dispersed"] == ["density", "path"]
+    assert found.final.distances[0] > 1.1 * alone.final.distances[0]
+
+
+def test_a_law_with_an_angle_of_attack_is_trained(tmp_path):
+    """The second output has derivatives, and learns: weights of both outputs change."""
+    training = dataclasses.replace(
+        training_of((AdamSteps(robust_mean, steps=6, flights=FLIGHTS, rate=3e-2),)),
+        teacher=gliding_scenario_of(teacher().guidance),
+        with_network=lambda n: gliding_scenario_of(law_of(n, angles=ANGLES)),
+        with_angle=True,
+    )
+    begun, recording = random_law(training, 5)
+    assert recording.inputs.shape[-1] == len(INPUTS) + 1
+    found = train_law(training, 5, tmp_path)
+    assert found.final.distances[0] < 0.9 * found.course[0].distances[0]
+    old, new = (s.guidance.network.layers[-1].weight for s in (begun, found.scenario))
+    assert np.all(np.abs(np.asarray(new - old)).max(axis=1) > 1e-3)
 
 
 def test_weights_go_in_and_out():

@@ -88,6 +88,20 @@ def test_the_first_outputs_are_small(network):
     assert abs(float(output[0])) < 0.3
 
 
+def test_an_input_that_hardly_varies_is_scaled_less():
+    """By a thousandth; one that is constant in the samples is not scaled at all."""
+    samples = {
+        "constant": np.full(9, 5.0),
+        "hardly": np.linspace(-1e-5, 1e-5, 9),
+        "usual": np.linspace(-2.0, 2.0, 9),
+    }
+    key = jax.random.key(0)
+    found = RecurrentNetwork.untrained(samples, 2, (3,), 1, key)
+    expected = [1.0, 1e3, 1.0 / np.std(samples["usual"])]
+    np.testing.assert_allclose(found.input_scale, expected, rtol=1e-12)
+    np.testing.assert_allclose(found.input_mean, [5.0, 0.0, 0.0], atol=1e-18)
+
+
 def test_each_input_has_its_range(network):
     lower, upper = np.asarray(network.input_ranges).T
     assert bool(network.knows(jnp.asarray(lower))) and bool(

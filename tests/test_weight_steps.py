@@ -42,10 +42,10 @@ def best_weights():
     return np.linalg.lstsq(rows, rows @ TRUTH - OFFSET.reshape(-1))[0]
 
 
-def lightened(flights):
+def lightened(flights, large=4.0):
     """The factors on flights with large derivatives, by their definition."""
     ratio = flights.sizes / np.median(flights.sizes)
-    return 1.0 / (1.0 + (ratio / 4.0) ** 2)
+    return 1.0 / (1.0 + (ratio / large) ** 2)
 
 
 def test_the_gradient_is_that_of_the_loss_with_large_derivatives_scaled_down():
@@ -70,12 +70,16 @@ def test_the_gradient_is_that_of_the_loss_with_large_derivatives_scaled_down():
 
 
 def test_the_matrix_of_a_mean_square_is_its_hessian_but_for_the_factors():
-    kept = lightened(flown_at(TRUTH))
-    expected = (
-        2.0 / FLIGHTS * np.einsum("i,ija,ijb->ab", kept, DERIVATIVES, DERIVATIVES)
-    )
-    found = curved(flown_at(TRUTH), root_mean_square)
-    np.testing.assert_allclose(found.matrix, expected, rtol=1e-12)
+    for large in (1.5, 4.0, 1e9):
+        kept = lightened(flown_at(TRUTH), large)
+        expected = (
+            2.0 / FLIGHTS * np.einsum("i,ija,ijb->ab", kept, DERIVATIVES, DERIVATIVES)
+        )
+        found = curved(flown_at(TRUTH), root_mean_square, large=large)
+        np.testing.assert_allclose(found.matrix, expected, rtol=1e-12)
+    usual = curved(flown_at(TRUTH), root_mean_square)
+    same = curved(flown_at(TRUTH), root_mean_square, large=4.0)
+    np.testing.assert_array_equal(usual.matrix, same.matrix)
     assert curved(flown_at(TRUTH), root_mean_square, with_matrix=False).matrix is None
 
 
@@ -282,7 +286,7 @@ def test_numbers_out_of_their_range_are_refused(method, given):
         method(root_mean_square, steps=3, flights=3, **given)
 
 
-@pytest.mark.parametrize("given", [{"steps": 0}, {"flights": 0}])
+@pytest.mark.parametrize("given", [{"steps": 0}, {"flights": 0}, {"large": 0.0}])
 def test_numbers_must_be_positive(given):
     (name,) = given
     with pytest.raises(ValueError, match=f"{name} is 0"):

@@ -163,6 +163,7 @@ def test_a_prediction_in_a_known_wind_is_flown():
 KNOWS_WIND = {"Shuttle composition", "stored gains"} | {
     "neural",
     "neural beside another",
+    "neural with an angle of attack",
     "recorded",
 }
 """They ask their models for coefficients alone, or for the forces in their wind"""

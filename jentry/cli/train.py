@@ -131,7 +131,7 @@ def _train_law(
             imitate=imitate,
             card=card,
             say=say,
-            report=lambda judged: say(judged_line(training, judged)),
+            report=lambda training, judged: say(judged_line(training, judged)),
         )
     print_trained_law(mission, law, trained)
     typer.echo(f"network: {folder}")

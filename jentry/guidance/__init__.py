@@ -99,6 +99,7 @@ from .lift_tradeoff import (
     WeightedTradeoff as WeightedTradeoff,
 )
 from .neural_law import (
+    AngleOfAttackLimits as AngleOfAttackLimits,
     NeuralDecision as NeuralDecision,
     NeuralLaw as NeuralLaw,
 )

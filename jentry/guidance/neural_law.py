@@ -1,9 +1,10 @@
-"""A recurrent network that commands a signed bank: a law that only training can make.
+"""A recurrent network that commands a signed bank, or that and an angle of attack.
 
 The network reads the measurement in dimensionless numbers, about the onboard model and the
 aim. Its memory is that of the law: it can learn to estimate what no single measurement
 shows, such as the air below. The command is smooth in all of it. There is no logic of
-reversals: the bank has a sign, and turns through zero at a limited rate.
+reversals: the bank has a sign, and turns through zero at a limited rate. Only training can
+make such a law.
 
 `jentry.learning.train_neural_law` trains such a law through the flight.
 """
@@ -18,11 +19,12 @@ from jaxtyping import Array, Float
 from .._math import sincos
 from ..fields import Scalar, scalar
 from ..motion.quantities import direction_to, from_ground_track
-from ..motion.state import Controls
+from ..motion.state import Controls, EntryState
 from ..onboard.measurement import Measurement, measure
 from ..onboard.model import OnboardModel
 from ..onboard.recurrent_network import RecurrentNetwork
 from ..units import degree
+from ..world.planet import Planet
 from .aim import Aim, TargetOfScenario, known
 from .cycle import FixedCycle
 from .law import AbstractSampledLaw, begun, commanded, decided
@@ -46,10 +48,16 @@ INPUTS = (
     "ln of the sensed lift, over that of the model",
     "sine of the bank",
     "cosine of the bank",
+    "periapsis of a free flight, close to that of the aim's origin",
+    "sine of the course to the right of the plane of origin and aim",
 )
 """Inputs of the network, dimensionless. Ranges are over the downrange of the aim from its
 origin, the altitude over that of the origin, velocities over that of the origin, and
 accelerations over the square of that velocity by that downrange. Lift is its magnitude"""
+
+ANGLE_INPUT = "angle of attack, from the middle of its range"
+"""Further input of a law that commands the angle of attack: what is measured, over half the
+range"""
 
 _NEAR = 0.003
 """Length, as a share of the downrange of the aim, by which the distance to go is smoothed:
@@ -61,6 +69,14 @@ from full size to zero"""
 
 _ASIDE = 0.02
 """Unit of `range to the right`, as a share of the downrange"""
+
+_SHALLOW = 0.1
+"""Difference of the periapsis from that of the origin, as a share of the altitude of the
+origin, over which the input goes from nothing to one: an error of a tenth of a degree in
+the path angle at the entry is a small number, and decides the flight"""
+
+_LEAST_ECCENTRICITY = 1e-3
+"""Smoothing of an eccentricity"""
 
 _LEAST_FORCE = 1e-3
 """Smoothing of a specific force, in the unit of accelerations: above the air its logarithm
@@ -83,6 +99,9 @@ def inputs_of(
     acceleration = speed * speed / length
     place = from_ground_track(planet, aim.origin, aim.downrange, aim.crossrange)
     ahead, right, up = direction_to(*place, state)
+    # The level course, times the normal of the plane through the origin and the aim.
+    _, aside, above = direction_to(aim.origin.longitude, aim.origin.latitude, state)
+    course = (aside * up - above * right) / jnp.sin(length / planet.radius)
     ahead = planet.radius * jnp.arctan2(ahead, up) / length
     right = planet.radius * jnp.arcsin(right) / length
     to_go = _smooth(ahead, _NEAR)
@@ -100,6 +119,7 @@ def inputs_of(
     believed = measure(planet, model.vehicle, state, angle)
     sine, cosine = sincos(bank)
     velocity = state.velocity / speed
+    higher = _periapsis(planet, state) - _periapsis(planet, aim.origin)
     return jnp.stack(
         [
             velocity,
@@ -117,13 +137,61 @@ def inputs_of(
             ln(measurement.lift) - ln(believed.lift),
             sine,
             cosine,
+            jnp.tanh(higher / (_SHALLOW * aim.origin.altitude)),
+            course,
         ]
     )
+
+
+def _periapsis(planet: Planet, state: EntryState) -> Scalar:
+    """Radius of the periapsis without air, m, by the velocity relative to the planet."""
+    radius = planet.radius + state.altitude
+    sine, cosine = sincos(state.flight_path_angle)
+    parameter = planet.gravity.acceleration(radius) * radius * radius
+    level = state.velocity * cosine
+    momentum = radius * level
+    latus = momentum * momentum / parameter
+    out, across = latus / radius - 1.0, momentum * state.velocity * sine / parameter
+    eccentricity = jnp.sqrt(out * out + across * across + _LEAST_ECCENTRICITY**2)
+    return latus / (1.0 + eccentricity)
+
+
+def input_names(with_angle: bool) -> tuple[str, ...]:
+    """Names of the inputs of a law, with a commanded angle of attack or without."""
+    return (*INPUTS, ANGLE_INPUT) if with_angle else INPUTS
 
 
 def _smooth(x: Scalar, width: Scalar | float) -> Scalar:
     """The magnitude of a number, rounded off where it is smaller than a width."""
     return jnp.sqrt(x * x + width * width)
+
+
+class AngleOfAttackLimits(eqx.Module):
+    """Range and largest rate of a commanded angle of attack."""
+
+    lowest: Scalar = scalar(unit="rad")
+    highest: Scalar = scalar(unit="rad")
+    turn_rate: Scalar = scalar(unit="rad/s", positive=True)
+
+    def share(self, angle: Scalar) -> Scalar:
+        """Angle of attack from the middle of the range, over half of it."""
+        middle, half = self._middle_and_half()
+        return (angle - middle) / half
+
+    def turned(self, angle: Scalar, output: Scalar, period: float) -> Scalar:
+        """Angle of attack (rad) a period (s) after another one (rad), by an output."""
+        middle, half = self._middle_and_half()
+        return _towards(
+            middle + half * jnp.tanh(output), angle, self.turn_rate * period
+        )
+
+    def _middle_and_half(self) -> tuple[Scalar, Scalar]:
+        return 0.5 * (self.lowest + self.highest), 0.5 * (self.highest - self.lowest)
+
+
+def _towards(wish: Scalar, now: Scalar, most: Scalar) -> Scalar:
+    """A number nearer to another one, by at most a third; smooth."""
+    return now + most * jnp.tanh((wish - now) / most)
 
 
 _BEYOND = "decisions_beyond_training"
@@ -135,6 +203,8 @@ class NeuralDecision(eqx.Module):
 
     bank: Scalar
     """Bank, or its difference from that of the law beside; rad, positive to the right"""
+    angle_of_attack: Scalar
+    """Commanded angle of attack, rad; that of the trim if the network has no `angles`"""
     memory: Float[Array, " memory"]
     """Memory of the network"""
     beside: Any
@@ -148,11 +218,13 @@ class NeuralDecision(eqx.Module):
 
 
 class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
-    """Commands the bank by a recurrent network, at the trim angle of attack.
+    """Commands the bank, and the angle of attack with `angles`, by a recurrent network.
 
     At the start of a cycle the network reads the `INPUTS` and gives y. The bank that it
     wishes is `largest_bank` times tanh(y). A cycle turns towards it by at most `turn_rate`
-    times the period. Both limits are smooth.
+    times the period. Both limits are smooth. With `angles` the network reads the present
+    angle of attack too, and a second output commands it likewise. Without, the vehicle
+    flies at its trim angle of attack.
 
     Another law may fly beside. Then the network is trusted within the ranges of its
     training only. From the first decision beyond them the other law commands alone. With
@@ -177,15 +249,26 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
     """Law that flies beside, with the same cycle; None for the network alone"""
     aim: Aim | TargetOfScenario = TargetOfScenario()
     cycle: FixedCycle = FixedCycle(2.0)
+    angles: AngleOfAttackLimits | None = None
+    """Limits of the angle of attack; None for a network that commands the bank alone"""
     corrects: bool = eqx.field(default=False, static=True)
     """Whether the network corrects the command of the law beside"""
 
     def __check_init__(self):
-        if self.network.names != INPUTS or self.network.outputs != 1:
+        names = input_names(self.angles is not None)
+        outputs, commands = 1, "the bank"
+        if self.angles is not None:
+            outputs, commands = 2, "bank and angle of attack"
+        if self.network.names != names or self.network.outputs != outputs:
             raise ValueError(
                 f"the network reads {', '.join(self.network.names)} and has "
-                f"{self.network.outputs} outputs: a neural law reads "
-                f"{', '.join(INPUTS)}, and has one, the bank"
+                f"{self.network.outputs} outputs: this law reads {', '.join(names)}, and "
+                f"has {outputs}: {commands}"
+            )
+        if self.corrects and self.angles is not None:
+            raise ValueError(
+                "corrects is True and angles is given: a correction is of the bank alone; "
+                "leave one of them out"
             )
         if self.corrects and self.beside is None:
             raise ValueError(
@@ -218,7 +301,8 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
         if self.beside is not None:
             memory, beside = begun(self.beside, measurement)
         bank, network = self.first_bank + zero, self.network.start() + zero
-        return memory, NeuralDecision(bank, network, beside, zero, zero, zero)
+        angle = measurement.trim_angle_of_attack + zero
+        return memory, NeuralDecision(bank, angle, network, beside, zero, zero, zero)
 
     def update(
         self,
@@ -231,10 +315,14 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
         if self.beside is not None:
             memory, beside = decided(self.beside, time, measurement, memory, beside)
         read = self.reads(measurement, held.bank)
-        (output,), network = self.network(read, held.memory)
+        outputs, network = self.network(read, held.memory)
         beyond = jnp.where(self.network.knows(read), 0.0, 1.0)
+        angle = held.angle_of_attack
+        if self.angles is not None:
+            angle = self.angles.turned(angle, outputs[1], self.cycle.period)
         decision = NeuralDecision(
-            self.turned(held.bank, output),
+            self.turned(held.bank, outputs[0]),
+            angle,
             network,
             beside,
             jnp.maximum(held.beyond, beyond),
@@ -245,13 +333,15 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
 
     def reads(self, measurement: Measurement, bank: Scalar) -> Float[Array, " inputs"]:
         """Inputs of the network, with its bank before this decision (rad)."""
-        return inputs_of(self.model, known(self.aim), measurement, bank)
+        read = inputs_of(self.model, known(self.aim), measurement, bank)
+        if self.angles is None:
+            return read
+        return jnp.append(read, self.angles.share(measurement.angle_of_attack))
 
     def turned(self, bank: Scalar, output: Scalar) -> Scalar:
         """Bank (rad) after one cycle from a bank (rad), by the output of the network."""
         wish = self.largest_bank * jnp.tanh(output)
-        most = self.turn_rate * self.cycle.period
-        return bank + most * jnp.tanh((wish - bank) / most)
+        return _towards(wish, bank, self.turn_rate * self.cycle.period)
 
     def __call__(
         self,
@@ -261,9 +351,8 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
         held: NeuralDecision,
     ) -> tuple[Controls, Any]:
         sine, cosine = sincos(held.bank)
-        angle = measurement.trim_angle_of_attack
         if self.beside is None:
-            return Controls(angle, cosine, sine), ()
+            return Controls(held.angle_of_attack, cosine, sine), ()
         other, rate = commanded(self.beside, time, measurement, memory, held.beside)
         if self.corrects:
             sine, cosine = (
@@ -271,8 +360,11 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
                 other.cos_bank * cosine - other.sin_bank * sine,
             )
         own = held.beyond == 0.0
+        angle = other.angle_of_attack
+        if self.angles is not None:
+            angle = jnp.where(own, held.angle_of_attack, angle)
         controls = Controls(
-            other.angle_of_attack,
+            angle,
             jnp.where(own, cosine, other.cos_bank),
             jnp.where(own, sine, other.sin_bank),
         )

@@ -146,21 +146,28 @@ class Curved(NamedTuple):
     """Number of flights that count less than half, since their derivatives are large"""
 
 
-_LARGE = 4.0
-"""A flight whose derivatives exceed the median by this factor has half of its weight"""
+LARGE = 4.0
+"""Usual factor by which the derivatives of a flight exceed the median if it has half of its
+weight"""
 
 _LEAST_WEIGHT = 0.1
 """Weight of a flight in the matrix, as a share of the mean, if the loss hardly depends on
 it: a step must not spoil it"""
 
 
-def curved(flights: Flown, statistic: Statistic, with_matrix: bool = True) -> Curved:
+def curved(
+    flights: Flown,
+    statistic: Statistic,
+    with_matrix: bool = True,
+    large: float = LARGE,
+) -> Curved:
     """Gradient and matrix of a statistic of the distances of finite flights.
 
     With w_i = (dL / dd_i) / d_i for the distance d_i, its residuals r_i and derivatives J_i
     the gradient is the sum of w_i J_i^T r_i, and the matrix that of w_i J_i^T J_i. It is
     the Hessian for a mean square if the derivatives were constant. Both weigh flights down
-    whose derivatives are much larger than those of the others.
+    whose derivatives exceed the median by the factor `large` or more: these have half of
+    their weight or less.
     """
     residuals, derivatives, _ = (x[flights.finite] for x in flights)
     sizes = flights.sizes[flights.finite]
@@ -189,7 +196,7 @@ def curved(flights: Flown, statistic: Statistic, with_matrix: bool = True) -> Cu
             "of jentry.tuning.losses"
         )
     ratio = sizes / float(np.median(sizes[sizes > 0.0]))
-    kept = 1.0 / (1.0 + (ratio / _LARGE) ** 2)
+    kept = 1.0 / (1.0 + (ratio / large) ** 2)
     gradient = np.einsum("i,ij,ijk->k", weights * kept, residuals, derivatives)
     matrix = None
     if with_matrix:
@@ -197,4 +204,4 @@ def curved(flights: Flown, statistic: Statistic, with_matrix: bool = True) -> Cu
         rows = derivatives * np.sqrt(weights * kept)[:, None, None]
         rows = rows.reshape(-1, rows.shape[-1])
         matrix = rows.T @ rows
-    return Curved(float(loss), gradient, matrix, int(np.sum(ratio > _LARGE)))
+    return Curved(float(loss), gradient, matrix, int(np.sum(ratio > large)))

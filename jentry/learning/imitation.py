@@ -52,6 +52,11 @@ def imitated(
             "the law flies beside another one: imitation is for a network alone, since a "
             "correction of zero is the other law already"
         )
+    if law.angles is not None:
+        raise ValueError(
+            "the law commands the angle of attack too: imitation learns banks alone; train "
+            "through the flight from random weights"
+        )
     read, banks = (jnp.asarray(np.nan_to_num(x)) for x in recording)
     flying = jnp.asarray(np.isfinite(recording.banks))
     optimizer = optax.chain(

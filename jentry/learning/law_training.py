@@ -13,17 +13,20 @@ from ..campaign.campaign import drawn_inputs
 from ..campaign.dispersions import Dispersion, key_of
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
-from ..guidance.neural_law import INPUTS, PURPOSE
+from ..guidance.neural_law import PURPOSE, input_names
 from ..onboard.recurrent_network import RecurrentNetwork, save_recurrent_network
 from .flight_residuals import Residuals, ground_miss, neural_law_of
 from .imitation import imitated
 from .neural_law import METHODS, TrainedLaw, train_neural_law
-from .recorded_law import record_inputs
+from .recorded_law import Recording, record_inputs
 from .training_record import PERCENTILES, Judged
 from .weight_steps import AbstractMethod
 
 
 NETWORK_FILE, COURSE_FILE = "law.npz", "course.npz"
+
+BEFORE = "before"
+"""Folder of the training before, within that of the training"""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,10 +46,17 @@ class LawTraining:
     """Interval of the histories that the residuals need, s; None if they need none"""
     widths: tuple[float, ...] | None = None
     """Factor on the width of the dispersions with each method; None for ones"""
+    judged_by: float = 99.0
+    """Percentile of the distance by which weights are better, as in `train_neural_law`"""
     memory: int = 16
     """Size of the memory of the network; 0 for none"""
     hidden: tuple[int, ...] = (16,)
     """Sizes of its hidden layers"""
+    with_angle: bool = False
+    """Whether the network commands the angle of attack too"""
+    before: "LawTraining | None" = None
+    """Training with whose network this one begins, such as one in a simpler world; None to
+    begin with random weights. The teacher is that of the first training then"""
     taught_flights: int = 512
     """Number of flights of the teacher"""
     taught_steps: int = 2000
@@ -62,12 +72,13 @@ def train_law(
     imitate: bool = False,
     card: Mapping[str, Any] | None = None,
     say: Callable[[str], None] = lambda line: None,
-    report: Callable[[Judged], None] = lambda judged: None,
+    report: Callable[[LawTraining, Judged], None] = lambda training, judged: None,
 ) -> TrainedLaw:
     """Train a neural law from random weights, and store its network with its model card.
 
     The folder has the network, `law.npz`, and the file from which the same call resumes,
-    `course.npz`.
+    `course.npz`. A training that begins with another one trains that first, in the folder
+    `before`.
 
     **Arguments:**
 
@@ -75,29 +86,30 @@ def train_law(
     - `imitate`: whether to begin with an imitation of the teacher.
     - `card`: further entries of the model card.
     - `say`: function that is called with lines of text on the progress.
-    - `report`: function that is called with each judgement.
+    - `report`: function that is called with each judgement, after the training that it is
+        of: this one, or that before.
     """
     folder = Path(folder)
-    teach, weights, learn, fly = jax.random.split(key_of(seed), 4)
-    flights = training.taught_flights
-    say(f"{flights} flights of the teacher, {type(training.teacher.law).__name__}")
-    runs = drawn_inputs(
-        training.teacher, training.dispersions, teach, np.arange(flights)
-    )
-
-    def scenario(samples: dict[str, np.ndarray]) -> Scenario:
-        sizes = training.memory, training.hidden
-        network = RecurrentNetwork.untrained(samples, *sizes, 1, weights)
-        return training.with_network(network)
-
-    # What the law reads does not depend on its network.
-    reader = neural_law_of(scenario(dict.fromkeys(INPUTS, np.zeros(1))))
-    recording = record_inputs(training.teacher, reader, runs, training.solver)
-    read = recording.inputs[np.all(np.isfinite(recording.inputs), axis=-1)]
-    start = scenario(dict(zip(INPUTS, read.T, strict=True)))
-    if imitate:
-        steps = training.taught_steps
-        start = imitated(start, recording, learn, steps=steps, report=say)
+    *_, learn, fly = jax.random.split(key_of(seed), 4)
+    earlier = None
+    if training.before is None:
+        start, recording = random_law(training, seed, say)
+        if imitate:
+            steps = training.taught_steps
+            start = imitated(start, recording, learn, steps=steps, report=say)
+    else:
+        earlier = train_law(
+            training.before,
+            seed,
+            folder / BEFORE,
+            imitate=imitate,
+            card=card,
+            say=say,
+            report=report,
+        )
+        say(f"the training before is in {folder / BEFORE}; now the next one")
+        start = training.with_network(neural_law_of(earlier.scenario).network)
+        fly = jax.random.fold_in(fly, 1)
     trained = train_neural_law(
         start,
         training.dispersions,
@@ -105,22 +117,25 @@ def train_law(
         residuals=training.residuals,
         methods=training.methods,
         widths=training.widths,
+        judged_by=training.judged_by,
         solver=training.solver,
         history=training.history,
         store=folder / COURSE_FILE,
-        report=report,
+        report=lambda judged: report(training, judged),
     )
-    best = trained.course[trained.best]
+    parts = [part for part in (earlier, trained) if part is not None]
+    last = [part.course[-1] for part in parts]
     about = {
         "purpose": PURPOSE,
         "seed": seed,
         "begins with an imitation": imitate,
+        "begins with another training": earlier is not None,
         "dispersed": list(training.dispersions),
-        "flights with derivatives": trained.course[-1].flights,
-        "flights left out": trained.course[-1].left_out,
-        "flights that counted less than half": trained.course[-1].clipped,
-        "training, s": round(trained.course[-1].seconds, 1),
-        "best after flights": best.flights,
+        "flights with derivatives": sum(j.flights for j in last),
+        "flights left out": sum(j.left_out for j in last),
+        "flights that counted less than half": sum(j.clipped for j in last),
+        "training, s": round(sum(j.seconds for j in last), 1),
+        "best after flights": trained.course[trained.best].flights,
         "held out flights without an end": trained.final.without_end,
         "held out distance": {
             f"{p:g} %": d
@@ -130,3 +145,30 @@ def train_law(
     network = neural_law_of(trained.scenario).network
     save_recurrent_network(folder / NETWORK_FILE, network, about | dict(card or {}))
     return trained
+
+
+def random_law(
+    training: LawTraining, seed: int, say: Callable[[str], None] = lambda line: None
+) -> tuple[Scenario, Recording]:
+    """The scenario with random weights, and the flights of the teacher.
+
+    These normalise the inputs. `say` is a function that is called with a line of text.
+    """
+    teach, weights, *_ = jax.random.split(key_of(seed), 4)
+    flights = training.taught_flights
+    say(f"{flights} flights of the teacher, {type(training.teacher.law).__name__}")
+    runs = drawn_inputs(
+        training.teacher, training.dispersions, teach, np.arange(flights)
+    )
+
+    def scenario(samples: dict[str, np.ndarray]) -> Scenario:
+        sizes = training.memory, training.hidden, 1 + training.with_angle
+        network = RecurrentNetwork.untrained(samples, *sizes, weights)
+        return training.with_network(network)
+
+    # What the law reads does not depend on its network.
+    names = input_names(training.with_angle)
+    reader = neural_law_of(scenario(dict.fromkeys(names, np.zeros(1))))
+    recording = record_inputs(training.teacher, reader, runs, training.solver)
+    read = recording.inputs[np.all(np.isfinite(recording.inputs), axis=-1)]
+    return scenario(dict(zip(names, read.T, strict=True))), recording

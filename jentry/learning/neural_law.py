@@ -109,6 +109,7 @@ def train_neural_law(
     widths: Sequence[float] | None = None,
     held_out: int = 2048,
     judge_every: int = 1024 * 10,
+    judged_by: float = 99.0,
     patience: int | None = None,
     solver: AbstractSolver = FixedStep(),
     history: float | None = None,
@@ -134,6 +135,8 @@ def train_neural_law(
     - `held_out`: number of flights of a judgement. All judgements in the course have equal
       draws, and the final one has others.
     - `judge_every`: number of flights with derivatives between judgements.
+    - `judged_by`: percentile of the distance by which weights are better; one of
+      `PERCENTILES`.
     - `patience`: number of judgements without a better one after which a method ends;
       None for all steps.
     - `solver`, `history`: as for `fly`.
@@ -154,6 +157,10 @@ def train_neural_law(
     for name, value in (("held_out", held_out), ("judge_every", judge_every)):
         if value < 1:
             raise ValueError(f"{name} is {value}: it must be at least 1")
+    if judged_by not in PERCENTILES:
+        raise ValueError(
+            f"judged_by is {judged_by}: choose from {', '.join(map(str, PERCENTILES))}"
+        )
     if patience is not None and patience < 1:
         raise ValueError(f"patience is {patience}: it must be at least 1, or None")
     scenario = _with_ranges(scenario, _EVERYWHERE)
@@ -171,6 +178,7 @@ def train_neural_law(
             "widths": widths,
             "held out": held_out,
             "judge every": judge_every,
+            "judged by": judged_by,
             "patience": patience,
             "own code": own_code(residuals, *(m.statistic for m in methods)),
             "labels": {n: str(x) for n, x in (labels or {}).items()},
@@ -186,8 +194,8 @@ def train_neural_law(
     def judge() -> None:
         progress.seconds = time.perf_counter() - began
         found = training.judged(progress)
-        best = best_of(progress.course)
-        if best is None or found.better_than(progress.course[best]):
+        best = best_of(progress.course, judged_by)
+        if best is None or found.better_than(progress.course[best], judged_by):
             progress.best = progress.weights
         progress.course.append(found)
         if file is not None:
@@ -199,7 +207,9 @@ def train_neural_law(
     while progress.method < len(methods):
         method = methods[progress.method]
         every = max(1, judge_every // method.flights)
-        while progress.step < method.steps and not _is_spent(progress, patience):
+        while progress.step < method.steps and not _is_spent(
+            progress, patience, judged_by
+        ):
             training.advance(progress, method)
             if progress.step % every == 0 or progress.step == method.steps:
                 judge()
@@ -210,7 +220,7 @@ def train_neural_law(
             progress.state = methods[progress.method].start(progress.weights)
         if file is not None:
             file.write(progress)
-    best = best_of(progress.course)
+    best = best_of(progress.course, judged_by)
     assert best is not None
     trained = training.with_ranges(with_weights(scenario, progress.best))
     final = training.on_held_out(trained, "final")
@@ -233,12 +243,12 @@ def _with_ranges(scenario: Scenario, ranges: np.ndarray) -> Scenario:
     )
 
 
-def _is_spent(progress: Progress, patience: int | None) -> bool:
+def _is_spent(progress: Progress, patience: int | None, judged_by: float) -> bool:
     """Whether the last judgements of the present method were not better."""
     if patience is None:
         return False
     own = [j.method == progress.method for j in progress.course]
-    best = best_of(progress.course)
+    best = best_of(progress.course, judged_by)
     assert best is not None
     since = sum(own[best + 1 :])
     return since >= patience
@@ -260,7 +270,7 @@ class _Training:
             self._simulation,
             self._drawn(place, f"steps of {place}", runs),
         )
-        found = curved(flights, method.statistic, method.needs_matrix)
+        found = curved(flights, method.statistic, method.needs_matrix, method.large)
         trial: list[dict[str, np.ndarray]] = []
 
         def tried(weights: Weights) -> tuple[int, float]:

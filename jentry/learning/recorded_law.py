@@ -20,7 +20,7 @@ from ..guidance.law import (
     commanded,
     decided,
 )
-from ..guidance.neural_law import INPUTS, NeuralLaw
+from ..guidance.neural_law import NeuralLaw
 from ..onboard.measurement import Measurement
 
 
@@ -49,7 +49,8 @@ class RecordedLaw(AbstractSampledLaw[Any, RecordedDecision]):
         memory, held = begun(self.law, measurement)
         zero = 0.0 * measurement.drag
         first = self.reader.first_bank + zero
-        return memory, RecordedDecision(held, jnp.zeros(len(INPUTS)) + zero, first)
+        read = jnp.zeros(len(self.reader.network.names)) + zero
+        return memory, RecordedDecision(held, read, first)
 
     def update(
         self,

@@ -22,9 +22,6 @@ _KIND = "jentry law training 2"
 PERCENTILES = 50.0, 95.0, 99.0, 99.9
 """Percentiles of the distance in a judgement"""
 
-_JUDGED = 99.0
-"""Percentile by which weights are compared"""
-
 
 @dataclasses.dataclass(frozen=True)
 class Judged:
@@ -50,18 +47,21 @@ class Judged:
     """Number of flights, of all steps so far, that counted less than half, since their
     derivatives are large"""
 
-    def better_than(self, other: "Judged") -> bool:
-        """Fewer flights without an end or, if equal, a smaller distance of 99 %."""
-        place = PERCENTILES.index(_JUDGED)
+    def better_than(self, other: "Judged", percentile: float) -> bool:
+        """Fewer flights without an end or, if equal, a smaller percentile of the distance.
+
+        The percentile is one of `PERCENTILES`.
+        """
+        place = PERCENTILES.index(percentile)
         mine, theirs = ((x.without_end, x.distances[place]) for x in (self, other))
         return mine < theirs
 
 
-def best_of(course: Sequence[Judged]) -> int | None:
-    """Position of the best weights in a course; None for an empty one."""
+def best_of(course: Sequence[Judged], percentile: float) -> int | None:
+    """Position of the best weights in a course, by a percentile; None in an empty one."""
     best = None
     for place, judged in enumerate(course):
-        if best is None or judged.better_than(course[best]):
+        if best is None or judged.better_than(course[best], percentile):
             best = place
     return best
 

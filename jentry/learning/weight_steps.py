@@ -16,7 +16,7 @@ import numpy as np
 import optax
 import scipy.linalg
 
-from .flight_residuals import Curved, Statistic, Weights
+from .flight_residuals import LARGE, Curved, Statistic, Weights
 
 
 State = dict[str, np.ndarray]
@@ -43,11 +43,15 @@ class AbstractMethod:
     steps: int
     flights: int
     """Number of fresh flights in a step"""
+    large: float = dataclasses.field(default=LARGE, kw_only=True)
+    """Factor by which the derivatives of a flight exceed the median if it has half of its
+    weight. Early in a training flights with large derivatives say little; later they may be
+    those that are to be mended"""
 
     def __post_init__(self):
-        for name in ("steps", "flights"):
+        for name in ("steps", "flights", "large"):
             value = getattr(self, name)
-            if value < 1:
+            if not value >= 1:
                 raise ValueError(f"{name} is {value}: it must be at least 1")
         for name, largest in self.limits().items():
             value = getattr(self, name)

@@ -22,6 +22,7 @@ from .constraints import (
     PathPoint as PathPoint,
     excesses as excesses,
     limit_of as limit_of,
+    tightened as tightened,
     usual_constraints as usual_constraints,
 )
 from .corridor import (

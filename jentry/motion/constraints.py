@@ -1,5 +1,6 @@
 """Path constraints: quantities along the flight, with their names, units and limits."""
 
+import dataclasses
 import functools
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping
@@ -312,6 +313,21 @@ def limit_of(constraints: Constraints, kind: type) -> Scalar | None:
 def integrals_of(constraints: Constraints) -> dict[str, AbstractIntegral]:
     """Path constraints that are integrated along with the motion, by name."""
     return {n: c for n, c in constraints.items() if isinstance(c, AbstractIntegral)}
+
+
+def tightened(constraints: Constraints, share: float) -> Constraints:
+    """The path constraints that have a limit, with positive limits lower by a share.
+
+    For a cost that begins before the limit: with a cost of the excess alone a law flies at
+    the limit.
+    """
+    lower = {}
+    for name, each in constraints.items():
+        if each.limit is None:
+            continue
+        factor = jnp.where(each.limit > 0.0, 1.0 - share, 1.0)
+        lower[name] = dataclasses.replace(each, limit=factor * each.limit)
+    return lower
 
 
 def excesses(constraints: Constraints, values: ConstraintValues) -> ConstraintValues:

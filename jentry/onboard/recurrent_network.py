@@ -28,14 +28,18 @@ _FIRST_OUTPUT = 0.1
 _LEAST_DEVIATION = 1e-3
 """Least deviation by which an input is divided: all inputs are of order one"""
 
+_CONSTANT = 1e-9
+"""Deviation below which an input is constant in the samples: nothing tells how it will
+vary, and it is not scaled"""
+
 
 class RecurrentNetwork(eqx.Module):
     """A gated recurrent unit, and layers that read its memory and the inputs.
 
     The inputs are shifted and scaled to a mean of 0 and a deviation of 1 on the samples
-    with which the network began; an input that hardly varies is scaled less. Hidden layers
-    have tanh, the last layer is linear. A cell without memory, None, leaves a network that
-    maps inputs to outputs.
+    with which the network began; an input that hardly varies is scaled less, and one that
+    is constant not at all. Hidden layers have tanh, the last layer is linear. A cell
+    without memory, None, leaves a network that maps inputs to outputs.
 
     The cell is that of K. Cho and others, "Learning Phrase Representations using RNN
     Encoder-Decoder for Statistical Machine Translation", 2014, as `equinox.nn.GRUCell`.
@@ -108,7 +112,9 @@ class RecurrentNetwork(eqx.Module):
         ]
         last = jax.tree.map(lambda x: _FIRST_OUTPUT * x, layers[-1])
         samples = np.stack([np.asarray(x, float) for x in inputs.values()], axis=1)
-        deviation = np.maximum(samples.std(axis=0), _LEAST_DEVIATION)
+        deviation = samples.std(axis=0)
+        floor = np.where(deviation < _CONSTANT, 1.0, _LEAST_DEVIATION)
+        deviation = np.maximum(deviation, floor)
         return cls(
             eqx.nn.GRUCell(count, memory, dtype=float, key=cell_key)
             if memory

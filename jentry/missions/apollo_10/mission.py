@@ -4,6 +4,7 @@ from ...units import degree, foot, hour, km
 from ..inertial import Errors, Inertial, satellite_sensors
 from ..mission import Mission
 from ..npcg_toolbox import through_us_1976
+from . import neural_law
 from .dispersions import air_and_vehicle, entry_errors, everything
 from .scenario import guided, skip, unlimited
 
@@ -36,7 +37,11 @@ MISSION = Mission(
     title="Apollo 10 capsule from the Moon, numerical predictor-corrector",
     source='Szelc, "Entry Postflight Analysis", Apollo 10 Mission Report, Supplement 10, '
     "as in the NPCG Toolbox of Lee, Lee and Wie",
-    laws={"predictor-corrector": guided, "unlimited": unlimited},
+    laws={
+        "predictor-corrector": guided,
+        "unlimited": unlimited,
+        "neural": neural_law.neural,
+    },
     cases={"skip": skip},
     worlds={
         "us-1976": through_us_1976,
@@ -55,4 +60,5 @@ MISSION = Mission(
         "everything-and-knowledge": NAVIGATION.usual_and_knowledge,
     },
     gains=("guidance.shape.final", "guidance.limits.frequency"),
+    law_trainings={"neural": neural_law.training},
 )

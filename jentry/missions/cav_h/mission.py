@@ -8,7 +8,7 @@ import numpy as np
 from ...plots import GLIDE
 from ...units import degree
 from ..mission import Mission, PublishedValue, standard_deviation
-from . import predictor_corrector
+from . import neural_law, predictor_corrector
 from .dispersions import (
     normal,
     normal_sensed,
@@ -83,6 +83,7 @@ MISSION = Mission(
         "network-once": network_once,
         "state-network-once": state_network_once,
         "predictor-corrector": predictor_corrector.guided,
+        "neural": neural_law.neural,
     },
     worlds={"us-1976": us_1976},
     former_variants={"us-1976": "newton world us-1976"},
@@ -95,6 +96,7 @@ MISSION = Mission(
     },
     gains=("guidance.parameters",),
     train=_train,
+    law_trainings={"neural": neural_law.training},
     figures=GLIDE,
     published=(
         *_errors("miss distance", "m", "miss_distance", 1.0, (159.0, 0.22, 4.54)),

@@ -1,24 +1,26 @@
-"""Mars lander under a neural law, trained through flights in hard air.
+"""Mars lander under a neural law, trained in hard air and with navigation errors.
 
 Choices of our own.
 """
 
+import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
 
-from ..._computed_once import computed_once
 from ...fields import Scalar
 from ...flight.flight import Flight
 from ...flight.miss import misses
 from ...flight.scenario import Scenario
-from ...guidance.neural_law import PURPOSE, NeuralLaw
+from ...guidance.neural_law import NeuralLaw
 from ...onboard.model import OnboardModel
-from ...onboard.recurrent_network import RecurrentNetwork, load_recurrent_network
+from ...onboard.recurrent_network import RecurrentNetwork
 from ...units import km
-from .air_with_waves import hard_air, wider
+from ..inertial import Inertial
+from ..stored_law import law_network
+from .air_with_waves import air_and_vehicle, hard_air, wider
 from .predictor_corrector import guided
 
 
@@ -29,27 +31,26 @@ if TYPE_CHECKING:
 FOLDER = Path(__file__).parent / "networks"
 """Folder of the weights that come with the package"""
 
+STEP = 0.5
+"""Length of a step, s: the bank is constant within a guidance cycle, and smooth steps of
+this length end within centimetres of those of a tenth of a second"""
+
 EXCESS = 1000.0
 """Excess of the velocity at the end, m/s, that counts as much as a miss of 1 km"""
 
 
-@computed_once
-def law_network(folder: Path = FOLDER) -> RecurrentNetwork:
-    """The stored network of the law. Raises `ValueError` for a file with another one."""
-    network, _ = load_recurrent_network(folder / "law.npz", PURPOSE)
-    return network
-
-
 def with_network(network: RecurrentNetwork) -> Scenario:
     """The lander under a neural law with a network."""
-    start = guided()
+    start = dataclasses.replace(guided(), step=STEP)
     law = NeuralLaw(network=network, model=OnboardModel(start.planet, start.vehicle))
     return eqx.tree_at(lambda s: s.guidance, start, law)
 
 
 def neural() -> Scenario:
-    """A recurrent network that commands a signed bank every 2 s, trained in hard air."""
-    return with_network(law_network())
+    """A recurrent network that commands a signed bank every 2 s, trained in hard air.
+
+    It was trained with the navigation errors of the world `aided` too."""
+    return with_network(law_network(FOLDER))
 
 
 def residuals(scenario: Scenario, flight: Flight) -> tuple[Scalar, ...]:
@@ -63,8 +64,8 @@ def residuals(scenario: Scenario, flight: Flight) -> tuple[Scalar, ...]:
     return missed.downrange / km, missed.crossrange / km, excess / EXCESS
 
 
-def training() -> "LawTraining":
-    """Through flights in the hard air, with all errors 1.5 times as wide.
+def in_hard_air() -> "LawTraining":
+    """Training with perfect navigation, with all errors 1.5 times as wide.
 
     A law that is trained on the errors themselves comes nearer to the target with them, and
     loses flights if they are 1.5 times as wide.
@@ -76,4 +77,28 @@ def training() -> "LawTraining":
         with_network=lambda network: hard_air(with_network(network)),
         dispersions=wider(),
         residuals=residuals,
+    )
+
+
+def training(navigation: Inertial) -> "LawTraining":
+    """The law of `in_hard_air`, trained further with a navigation that has errors.
+
+    Only then does it know a navigated state that jumps, where the filter begins to measure.
+    A flight with its filter takes several times as long.
+    """
+    from ...learning.neural_law import robust_mean
+    from ...learning.weight_steps import GaussNewtonSteps
+    from ...tuning.losses import power_mean
+
+    before, table = in_hard_air(), wider()
+    known = {name: table[name] for name in air_and_vehicle()}
+    return dataclasses.replace(
+        before,
+        with_network=lambda network: hard_air(navigation.aided(with_network(network))),
+        dispersions=known | dict(navigation.knowledge()),
+        methods=(
+            GaussNewtonSteps(robust_mean, steps=50, flights=512),
+            GaussNewtonSteps(power_mean, steps=40, flights=512, large=100.0),
+        ),
+        before=before,
     )

@@ -5,6 +5,7 @@ source flies in the plane and does not scale its reference. Choices of our own a
 """
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 
@@ -44,6 +45,10 @@ from .drag_tracking import (
     reference,
     to_the_place,
 )
+
+
+if TYPE_CHECKING:
+    from ...learning.law_training import LawTraining
 
 
 GATE = 1.0
@@ -153,6 +158,11 @@ def _hard_air_and_knowledge() -> dict[str, Dispersion]:
     return air_and_vehicle() | dict(NAVIGATION.knowledge())
 
 
+def _neural_training() -> "LawTraining":
+    """Training of the neural law, with the navigation of this mission."""
+    return neural_law.training(NAVIGATION)
+
+
 MISSION = Mission(
     name="mars-range-tracking",
     title="Mars lander, drag tracking scaled to the range to go, with bank reversals",
@@ -188,5 +198,5 @@ MISSION = Mission(
         "hard-air-and-knowledge": _hard_air_and_knowledge,
     },
     train=predictor_corrector.train,
-    law_trainings={"neural": neural_law.training},
+    law_trainings={"neural": _neural_training},
 )
