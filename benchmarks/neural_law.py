@@ -3,18 +3,24 @@
     python benchmarks/neural_law.py through --seeds 0 1 2 --save
     python benchmarks/neural_law.py imitation --seeds 0 1 2 --save
     python benchmarks/neural_law.py evolution --seeds 0 1 2 --save
+    python benchmarks/neural_law.py policy --seeds 0 1 2 --save
     python benchmarks/neural_law.py cost --save
+    python benchmarks/neural_law.py tail --save
 
 All begin with the same random weights, and fly in the hard air of the mission. `through`
 trains through the flight, with exact derivatives, as `jentry train` does. `imitation`
 learns the banks of the predictor-corrector, and no more. `evolution` is a search without
 derivatives: CMA-ES with a diagonal covariance matrix, by the package cmaes, with the
-residuals and the robust mean of `through`. The distance is that of the training: miss over
-the ground and a share of the excess velocity, on 2048 flights that none of the ways has
-used. All flights count: of `through` those with derivatives and those on which steps are
-tried.
+residuals and the robust mean of `through`. `policy` is a policy gradient, PPO, that needs
+no derivatives of the flight, see `policy_gradient.py`: its flights have noise, and their
+reward is minus the logarithm of the distance. The distance is that of the training: miss
+over the ground and a share of the excess velocity, on 2048 flights that none of the ways
+has used. All flights count: of `through` those with derivatives and those on which steps
+are tried.
 
-`cost` is the number of flights a second, over that of the predictor-corrector.
+`cost` is the number of flights a second, over that of the predictor-corrector, each with
+the step of its scenario. `tail` flies 100 000 flights of the law that comes with the
+package.
 
 `neural_law.csv` beside this file has what is saved.
 """
@@ -28,23 +34,23 @@ import cmaes
 import jax
 import jax.numpy as jnp
 import numpy as np
+import policy_gradient
 import records
 
 import jentry
 from jentry.campaign.campaign import drawn_inputs
-from jentry.guidance.neural_law import INPUTS
-from jentry.learning import imitated, record_inputs, robust_mean
+from jentry.flight import Outcome
+from jentry.learning import imitated, robust_mean
 from jentry.learning.flight_residuals import (
     distances,
     flown,
-    neural_law_of,
     weights_of,
     with_weights,
 )
-from jentry.learning.law_training import train_law
+from jentry.learning.law_training import random_law, train_law
 from jentry.missions import find_mission
-from jentry.onboard import RecurrentNetwork
 from jentry.tuning.batch_gradients import Simulation
+from jentry.units import km
 
 
 MISSION, LAW, WORLD = "mars-range-tracking", "neural", "hard-air"
@@ -52,43 +58,23 @@ SAVED = Path(__file__).with_suffix(".csv")
 HELD_OUT, JUDGED_BY = 2048, 987_654_321
 """Number of flights of a judgement, and the seed of their draws"""
 
-TAUGHT = 512
-"""Flights of the predictor-corrector"""
-
-POPULATION, FLIGHTS, GENERATIONS, FIRST_DEVIATION = 32, 128, 500, 0.1
+POPULATION, FLIGHTS, GENERATIONS, FIRST_DEVIATION = 32, 128, 200, 0.1
 """Evolution: points in a generation, fresh flights of each, and the first deviation of the
-weights. All points of a generation have the same draws. In all 2 million flights"""
+weights. All points of a generation have the same draws. In all 800 000 flights"""
 
 
 class Task:
     """The scenario with random weights of a seed, and its judgement."""
 
     def __init__(self, seed: int):
-        self.training = find_mission(MISSION).law_training(LAW)
-        self.seed = seed
+        training = find_mission(MISSION).law_training(LAW)
+        # The first of the two: that with perfect navigation.
+        assert training.before is not None
+        self.training, self.seed = training.before, seed
         self.simulation = Simulation(
             self.training.residuals, self.training.solver, self.training.history
         )
-        # The same split as in `train_law`, so that all ways begin with equal weights.
-        teach, weights, self.learn, _ = jax.random.split(jax.random.key(seed), 4)
-        runs = drawn_inputs(
-            self.training.teacher, self.training.dispersions, teach, np.arange(TAUGHT)
-        )
-        blank = self._scenario(dict.fromkeys(INPUTS, np.zeros(1)), weights)
-        self.recording = record_inputs(
-            self.training.teacher,
-            neural_law_of(blank),
-            runs,
-            self.training.solver,
-        )
-        read = self.recording.inputs
-        read = read[np.all(np.isfinite(read), axis=-1)]
-        self.start = self._scenario(dict(zip(INPUTS, read.T, strict=True)), weights)
-
-    def _scenario(self, samples: dict[str, np.ndarray], key: Any):
-        sizes = self.training.memory, self.training.hidden
-        network = RecurrentNetwork.untrained(samples, *sizes, 1, key)
-        return self.training.with_network(network)
+        self.start, self.recording = random_law(self.training, seed)
 
     def off(self, scenario, draws: int, runs: np.ndarray) -> np.ndarray:
         """Distances of runs of a seed of draws; infinite without an end."""
@@ -127,8 +113,9 @@ def _flights(method: Any, steps: int) -> int:
 
 def imitation(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
     task = Task(seed)
-    learnt = imitated(task.start, task.recording, task.learn, report=print)
-    return [(TAUGHT, task.judged(learnt))]
+    learn = jax.random.key(3000 + seed)
+    learnt = imitated(task.start, task.recording, learn, report=print)
+    return [(task.training.taught_flights, task.judged(learnt))]
 
 
 def evolution(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
@@ -160,6 +147,13 @@ def evolution(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
     return course
 
 
+def policy(seed: int, folder: Path) -> list[tuple[int, list[float]]]:
+    task = Task(seed)
+    return policy_gradient.course_of(
+        task.start, task.training.dispersions, task.simulation, seed, task.judged
+    )
+
+
 def cost(rounds: int = 3, runs: int = 8192) -> list[records.Cell]:
     mission = find_mission(MISSION)
     table = mission.dispersion_table(WORLD)
@@ -184,6 +178,32 @@ def cost(rounds: int = 3, runs: int = 8192) -> list[records.Cell]:
     ]
 
 
+def tail(runs: int = 100_000) -> list[records.Cell]:
+    """Percentiles of the miss of many flights, and the runs that end farthest off."""
+    mission = find_mission(MISSION)
+    scenario = mission.scenario(LAW, world=WORLD)
+    table = mission.dispersion_table(WORLD)
+    flown = jentry.monte_carlo(scenario, table, jax.random.key(0), runs)
+    off = np.hypot(flown.misses.downrange, flown.misses.crossrange) / km
+    ended = np.asarray(flown.flights.outcome) == Outcome.REACHED
+    off = np.where(ended, off, np.inf)
+    beyond = np.asarray(flown.flights.caveats["decisions_beyond_training"]) > 0.0
+    worst = np.argsort(-off)[:5]
+    print("worst runs of seed 0:", dict(zip(worst.tolist(), off[worst], strict=True)))
+    print("beyond the training:", beyond[worst])
+    row = f"{runs} flights in hard air"
+    named = [
+        (f"miss, {p:g} %, km", np.percentile(off, p, method="higher"), 3)
+        for p in (50.0, 95.0, 99.0, 99.9, 99.99)
+    ]
+    named += [
+        ("largest, km", np.max(off), 3),
+        ("flights farther than 1 km", np.sum(off > 1.0), 0),
+        ("flights beyond the ranges of the training", np.sum(beyond), 0),
+    ]
+    return [records.Cell(row, heading, x, digits) for heading, x, digits in named]
+
+
 def _shown(course: list[tuple[int, list[float]]]) -> list[tuple[int, list[float]]]:
     """Three places of a course that are saved: an eighth, a third, and the end."""
     total = course[-1][0]
@@ -191,21 +211,29 @@ def _shown(course: list[tuple[int, list[float]]]) -> list[tuple[int, list[float]
     return [c for n, c in enumerate([*places, course[-1]]) if c not in places[:n]]
 
 
-WAYS = {"through": through, "imitation": imitation, "evolution": evolution}
+WAYS = {
+    "through": through,
+    "imitation": imitation,
+    "evolution": evolution,
+    "policy": policy,
+}
+
+
+OTHERS = {"cost": cost, "tail": tail}
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=[*WAYS, "cost"])
+    parser.add_argument("part", choices=[*WAYS, *OTHERS])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--out", type=Path, default=Path("results/neural-law"))
     parser.add_argument("--save", action="store_true", help=f"to {SAVED.name}")
     options = parser.parse_args()
     jentry.setup()
-    if options.part == "cost":
-        cells = cost()
+    if options.part in OTHERS:
+        cells = OTHERS[options.part]()
         if options.save:
-            records.save(SAVED, "cost", cells)
+            records.save(SAVED, options.part, cells)
         return
     for seed in options.seeds:
         course = WAYS[options.part](seed, options.out)
