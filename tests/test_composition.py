@@ -41,7 +41,13 @@ from jentry.units import degree
 # The identity.
 
 
-CHOOSES_ITS_ANGLE = {"Bézier", "ground track", "replanning", "control profiles"}
+CHOOSES_ITS_ANGLE = {
+    "Bézier",
+    "ground track",
+    "replanning",
+    "control profiles",
+    "neural with an angle of attack",
+}
 OTHERS_DO = {"predictor-corrector", "pseudospectral"}
 """Laws that take long to compile; what is composed does not look into them"""
 ALONE = [
