@@ -408,15 +408,24 @@ def test_what_does_not_fit_is_refused():
         law_of(beside=BankProfile(PolynomialProfile(jnp.ones(1))))
     samples = {name: np.zeros(2) for name in ("a", "b")}
     wrong = RecurrentNetwork.untrained(samples, 2, (3,), 1, jax.random.key(0))
-    with pytest.raises(ValueError, match="the network reads a, b and has 1 outputs"):
+    with pytest.raises(
+        ValueError, match="it lacks 'velocity'.*the law has no 'a', 'b';"
+    ):
         law_of(wrong)
     two = RecurrentNetwork.untrained(
         dict.fromkeys(INPUTS, np.zeros(2)), 2, (3,), 2, jax.random.key(0)
     )
-    with pytest.raises(ValueError, match="has 2 outputs"):
+    with pytest.raises(
+        ValueError, match="has 2 outputs, and this law 1: the bank. .* lacks none"
+    ):
         law_of(two)
-    with pytest.raises(ValueError, match="and has 2: bank and angle of attack"):
+    with pytest.raises(ValueError, match="this law 2: bank and angle of attack"):
         law_of(network_of(), angles=ANGLES)
+    for lowest, highest in ((14.0, 2.0), (5.0, 5.0)):
+        with pytest.raises(
+            ValueError, match=f"lowest is {lowest:g} degrees and highest"
+        ):
+            AngleOfAttackLimits(lowest * degree, highest * degree, 0.1)
     with pytest.raises(ValueError, match="a correction is of the bank alone"):
         law_of(angles=ANGLES, beside=other_law(), corrects=True)
     with pytest.raises(ValueError, match="turn_rate"):

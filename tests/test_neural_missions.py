@@ -3,6 +3,7 @@
 import dataclasses
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +16,7 @@ from jentry.guidance import NeuralLaw
 from jentry.missions import find_mission
 from jentry.motion import ConstraintValues
 from jentry.onboard import load_recurrent_network
-from jentry.units import degree
+from jentry.units import degree, km
 
 
 LAWS = {
@@ -24,6 +25,12 @@ LAWS = {
 }
 
 RUNS = 256
+
+
+def distance(missed):
+    """Distance from the target, m."""
+    parts = missed.downrange, missed.crossrange, missed.altitude
+    return np.sqrt(sum(np.asarray(x) ** 2 for x in parts))
 
 
 def module_of(mission):
@@ -50,7 +57,8 @@ def test_the_law_flies_the_mission_of_the_other_laws(mission):
     for part in ("target", "initial_state", "planet", "vehicle", "constraints"):
         mine, theirs = (jax.tree.leaves(getattr(s, part)) for s in (neural, other))
         np.testing.assert_array_equal(np.array(mine), np.array(theirs))
-    assert neural.termination == other.termination or mission == "cav-h"
+    paper = other if mission == "apollo-10" else chosen.scenario("learning")
+    assert eqx.tree_equal(neural.termination, paper.termination)
 
 
 @pytest.mark.parametrize("mission", LAWS)
@@ -63,7 +71,7 @@ def test_the_card_says_how_to_make_it_again(mission):
     assert card["dispersed"] == list(training.dispersions)
     assert network.memory_size == training.memory
     assert network.outputs == 1 + training.with_angle
-    assert card["held out distance"]["95 %"] < 1.0
+    assert card["held out distance"]["95 %"] < 0.02
 
 
 @pytest.mark.slow
@@ -89,6 +97,16 @@ def test_its_flights_end_at_the_target(mission):
         for name, each in scenario.constraints.items()
         if each.limit is not None
     ]
+    # A quarter more than the largest of 16 sets.
+    heading = {
+        "apollo-10": ("miss_distance", "miss, 99th percentile, km", km, 99),
+        "cav-h": ("velocity", "maximum", 1.0, 100),
+    }
+    name, saved_as, size, percent = heading[mission]
+    ends = flown.misses
+    off = ends.velocity if name == "velocity" else distance(ends)
+    found = np.percentile(np.abs(np.asarray(off)), percent) / size
+    assert found <= 1.25 * np.max(saved[mission, "neural", reading, saved_as])
     # At most three standard errors above the share of all sets.
     share = np.mean(saved[row]) / 100.0
     most = share + 3.0 * np.sqrt(max(share, 1e-3) / RUNS)
@@ -102,10 +120,14 @@ def test_a_shorter_step_flies_the_same(mission):
     """The error of the integration is far below that of the law."""
     scenario, flown = campaign(mission)
     _, fine = campaign(mission, 0.5 * float(scenario.step))
-    a, b = (np.asarray(x.misses.downrange) for x in (flown, fine))
-    c, d = (np.asarray(x.misses.crossrange) for x in (flown, fine))
-    apart = np.hypot(a - b, c - d)
-    assert np.median(apart) < 1.0
+    for name, most in (
+        ("downrange", 1e-3),
+        ("crossrange", 1e-3),
+        ("altitude", 1e-2),
+        ("velocity", 1e-3),
+    ):
+        a, b = (np.asarray(getattr(x.misses, name)) for x in (flown, fine))
+        assert np.median(np.abs(a - b)) < most, name
 
 
 def test_residuals_are_the_errors_at_the_end_and_the_excess_of_limits():

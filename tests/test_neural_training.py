@@ -275,13 +275,22 @@ def test_weights_are_better_by_the_percentile_that_is_asked_for():
     assert best_of([], 99.0) is None
 
 
-def test_the_best_weights_are_those_of_the_percentile():
-    wild = AdamSteps(robust_mean, steps=6, flights=FLIGHTS, rate=0.3)
-    for place, percentile in ((0, 50.0), (3, 99.9)):
-        given = {"methods": (wild,), "judge_every": FLIGHTS, "judged_by": percentile}
-        found = trained(**given)
-        off = [j.distances[place] for j in found.course]
-        assert found.best == int(np.argmin(off))
+@pytest.mark.parametrize("percentile, best", [(50.0, 1), (99.0, 2), (99.9, 3)])
+def test_the_best_weights_are_those_of_the_percentile(monkeypatch, percentile, best):
+    """Of judgements that are given: each of the last three is best by one percentile."""
+    judged = [(9.0, 9.0, 9.0, 9.0), (1.0, 5.0, 5.0, 5.0)]
+    judged += [(5.0, 5.0, 1.0, 5.0), (5.0, 5.0, 5.0, 1.0), (9.0, 9.0, 9.0, 9.0)]
+    given = iter(judged)
+
+    def on_held_out(self, scenario, purpose):
+        return {"distances": next(given), "without_end": 0}
+
+    training = training_of_laws._Training
+    monkeypatch.setattr(training, "on_held_out", on_held_out)
+    three = AdamSteps(robust_mean, steps=3, flights=FLIGHTS)
+    found = trained(methods=(three,), judge_every=FLIGHTS, judged_by=percentile)
+    assert found.best == best
+    assert found.final.step == best
 
 
 def test_widths_scale_the_dispersions_of_a_method():
@@ -425,6 +434,21 @@ def test_banks_alone_are_imitated():
         imitated(with_angle, recording, jax.random.key(1))
 
 
+def test_trainings_that_do_not_go_together_are_refused_before_they_fly(tmp_path):
+    first = training_of()
+    with pytest.raises(ValueError, match="memory is 5, and 2 in the training before"):
+        dataclasses.replace(first, before=first, memory=5)
+    with_angle = dataclasses.replace(first, with_angle=True)
+    with pytest.raises(ValueError, match="leave out --imitate"):
+        train_law(with_angle, 0, tmp_path, imitate=True)
+    (tmp_path / "course.npz").write_bytes(b"of another training")
+    both = dataclasses.replace(first, before=first)
+    with pytest.raises(ValueError, match="course.npz is of another training"):
+        train_law(both, 0, tmp_path)
+    assert (both.place, both.first) == (1, first)
+    assert dataclasses.replace(both, before=both).place == 2
+
+
 def training_of(methods=METHODS, **others):
     return LawTraining(
         **others,
@@ -493,7 +517,9 @@ def test_a_training_begins_with_the_network_of_the_one_before(tmp_path):
     plain = dataclasses.replace(both, with_network=first.with_network, judged_by=50.0)
     again = train_law(plain, 3, tmp_path / "plain")
     first_judged, last_judged = alone.course[alone.best], again.course[0]
-    assert again.best == int(np.argmin([j.distances[0] for j in again.course]))
+    other = dataclasses.replace(plain, judged_by=95.0)
+    with pytest.raises(ValueError, match="judged by is 50.0 there and 95.0 now"):
+        train_law(other, 3, tmp_path / "plain")
     assert last_judged.distances != first_judged.distances
     assert last_judged.distances[0] == pytest.approx(first_judged.distances[0], rel=0.2)
     last, card = load_recurrent_network(tmp_path / "both" / "law.npz")
@@ -501,6 +527,8 @@ def test_a_training_begins_with_the_network_of_the_one_before(tmp_path):
     assert float(found.scenario.vehicle.mass) == 2 * float(start().vehicle.mass)
     assert card["begins with another training"] is True
     assert card["flights with derivatives"] == 3 * FLIGHTS
+    best = found.course[found.best].flights
+    assert card["best after flights"] == 2 * FLIGHTS + best
     assert card["dispersed"] == ["density", "path"]
     assert found.final.distances[0] > 1.1 * alone.final.distances[0]
 

@@ -133,5 +133,5 @@ def _train_law(
             say=say,
             report=lambda training, judged: say(judged_line(training, judged)),
         )
-    print_trained_law(mission, law, trained)
+    print_trained_law(mission, law, training, trained)
     typer.echo(f"network: {folder}")

@@ -59,7 +59,9 @@ def judged_line(training: LawTraining, judged: Judged) -> str:
     )
 
 
-def print_trained_law(mission: Mission, law: str, trained: TrainedLaw) -> None:
+def print_trained_law(
+    mission: Mission, law: str, training: LawTraining, trained: TrainedLaw
+) -> None:
     """Print the errors of a trained law on held-out flights, and what was left out."""
     table = new_table("flights", *(f"{p:g} %" for p in PERCENTILES), "without an end")
     best = trained.course[trained.best]
@@ -72,6 +74,8 @@ def print_trained_law(mission: Mission, law: str, trained: TrainedLaw) -> None:
     console.print(
         f"best weights after {best.flights} of {last.flights} flights with derivatives, "
         f"{last.seconds:.0f} s"
+        + " of the last training"
+        * (training.before is not None)
     )
     console.print(
         f"left out: {last.left_out} flights without an end or finite derivatives; counted "

@@ -14,6 +14,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._math import sincos
@@ -53,7 +54,8 @@ INPUTS = (
 )
 """Inputs of the network, dimensionless. Ranges are over the downrange of the aim from its
 origin, the altitude over that of the origin, velocities over that of the origin, and
-accelerations over the square of that velocity by that downrange. Lift is its magnitude"""
+accelerations over the square of that velocity by that downrange. Lift is its magnitude. The
+last one is a sine for an aim without crossrange; it is not for one at the antipode"""
 
 ANGLE_INPUT = "angle of attack, from the middle of its range"
 """Further input of a law that commands the angle of attack: what is measured, over half the
@@ -173,6 +175,17 @@ class AngleOfAttackLimits(eqx.Module):
     highest: Scalar = scalar(unit="rad")
     turn_rate: Scalar = scalar(unit="rad/s", positive=True)
 
+    def __check_init__(self):
+        limits = self.lowest, self.highest
+        if any(isinstance(x, Tracer) or not eqx.is_array(x) for x in limits):
+            return
+        lowest, highest = (float(x) / degree for x in limits)
+        if not lowest < highest:
+            raise ValueError(
+                f"lowest is {lowest:g} degrees and highest {highest:g} degrees: the first "
+                "must be below the second"
+            )
+
     def share(self, angle: Scalar) -> Scalar:
         """Angle of attack from the middle of the range, over half of it."""
         middle, half = self._middle_and_half()
@@ -260,10 +273,14 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
         if self.angles is not None:
             outputs, commands = 2, "bank and angle of attack"
         if self.network.names != names or self.network.outputs != outputs:
+            known = self.network.names
+            lacking = ", ".join(repr(n) for n in names if n not in known) or "none"
+            unknown = ", ".join(repr(n) for n in known if n not in names) or "none"
             raise ValueError(
-                f"the network reads {', '.join(self.network.names)} and has "
-                f"{self.network.outputs} outputs: this law reads {', '.join(names)}, and "
-                f"has {outputs}: {commands}"
+                f"the network has {self.network.outputs} outputs, and this law {outputs}: "
+                f"{commands}. Of the inputs of the law it lacks {lacking}, and the law has "
+                f"no {unknown}; both must have the same inputs in the same order: train it "
+                "again with `jentry train MISSION --law neural`"
             )
         if self.corrects and self.angles is not None:
             raise ValueError(

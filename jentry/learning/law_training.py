@@ -56,11 +56,30 @@ class LawTraining:
     """Whether the network commands the angle of attack too"""
     before: "LawTraining | None" = None
     """Training with whose network this one begins, such as one in a simpler world; None to
-    begin with random weights. The teacher is that of the first training then"""
+    begin with random weights. The teacher is that of the first training"""
     taught_flights: int = 512
     """Number of flights of the teacher"""
     taught_steps: int = 2000
     """Number of steps of an imitation of them, if there is one"""
+
+    def __post_init__(self):
+        for name in ("memory", "hidden", "with_angle"):
+            mine, before = getattr(self, name), getattr(self.before, name, None)
+            if self.before is not None and mine != before:
+                raise ValueError(
+                    f"{name} is {mine}, and {before} in the training before, whose network "
+                    "this one begins with: both must be the same"
+                )
+
+    @property
+    def first(self) -> "LawTraining":
+        """The training that begins with random weights: this one, or one before."""
+        return self if self.before is None else self.before.first
+
+    @property
+    def place(self) -> int:
+        """Number of trainings before this one."""
+        return 0 if self.before is None else 1 + self.before.place
 
 
 @needs_float64
@@ -88,8 +107,22 @@ def train_law(
     - `say`: function that is called with lines of text on the progress.
     - `report`: function that is called with each judgement, after the training that it is
         of: this one, or that before.
+
+    **Raises:** `ValueError` for an imitation by a network that commands the angle of
+    attack, and for a folder with a file of another training.
     """
     folder = Path(folder)
+    if imitate and training.first.with_angle:
+        raise ValueError(
+            "the network commands the angle of attack too, and imitation learns banks "
+            "alone: leave out --imitate"
+        )
+    if training.before is not None and (folder / COURSE_FILE).exists():
+        if not (folder / BEFORE / NETWORK_FILE).exists():
+            raise ValueError(
+                f"{folder / COURSE_FILE} is of another training, since the one before is "
+                f"not in {folder / BEFORE}: choose another folder, or remove the file"
+            )
     *_, learn, fly = jax.random.split(key_of(seed), 4)
     earlier = None
     if training.before is None:
@@ -109,7 +142,7 @@ def train_law(
         )
         say(f"the training before is in {folder / BEFORE}; now the next one")
         start = training.with_network(neural_law_of(earlier.scenario).network)
-        fly = jax.random.fold_in(fly, 1)
+        fly = jax.random.fold_in(fly, training.place)
     trained = train_neural_law(
         start,
         training.dispersions,
@@ -125,6 +158,7 @@ def train_law(
     )
     parts = [part for part in (earlier, trained) if part is not None]
     last = [part.course[-1] for part in parts]
+    best = trained.course[trained.best]
     about = {
         "purpose": PURPOSE,
         "seed": seed,
@@ -135,7 +169,7 @@ def train_law(
         "flights left out": sum(j.left_out for j in last),
         "flights that counted less than half": sum(j.clipped for j in last),
         "training, s": round(sum(j.seconds for j in last), 1),
-        "best after flights": trained.course[trained.best].flights,
+        "best after flights": sum(j.flights for j in (*last[:-1], best)),
         "held out flights without an end": trained.final.without_end,
         "held out distance": {
             f"{p:g} %": d

@@ -74,7 +74,10 @@ def neural() -> Scenario:
 
 
 def residuals(scenario: Scenario, flight: Flight) -> tuple[Scalar, ...]:
-    """Errors at the target, and the sum of the excesses of path limits."""
+    """Errors where the flight ends, and the sum of the excesses of path limits.
+
+    A flight that passes the target has no error along the track, which is not among them.
+    """
     missed = misses(scenario, flight)
     assert missed.flight_path_angle is not None and missed.heading is not None
     limits = tightened(scenario.constraints, MARGIN)
