@@ -426,6 +426,13 @@ def test_what_does_not_fit_is_refused():
             ValueError, match=f"lowest is {lowest:g} degrees and highest"
         ):
             AngleOfAttackLimits(lowest * degree, highest * degree, 0.1)
+    turned = eqx.tree_at(
+        lambda s: s.guidance.angles.lowest,
+        gliding_scenario_of(law_of(angles=ANGLES)),
+        jnp.asarray(26.0 * degree),
+    )
+    with pytest.raises(ValueError, match="lowest is 26 degrees and highest 25 degrees"):
+        check(turned)
     with pytest.raises(ValueError, match="a correction is of the bank alone"):
         law_of(angles=ANGLES, beside=other_law(), corrects=True)
     with pytest.raises(ValueError, match="turn_rate"):

@@ -25,6 +25,7 @@ from ..guidance.law import (
     kept_constraints,
     reads_forces_between_cycles,
 )
+from ..guidance.neural_law import AngleOfAttackLimits
 from ..motion.attitude import AbstractAttitude, IdealAttitude
 from ..motion.constraints import (
     AbstractConstraint,
@@ -164,6 +165,7 @@ def check(scenario: Scenario) -> None:
     _check_noise(scenario)
     _check_constraints(scenario)
     _check_navigation(scenario)
+    _check_angles(scenario)
     _warn_without_limits(scenario)
     for address, leaf in leaves_by_address(scenario).items():
         if jax.config.read("jax_enable_x64") and leaf.dtype == np.float32:
@@ -173,6 +175,17 @@ def check(scenario: Scenario) -> None:
             )
         if not isinstance(leaf, Tracer):
             check_values(address, np.asarray(leaf), field_metadata(scenario, address))
+
+
+def _check_angles(scenario: Scenario) -> None:
+    """Refuse a range of the angle of attack that was changed such that it has no width."""
+
+    def is_range(node: object) -> bool:
+        return isinstance(node, AngleOfAttackLimits)
+
+    for node in jax.tree.leaves(scenario.guidance, is_leaf=is_range):
+        if is_range(node):
+            node.__check_init__()
 
 
 def checked(scenario: Scenario) -> Scenario:
