@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from jentry.flight import FixedStep
-from jentry.guidance import FixedCycle, NeuralLaw
+from jentry.guidance import BankProfile, FixedCycle, NeuralLaw, Sampled
 from jentry.guidance.neural_law import AngleOfAttackLimits, input_names
 from jentry.missions.mars.drag_tracking import entry, to_the_place
 from jentry.motion import EntryDynamics
-from jentry.onboard import OnboardModel, RecurrentNetwork
+from jentry.onboard import OnboardModel, PolynomialProfile, RecurrentNetwork
 from jentry.units import degree
 from jentry.world import PolynomialAerodynamics, Vehicle
 
@@ -61,3 +61,9 @@ def gliding_scenario_of(law):
         trim_angle_of_attack=8.0 * degree,
     )
     return dataclasses.replace(start, vehicle=vehicle)
+
+
+def teacher():
+    """Banks by a polynomial over the velocity, to the right."""
+    law = Sampled(BankProfile(PolynomialProfile(jnp.array([0.2, 1e-4]))), PERIOD)
+    return scenario_of(law)

@@ -68,7 +68,7 @@ def training() -> "LawTraining":
     """Through flights with all errors, and more of them shallow at the end.
 
     A shallow entry decides in its first dip how fast it leaves the air. There the
-    derivatives are a hundred times those of most flights: later steps count these flights
+    derivatives are far larger than those of most flights: later steps count these flights
     fully, with errors 1.2 times as wide.
     """
     from ...learning.law_training import LawTraining  # optax takes a while

@@ -32,8 +32,7 @@ FOLDER = Path(__file__).parent / "networks"
 """Folder of the weights that come with the package"""
 
 STEP = 0.5
-"""Length of a step, s: the bank is constant within a guidance cycle, and smooth steps of
-this length end within centimetres of those of a tenth of a second"""
+"""Length of a step, s: the bank is constant within a guidance cycle"""
 
 EXCESS = 1000.0
 """Excess of the velocity at the end, m/s, that counts as much as a miss of 1 km"""
