@@ -80,7 +80,7 @@ def test_the_training_of_a_law_is_refused_by_name(command):
 
 @pytest.mark.slow
 def test_train_trains_a_law_and_prints_its_errors(command, monkeypatch, tmp_path):
-    from test_neural_training import training_of
+    from test_law_training import training_of
 
     from jentry.onboard import load_recurrent_network
 
