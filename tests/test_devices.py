@@ -159,6 +159,14 @@ def test_a_run_differs_by_more_than_rounding():
     np.testing.assert_array_equal(other, [False, True, False, False, True])
 
 
+def test_a_miss_near_zero_is_rounding_of_the_large_numbers_that_it_comes_from():
+    """An end that a range to go decides has a downrange miss of 1e-9 m, of 1e6 m flown."""
+    expected = {"downrange": np.array([8e-11, 8e-10, 8e-10])}
+    found = {"downrange": np.array([-9.3e-10, 0.9e-6, 1.1e-6])}
+    other = on_gpu.differing(found, expected)
+    np.testing.assert_array_equal(other, [False, False, True])
+
+
 def test_histories_are_flown_by_xla(stand_in):
     expected = flown(history=20.0)
     choose("gpu")

@@ -228,6 +228,18 @@ def elementary(x, y, i):
     )
 
 
+def slopes(x):
+    """From JAX 0.11 on these have an operation of their own, 1 - x^2."""
+    unit = 0.4 * x
+    return [jax.grad(f)(unit) for f in (jnp.arcsin, jnp.arccos, jnp.arctanh, jnp.tanh)]
+
+
+def taken_apart(v, m):
+    """From JAX 0.11 on these have an operation of their own, which makes rows of arrays."""
+    first, second, *others = v
+    return first * second, others, jnp.unstack(m), jnp.unstack(m, axis=1)
+
+
 def solved(m, v):
     without_pivot = jnp.stack([jnp.zeros(2), v[:2]]).T + jnp.array(
         [[0.0, 3.0], [1.0, 0.0]]
@@ -317,6 +329,8 @@ PROGRAMS = {
     sums: (V, M),
     rounds: (X,),
     elementary: (X, Y, I),
+    slopes: (X,),
+    taken_apart: (V, M),
     solved: (M, V),
     known: (X,),
     nothing_lost: (X, I),

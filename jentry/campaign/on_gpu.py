@@ -30,8 +30,8 @@ CHECKED = 64
 """The first runs, which the processor flies as well: no kernel is trusted unseen"""
 
 ROUNDING = 1e-6
-"""Largest difference of a number that counts as rounding, as a share of the largest of its
-kind"""
+"""Largest difference of a number that counts as rounding: as a share of the largest of its
+kind, and in the unit of the number, since a miss may be a small difference of large ones"""
 
 MOST_APART = 1.0 / 8.0
 """Share of these runs that may differ, since rounding may turn a decision of a law"""
@@ -159,7 +159,7 @@ def differing(found: PyTree, expected: PyTree) -> np.ndarray:
         x, y = (np.asarray(each, float).reshape(len(other), -1) for each in (x, y))
         largest = np.max(np.abs(y), initial=0.0, where=np.isfinite(y))
         with np.errstate(invalid="ignore"):  # infinity less infinity
-            near = np.abs(x - y) <= ROUNDING * largest + 1e-9
+            near = np.abs(x - y) <= ROUNDING * max(largest, 1.0)
         other |= ~np.all(near | (x == y) | (np.isnan(x) & np.isnan(y)), axis=1)
     return other
 

@@ -74,7 +74,7 @@ def while_loop(
 
 def scan(walk: "Walk", equation: JaxprEqn, given: list[np.ndarray]) -> list[np.ndarray]:
     params = equation.params
-    consts, carries = params["num_consts"], params["num_carry"]
+    consts, carries = _consts_and_carries(equation)
     length, body = params["length"], params["jaxpr"]
     fixed, start = given[:consts], given[consts : consts + carries]
     rows = given[consts + carries :]
@@ -102,6 +102,15 @@ def scan(walk: "Walk", equation: JaxprEqn, given: list[np.ndarray]) -> list[np.n
         return lax.lt(loop[0], np.int32(length))
 
     return carry.arrays(lax.while_loop(going, one, (np.int32(0), carry.flat(start)))[1])
+
+
+def _consts_and_carries(equation: JaxprEqn) -> tuple[int, int]:
+    """How many inputs of a loop are constants, and how many it carries."""
+    params = equation.params
+    if "num_consts" in params:  # JAX before 0.11
+        return params["num_consts"], params["num_carry"]
+    consts, carries, _ = params["ft_in"].update(equation.invars).unpack()
+    return len(list(consts)), len(list(carries))
 
 
 def _row(walk: "Walk", array: np.ndarray, index: Any) -> np.ndarray:

@@ -129,6 +129,11 @@ def _square(x: Any) -> Any:
     return lax.mul(x, x)
 
 
+def _one_minus_square(x: Any) -> Any:
+    one = lax.full_like(x, 1)
+    return lax.mul(lax.add(one, x), lax.sub(one, x))
+
+
 def _integer_power(x: Any, *, y: int) -> Any:
     """By squaring; a negative power is the inverse of the positive one."""
     if y == 0:
@@ -158,6 +163,7 @@ def _not_above_in_order(x: Any, y: Any) -> Any:
 _REWRITTEN = {
     **dict.fromkeys(PASSED, _passed),
     "square": _square,
+    "one_minus_square": _one_minus_square,
     "integer_pow": _integer_power,
     "lt_to": _less_in_order,
     "le_to": _not_above_in_order,

@@ -48,7 +48,8 @@ def _stack(*arrays: np.ndarray, axis) -> np.ndarray:
 
 
 def _unstack(x: np.ndarray, *, axis) -> list[np.ndarray]:
-    return list(np.moveaxis(x, axis, 0))
+    rows = np.moveaxis(x, axis, 0)
+    return [rows[i, ...] for i in range(len(rows))]  # arrays, of one element too
 
 
 def _split(x: np.ndarray, *, sizes, axis) -> list[np.ndarray]:

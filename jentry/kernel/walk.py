@@ -40,6 +40,7 @@ ELEMENTWISE = {
     *("floor", "ceil", "round", "is_finite", "nextafter", "clamp", "select_n"),
     *("exp", "exp2", "expm1", "log", "log1p", "logistic", "sqrt", "rsqrt", "cbrt"),
     *("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "square", "integer_pow"),
+    "one_minus_square",
     *("sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "erf_inv"),
     *("shift_left", "shift_right_logical", "shift_right_arithmetic"),
     *("convert_element_type", "bitcast_convert_type"),
