@@ -286,6 +286,8 @@ ROWS = {
         ("predictor-corrector world in-plane", "independent"),
         ("predictor-corrector-network world in-plane", "independent"),
         ("predictor-corrector-network", "independent"),
+        ("terminal-point", "lift-to-drag-held"),
+        ("terminal-point", "independent"),
         ("range-tracking world hard-air", "hard-air-without-noise"),
         ("predictor-corrector world hard-air", "hard-air"),
         ("neural world hard-air", "hard-air"),

@@ -14,6 +14,7 @@ from jentry.guidance import (
     CrossrangeCorridor,
     DeviationWeights,
     DynamicalModulation,
+    EarlyEnd,
     ErrorGains,
     FixedCycle,
     FixedSide,
@@ -22,6 +23,7 @@ from jentry.guidance import (
     GroundTrackModel,
     GroundTrackTracking,
     GuidedEnd,
+    HeadingAlignment,
     ModulationGains,
     ObserverDragTracking,
     ObserverGains,
@@ -36,6 +38,7 @@ from jentry.guidance import (
     ShuttleModulation,
     StateFeedbackDragTracking,
     StoredGainTracking,
+    TerminalPoint,
     TrackingGains,
     TrimAngleOfAttack,
     compose,
@@ -98,6 +101,31 @@ def predictor_corrector() -> PredictorCorrector:
         in_space=False,
         step=8.0,
         steps=80,
+    )
+
+
+def terminal_point(reference) -> TerminalPoint:
+    """Near the planned flight at 5000 m/s, with straight lines over the velocity."""
+    lines = {
+        "drag": [116.2, 0.02],
+        "altitude_rate": [-572.0, -0.26],
+        "lift_to_drag_up": [0.107, -4e-6],
+        "range_to_go": [221.5 * km, 47.0],
+        "range_per_drag": [-870.0, 0.1],
+        "range_per_altitude_rate": [310.0, 0.04],
+        "range_per_lift_to_drag": [980.0 * km, 310.0],
+    }
+    quantities = {name: PolynomialProfile(c, 5000.0) for name, c in lines.items()}
+    model = OnboardModel(mars_planet(), mars_vehicle())
+    return TerminalPoint(
+        reference=Reference(VelocityIndex(), quantities),
+        planet=model.planet,
+        lateral=CrossrangeCorridor(300.0, 4e-4),
+        gate=4.0,
+        prebank=57.0 * degree,
+        gain=5.0,
+        alignment=HeadingAlignment(700.0),
+        early_end=EarlyEnd(model, PolynomialProfile([1.0 * km, 5.0], 10.0 * km)),
     )
 
 
@@ -226,6 +254,7 @@ all_laws = {
     "observer": observer_law,
     "range tracking": range_tracking,
     "predictor-corrector": lambda reference: predictor_corrector(),
+    "terminal point": terminal_point,
     "Bézier": lambda reference: stored().guidance,
     "ground track": ground_track_law,
     "replanning": replanning_law,

@@ -141,6 +141,12 @@ from .switching import (
     Smooth as Smooth,
     SmoothReversals as SmoothReversals,
 )
+from .terminal_point import (
+    EarlyEnd as EarlyEnd,
+    HeadingAlignment as HeadingAlignment,
+    HeldBank as HeldBank,
+    TerminalPoint as TerminalPoint,
+)
 from .tracking_gains import (
     AbstractTrackingGains as AbstractTrackingGains,
     ScheduledEigenvalues as ScheduledEigenvalues,

@@ -32,6 +32,10 @@ from .ground_track import (
     GroundTrackPlan as GroundTrackPlan,
     plan_ground_track as plan_ground_track,
 )
+from .influence_coefficients import (
+    plan_range_over_altitude as plan_range_over_altitude,
+    plan_terminal_point as plan_terminal_point,
+)
 from .inverse_dynamics import (
     ExactInverse as ExactInverse,
     InversePoint as InversePoint,

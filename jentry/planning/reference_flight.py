@@ -26,6 +26,7 @@ from ..motion.forces import air_data
 from ..motion.index import AbstractIndex
 from ..motion.state import EntryState
 from ..onboard.profiles import (
+    AbstractProfile,
     Nodes,
     PolynomialProfile,
     QuinticTable,
@@ -129,7 +130,7 @@ def _solve_jvp(primals, tangents):
 
 
 def open_loop(
-    scenario: Scenario, cos_bank: PolynomialProfile, end_velocity: Scalar | float
+    scenario: Scenario, cos_bank: AbstractProfile, end_velocity: Scalar | float
 ) -> Scenario:
     """The scenario with a bank profile in place of its law, and a velocity (m/s) as end."""
     return eqx.tree_at(

@@ -27,7 +27,7 @@ from ...planning.reference_flight import ReferenceFlight, open_loop, plan_drag_r
 from ...units import degree, km
 from ..inertial import Errors, Inertial, Sensors, near
 from ..mission import Mission
-from . import neural_law, predictor_corrector
+from . import neural_law, predictor_corrector, terminal_point
 from .air_with_waves import (
     air_and_vehicle,
     hard_air,
@@ -172,6 +172,7 @@ MISSION = Mission(
         "range-tracking": three_dimensional,
         "predictor-corrector": predictor_corrector.guided,
         "predictor-corrector-network": predictor_corrector.networked,
+        "terminal-point": terminal_point.guided,
         "neural": neural_law.neural,
     },
     worlds={
