@@ -41,6 +41,23 @@ def leaves_by_address(tree: PyTree) -> dict[str, Any]:
     return {address_of(path): leaf for path, leaf in paths if eqx.is_array(leaf)}
 
 
+def modules_by_address(tree: PyTree) -> dict[str, eqx.Module]:
+    """All modules in a pytree, a module before those inside it; the tree itself has no
+    name."""
+    found: dict[str, eqx.Module] = {}
+
+    def look(node: Any, path: tuple) -> None:
+        if isinstance(node, eqx.Module):
+            found[address_of(path)] = node
+        parts, _ = jax.tree_util.tree_flatten_with_path(node, lambda x: x is not node)
+        for step, part in parts:
+            if step:
+                look(part, (*path, *step))
+
+    look(tree, ())
+    return found
+
+
 def addresses_of(tree: PyTree, where: Callable[[Any], Any]) -> list[str]:
     """Addresses of the leaves that a lens selects.
 

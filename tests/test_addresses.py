@@ -9,6 +9,7 @@ from helpers import mars_scenario
 from jentry.addresses import (
     addresses_of,
     leaves_by_address,
+    modules_by_address,
     nearest,
     replace_leaves,
     require_address,
@@ -27,6 +28,16 @@ def test_every_leaf_has_an_address_of_its_own(scenario):
     leaves = jax.tree.leaves(scenario)
     assert len(found) == len(leaves)
     assert all(a is b for a, b in zip(found.values(), leaves, strict=True))
+
+
+def test_every_module_has_its_address(scenario):
+    found = modules_by_address(scenario)
+    assert found[""] is scenario
+    assert found["planet.gravity"] is scenario.planet.gravity
+    velocity = scenario.termination.conditions["velocity"]
+    assert found["termination.conditions.velocity"] is velocity
+    inside = [address.rpartition(".")[0] for address in leaves_by_address(scenario)]
+    assert set(inside) <= set(found)
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import bank_profile, free_scenario, mars_scenario, with_leaf
+from jax.core import Tracer
 from laws import all_laws
 
+from jentry.fields import Scalar, scalar
 from jentry.flight import (
     AltitudeBelow,
     FixedStep,
@@ -18,7 +20,7 @@ from jentry.flight import (
     check,
     fly,
 )
-from jentry.guidance import Sampled
+from jentry.guidance import BankProfile, Sampled
 
 
 def sampled_scenario():
@@ -46,6 +48,34 @@ def test_numbers_that_cannot_be_flown_are_refused(where, value, message):
         check(scenario)
     with pytest.raises(ValueError, match=message):
         fly(scenario)
+
+
+class Band(BankProfile):
+    """A law with two numbers of which one must be less than the other."""
+
+    low: Scalar = scalar(1.0)
+    high: Scalar = scalar(2.0)
+
+    def __check_init__(self):
+        if not isinstance(self.low, Tracer) and not self.low < self.high:
+            raise ValueError(f"low is {self.low:g}: it must be below high")
+
+
+class BandOfItsOwn(Band):
+    """Inherits the check."""
+
+
+@pytest.mark.parametrize("kind", [Band, BandOfItsOwn])
+def test_a_part_that_its_class_refuses_is_refused_after_a_change(kind):
+    """No constructor runs when a leaf is replaced."""
+    law = kind(bank_profile().cos_bank)
+    scenario = mars_scenario(Sampled(law, 1.0))
+    check(scenario)
+    changed = with_leaf(scenario, lambda s: s.guidance.law.low, 3.0)
+    with pytest.raises(ValueError, match="^guidance.law, Band: low is 3: it must be"):
+        check(changed)
+    with pytest.raises(ValueError, match="low is 3"):
+        fly(changed)
 
 
 def test_a_good_scenario_is_not_refused():

@@ -14,6 +14,7 @@ from .._printed import as_text, quantity_in_words
 from ..addresses import (
     field_metadata,
     leaves_by_address,
+    modules_by_address,
     unit_of,
     with_leaves,
 )
@@ -25,7 +26,6 @@ from ..guidance.law import (
     kept_constraints,
     reads_forces_between_cycles,
 )
-from ..guidance.neural_law import AngleOfAttackLimits
 from ..motion.attitude import AbstractAttitude, IdealAttitude
 from ..motion.constraints import (
     AbstractConstraint,
@@ -165,7 +165,6 @@ def check(scenario: Scenario) -> None:
     _check_noise(scenario)
     _check_constraints(scenario)
     _check_navigation(scenario)
-    _check_angles(scenario)
     _warn_without_limits(scenario)
     for address, leaf in leaves_by_address(scenario).items():
         if jax.config.read("jax_enable_x64") and leaf.dtype == np.float32:
@@ -175,17 +174,21 @@ def check(scenario: Scenario) -> None:
             )
         if not isinstance(leaf, Tracer):
             check_values(address, np.asarray(leaf), field_metadata(scenario, address))
+    _check_parts(scenario)
 
 
-def _check_angles(scenario: Scenario) -> None:
-    """Refuse a range of the angle of attack that was changed such that it has no width."""
-
-    def is_range(node: object) -> bool:
-        return isinstance(node, AngleOfAttackLimits)
-
-    for node in jax.tree.leaves(scenario.guidance, is_leaf=is_range):
-        if is_range(node):
-            node.__check_init__()
+def _check_parts(scenario: Scenario) -> None:
+    """Refuse parts that their own classes refuse. A part checks itself when it is made, and
+    not again when a leaf of it is replaced."""
+    for address, part in modules_by_address(scenario).items():
+        for kind in type(part).__mro__:
+            if "__check_init__" not in vars(kind):
+                continue
+            try:
+                vars(kind)["__check_init__"](part)
+            except ValueError as error:
+                where = f"{address}, {kind.__name__}" if address else kind.__name__
+                raise ValueError(f"{where}: {error}") from None
 
 
 def checked(scenario: Scenario) -> Scenario:
