@@ -4,8 +4,8 @@ import math
 
 import typer
 
+from jentry._printed import sentence
 from jentry.cli.entry import app
-from jentry.cli.mission_report import sentence
 from jentry.missions import find_mission
 from jentry.units import degree, hour, micro_g
 

@@ -2,6 +2,8 @@
 
 import contextlib
 import dataclasses
+import inspect
+import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -17,6 +19,12 @@ from .units import at_edge
 def in_words(name: str) -> str:
     """The name of a field or an output as words: `heat_rate` becomes heat rate."""
     return name.replace("_", " ").replace("flight path", "flight-path")
+
+
+def sentence(described: Any) -> str:
+    """The first sentence of the docstring of a function or a class."""
+    words = " ".join((inspect.getdoc(described) or "").split("\n\n")[0].split())
+    return re.split(r"(?<=\.)\s", words)[0]
 
 
 def quantity_in_words(value: Any, unit: str) -> str:

@@ -175,7 +175,7 @@ REPORT = {"percentiles", "require", "requirements", "format", "json", "quiet"}
 
 ARRIVE = {
     "list": set(),
-    "show": {"law", "case", "world", "set", "config", "dispersions"},
+    "show": {"law", "case", "world", "set", "config", "dispersions", "file"},
     "fly": RUN | {"history", "out", "figure", "trajectory"},
     "monte-carlo": RUN
     | {"runs", "seed", "out", "workers", "dispersions", "inputs", "history", "fast"}

@@ -1,12 +1,10 @@
 """Tables of missions, of their scenarios and of one flight."""
 
-import inspect
-import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 
 from rich.table import Table
 
-from .._printed import in_words
+from .._printed import in_words, sentence
 from ..addresses import field_metadata, leaves_by_address, unit_of
 from ..campaign.outputs import error_of, peak_of
 from ..fields import units_of
@@ -40,12 +38,6 @@ def print_missions(missions: Iterable[Mission]) -> None:
             for name, function in named.items():
                 line = f"    {name:{width}}  {sentence(function)}".rstrip()
                 console.print(line, highlight=False)
-
-
-def sentence(function: Callable) -> str:
-    """The first sentence of the docstring of a function."""
-    words = " ".join((inspect.getdoc(function) or "").split("\n\n")[0].split())
-    return re.split(r"(?<=\.)\s", words)[0]
 
 
 def print_leaves(scenario: Scenario) -> None:

@@ -1,5 +1,10 @@
 """`jentry show`: every number of a mission, and its dispersions."""
 
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
 from .options import (
     Case,
     Config,
@@ -15,6 +20,16 @@ from .options import (
 )
 
 
+File = Annotated[
+    Path | None,
+    typer.Option(
+        dir_okay=False,
+        help="TOML file for planet, vehicle, entry, target, limits and all dispersions of "
+        "the mission, with units, for programs without jentry.",
+    ),
+]
+
+
 @app.command("show")
 def command(
     mission: MissionName,
@@ -24,6 +39,7 @@ def command(
     dispersions: Dispersions = None,
     set_: Set = None,
     config: Config = None,
+    file: File = None,
 ) -> None:
     """Show every number of a mission, those without effect, and the dispersions.
 
@@ -31,6 +47,7 @@ def command(
     otherwise all dispersions of the mission.
     """
     set_up(workers=1)
+    from ..missions.data_file import write_mission_data
     from .dispersions_report import print_dispersions, print_what_is_flown
     from .mission_report import print_leaves
 
@@ -38,6 +55,8 @@ def command(
         mission, (law, case, world), config, set_
     )
     print_leaves(scenario)
+    if file is not None:
+        write_mission_data(file, chosen, overrides.choice, scenario)
     if overrides.dispersions is not None:
         base, table = dispersion_table(chosen, overrides, dispersions)
         print_what_is_flown(chosen, scenario, overrides, base, table)
