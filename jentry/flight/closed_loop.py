@@ -233,7 +233,9 @@ def beyond_tables(
     """
     found, refused = beyond_edges(
         tables_in(planet=scenario.planet, vehicle=scenario.vehicle),
-        altitudes=point.state.altitude,
+        altitudes=scenario.planet.geodetic_altitude(
+            point.state.altitude, point.state.latitude
+        ),
         mach_numbers=point.air.mach,
         angles_of_attack=point.controls.angle_of_attack,
     )

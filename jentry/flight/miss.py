@@ -74,7 +74,7 @@ def navigation_errors(scenario: Scenario, flight: Flight) -> Misses | None:
     end, target = flight.state, scenario.target
     downrange, crossrange = ground_track(scenario.planet, _origin(scenario), end)
     actual = Target(
-        altitude=end.altitude,
+        altitude=scenario.planet.geodetic_altitude(end.altitude, end.latitude),
         velocity=end.velocity,
         downrange=downrange,
         crossrange=crossrange,
@@ -97,7 +97,8 @@ def _errors(scenario: Scenario, target: Target, end: EntryState) -> Misses:
     return Misses(
         downrange=_nearest(downrange - target.downrange, circumference),
         crossrange=crossrange - target.crossrange,
-        altitude=end.altitude - target.altitude,
+        altitude=scenario.planet.geodetic_altitude(end.altitude, end.latitude)
+        - target.altitude,
         velocity=end.velocity - target.velocity,
         flight_path_angle=_difference(end.flight_path_angle, target.flight_path_angle),
         heading=_turn(end.heading, target.heading),

@@ -64,6 +64,9 @@ class Target(eqx.Module):
     laws that use no place, such as `ObserverDragTracking`.
 
     A law that flies to a place (`RangeTracking`, `PredictorCorrector`) takes it from here.
+    On an ellipsoid the altitude is the geodetic one; arcs are on the sphere of
+    `Planet.radius`.
+
     A planned reference and the track of a Bézier curve do not move with the target: `check`
     refuses a track that ends elsewhere.
     """

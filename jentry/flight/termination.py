@@ -122,23 +122,29 @@ class VelocityBelow(AbstractEndCondition):
 
 
 class AltitudeBelow(AbstractEndCondition):
-    """Ends a flight when the altitude has fallen to a value."""
+    """Ends a flight when the altitude has fallen to a value.
+
+    On an ellipsoid it is the geodetic altitude: see `Planet.shape`.
+    """
 
     altitude: Scalar = scalar(unit="m")
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
     def margin(self, state: EntryState, planet: Planet) -> Scalar:
-        return state.altitude - self.altitude
+        return planet.geodetic_altitude(state.altitude, state.latitude) - self.altitude
 
 
 class AltitudeAbove(AbstractEndCondition):
-    """Ends a flight when the altitude has risen to a value."""
+    """Ends a flight when the altitude has risen to a value.
+
+    On an ellipsoid it is the geodetic altitude: see `Planet.shape`.
+    """
 
     altitude: Scalar = scalar(unit="m")
     outcome: Outcome = eqx.field(default=Outcome.SKIPPED_OUT, static=True)
 
     def margin(self, state: EntryState, planet: Planet) -> Scalar:
-        return self.altitude - state.altitude
+        return self.altitude - planet.geodetic_altitude(state.altitude, state.latitude)
 
 
 class VelocityAbove(AbstractEndCondition):

@@ -17,6 +17,7 @@ from ..onboard.reference import DragReference
 from ..world.aerodynamics import ConstantAerodynamics, PolynomialAerodynamics
 from ..world.atmosphere import ExponentialAtmosphere
 from ..world.gravity import InverseSquareGravity
+from ..world.shape import Sphere
 from ..world.wind import StillAir
 from .lateral import AbstractLateralLogic, FixedSide
 from .law import AbstractBankLaw, Tracked
@@ -78,6 +79,7 @@ def _is_of_the_paper(model: OnboardModel) -> bool:
         isinstance(planet.atmosphere, ExponentialAtmosphere)
         and isinstance(planet.wind, StillAir)
         and isinstance(planet.gravity, InverseSquareGravity)
+        and isinstance(planet.shape, Sphere)
         and isinstance(
             vehicle.aerodynamics, ConstantAerodynamics | PolynomialAerodynamics
         )

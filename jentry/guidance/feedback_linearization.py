@@ -22,7 +22,7 @@ from ..motion.quantities import energy, ground_track
 from ..motion.state import Controls, EntryState
 from ..onboard.estimation import Factors
 from ..onboard.measurement import Measurement, measure
-from ..onboard.model import OnboardModel, require_still_air
+from ..onboard.model import OnboardModel, require_sphere, require_still_air
 from ..onboard.profiles import AbstractProfile, QuinticTable
 from ..world.planet import Planet
 from .law import AbstractContinuousLaw, Tracked
@@ -222,6 +222,7 @@ class SmallAngleLinearization(AbstractLinearization):
         self, model: GroundTrackModel, state: EntryState, factors: Factors
     ) -> OutputDynamics:
         planet, span = model.onboard.planet, model.energy_span
+        require_sphere(planet, "the linearization for small angles")
         _, _, D = model.reference_forces(state, factors)
         theta, phi = model.outputs(state)
         V, gamma, chi = state.velocity, state.flight_path_angle, _course(model, state)

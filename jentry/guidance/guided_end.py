@@ -5,12 +5,15 @@ import jax.numpy as jnp
 
 from ..fields import Count, Flag, Scalar, optional_scalar
 from ..motion.quantities import energy
+from ..motion.state import EntryState
 from ..onboard.propagation import Margin
 from ..world.planet import Planet
 
 
 class GuidedEnd(eqx.Module):
     """End conditions of guided flight, as the law assumes them: the first one met ends it.
+
+    Altitudes are geodetic ones if the planet of the onboard model is an ellipsoid.
 
     The ground ends a flight as well. A flight that has risen to the ceiling has skipped
     out, and would come down too far away.
@@ -33,13 +36,17 @@ class GuidedEnd(eqx.Module):
         found: list[Margin] = []
         velocity, energy_there, ceiling = self.velocity, self.energy, self.ceiling
         lowest = 0.0 if self.altitude is None else self.altitude
+
+        def altitude(state: EntryState) -> Scalar:
+            return planet.geodetic_altitude(state.altitude, state.latitude)
+
         if velocity is not None:
             found.append(lambda state: state.velocity - velocity)
-        found.append(lambda state: state.altitude - lowest)
+        found.append(lambda state: altitude(state) - lowest)
         if energy_there is not None:
             found.append(lambda state: energy(planet, state) - energy_there)
         if ceiling is not None:
-            found.append(lambda state: ceiling - state.altitude)
+            found.append(lambda state: ceiling - altitude(state))
         return tuple(found)
 
     def first(self) -> tuple[Scalar, Scalar]:

@@ -22,7 +22,7 @@ from ..fields import Scalar, scalar
 from ..motion.quantities import direction_to, from_ground_track
 from ..motion.state import Controls, EntryState
 from ..onboard.measurement import Measurement, measure
-from ..onboard.model import OnboardModel
+from ..onboard.model import OnboardModel, require_sphere
 from ..onboard.recurrent_network import RecurrentNetwork
 from ..units import degree
 from ..world.planet import Planet
@@ -97,6 +97,7 @@ def inputs_of(
     flies over the aim. `bank` is that commanded before, rad.
     """
     planet, state = model.planet, measurement.state
+    require_sphere(planet, "a neural law")
     length, speed = aim.downrange, aim.origin.velocity
     acceleration = speed * speed / length
     place = from_ground_track(planet, aim.origin, aim.downrange, aim.crossrange)

@@ -41,7 +41,7 @@ from ..onboard.estimation import (
 )
 from ..onboard.longitudinal import along_equator
 from ..onboard.measurement import Measurement, measure
-from ..onboard.model import OnboardModel, require_still_air
+from ..onboard.model import OnboardModel, require_sphere, require_still_air
 from ..onboard.profiles import AbstractProfile
 from ..onboard.propagation import Command, Prediction, SampledCommand, propagate
 from ..onboard.turning import BankTurning
@@ -487,6 +487,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
                 "wind at None"
             )
         assert before is not None
+        require_sphere(self.model.planet, "the estimation of the wind")
         mean, state = self.model.planet.wind, measurement.state
         return wind.update(before, mean, state, measurement.air_velocity)
 
@@ -570,7 +571,10 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
             end = self.predicted(
                 time, measurement, factors, numbers, sign, self.in_space, reverses_in
             )
-            high = end.state.altitude - aim.altitude
+            high = self.model.planet.geodetic_altitude(
+                end.state.altitude, end.state.latitude
+            )
+            high = high - aim.altitude
             both = too_far(end.state), self.altitude_weight * high
             goes_on = end.time > (self.steps - 1) * self.step
             skips = self.end.is_skip(end.ended_by)

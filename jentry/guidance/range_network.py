@@ -20,7 +20,7 @@ from ..motion.quantities import from_ground_track
 from ..motion.state import EntryState
 from ..onboard.estimation import Factors
 from ..onboard.measurement import measure
-from ..onboard.model import OnboardModel, require_still_air
+from ..onboard.model import OnboardModel, require_sphere, require_still_air
 from ..onboard.network import Network
 from ..world.planet import Planet
 
@@ -199,6 +199,7 @@ def basis(
     atmosphere. The values do not depend on the altitude and velocity of `state`.
     """
     require_still_air(model.planet, "a network of the range")
+    require_sphere(model.planet, "a network of the range")
     seen = []
     for altitude in _ALTITUDES:
         there = dataclasses.replace(

@@ -16,7 +16,7 @@ from ..motion.index import EnergyIndex
 from ..motion.quantities import ground_track
 from ..motion.state import Controls
 from ..onboard.measurement import Measurement, measure
-from ..onboard.model import OnboardModel, require_still_air
+from ..onboard.model import OnboardModel, require_sphere, require_still_air
 from ..onboard.profiles import AbstractProfile
 from ..onboard.reference import DragReference
 from .aim import Aim, TargetOfScenario, known
@@ -100,6 +100,7 @@ def scale_to_reach(
     """
     planet = model.planet
     require_still_air(planet, "the range of a scaled reference")
+    require_sphere(planet, "the range of a scaled reference")
     radius = planet.radius + aim.altitude
     gravity = planet.gravity.acceleration(radius)
     flown = range_flown(energy)

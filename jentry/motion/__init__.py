@@ -14,6 +14,8 @@ from .constraints import (
     Drag as Drag,
     DynamicPressure as DynamicPressure,
     EquilibriumGlide as EquilibriumGlide,
+    GeodeticAltitude as GeodeticAltitude,
+    GeodeticLatitude as GeodeticLatitude,
     HeatLoad as HeatLoad,
     HeatRate as HeatRate,
     LoadFactor as LoadFactor,
@@ -39,6 +41,12 @@ from .dynamics import (
     with_respect_to as with_respect_to,
 )
 from .forces import AirData as AirData, air_data as air_data
+from .geodesy import (
+    GeodeticState as GeodeticState,
+    from_geodetic as from_geodetic,
+    geodetic_position as geodetic_position,
+    to_geodetic as to_geodetic,
+)
 from .index import (
     AbstractIndex as AbstractIndex,
     AltitudeIndex as AltitudeIndex,

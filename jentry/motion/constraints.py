@@ -18,6 +18,7 @@ from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 from .dynamics import AbstractDynamics, EntryDynamics
 from .forces import AirData, air_data
+from .geodesy import geodetic_position
 from .quantities import convective_heat_rate, load_factor
 from .state import Controls, EntryState
 
@@ -134,6 +135,31 @@ class MachNumber(AbstractConstraint):
 
     def value(self, point: PathPoint) -> Scalar:
         return point.air.mach
+
+
+class GeodeticAltitude(AbstractConstraint):
+    """Altitude above the shape of the planet: on a sphere, the altitude.
+
+    The highest is its peak. `values_at_end` has its value at the end.
+    """
+
+    limit: Scalar | None = optional_scalar(unit="m")
+    unit = "m"
+
+    def value(self, point: PathPoint) -> Scalar:
+        state = point.state
+        return point.planet.geodetic_altitude(state.altitude, state.latitude)
+
+
+class GeodeticLatitude(AbstractConstraint):
+    """Angle of the normal of the planet's shape above the equator: on a sphere, the
+    latitude."""
+
+    limit: Scalar | None = optional_scalar(unit="rad")
+    unit = "rad"
+
+    def value(self, point: PathPoint) -> Scalar:
+        return geodetic_position(point.planet, point.state)[1]
 
 
 class HeatRate(AbstractConstraint):

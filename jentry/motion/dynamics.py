@@ -1,4 +1,4 @@
-"""Equations of motion of a point mass over a rotating sphere."""
+"""Equations of motion of a point mass over a rotating planet."""
 
 import math
 from abc import abstractmethod
@@ -68,7 +68,7 @@ class AbstractDynamics(eqx.Module):
 
 
 class EntryDynamics(AbstractDynamics):
-    """Three-dimensional entry over a rotating sphere: `entry_dynamics`."""
+    """Three-dimensional entry over a rotating planet: `entry_dynamics`."""
 
     def rates(
         self, planet: Planet, vehicle: Vehicle, state: EntryState, controls: Controls
@@ -79,7 +79,8 @@ class EntryDynamics(AbstractDynamics):
 class EquatorialDynamics(AbstractDynamics):
     """Flight due east in the plane of the equator: `equatorial_dynamics`.
 
-    The lateral component of lift is left out. The only singular point is at rest.
+    The lateral component of lift is left out. The only singular point is at rest. Gravity
+    may have zonal harmonics of even degree; others are refused.
     """
 
     constant = {"latitude": 0.0, "heading": 0.5 * math.pi}
@@ -126,12 +127,16 @@ def rates_under(
     radius = planet.radius + state.altitude
     # One division by each quantity, then products: these are eight times as fast.
     per_velocity = 1.0 / velocity
-    gravity = planet.gravity.acceleration(radius)
+    gravity, north = planet.gravity.components(radius, state.latitude)
     ground_rate = velocity * cos_path * (1.0 / radius)
     turn = ground_rate * sin_heading * (1.0 / cos_latitude)
 
     along = along - gravity * sin_path
     above = -gravity * cos_path if above is None else above - gravity * cos_path
+    if north is not None:
+        along = along + north * (cos_path * cos_heading)
+        above = above - north * (sin_path * cos_heading)
+        right = (0.0 if right is None else right) - north * sin_heading
     if rotation_rate is not None:
         centrifugal = rotation_rate * rotation_rate * radius * cos_latitude
         coriolis = 2.0 * rotation_rate * velocity
@@ -177,7 +182,7 @@ def equatorial_dynamics(
     radius = planet.radius + state.altitude
     along, above, _ = aerodynamic_acceleration(planet, vehicle, state, controls)
     rotation = planet.rotation_rate
-    weight = planet.gravity.acceleration(radius) - rotation * rotation * radius
+    weight = planet.gravity.in_equator(radius) - rotation * rotation * radius
     ground_rate = velocity * cos_path * (1.0 / radius)
     none = jnp.zeros_like(velocity)
     return EntryState(

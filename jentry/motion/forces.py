@@ -30,6 +30,11 @@ class AirData(eqx.Module):
     """rad"""
 
 
+def wind_at(planet: Planet, state: EntryState) -> AbstractWind:
+    """The wind over the altitude of a state, at its place."""
+    return planet.wind_above(state.latitude)
+
+
 def velocity_over_air(
     wind: AbstractWind, state: EntryState
 ) -> tuple[Scalar, Scalar, Scalar]:
@@ -59,7 +64,7 @@ def air_data(
     """Flow and specific forces at an angle of attack (rad)."""
     here = planet.above(state.longitude, state.latitude)
     density = here.density(state.altitude)
-    airspeed = speed_over_air(planet.wind, state)
+    airspeed = speed_over_air(wind_at(planet, state), state)
     mach = airspeed / here.atmosphere.speed_of_sound(state.altitude)
     dynamic_pressure = 0.5 * density * airspeed * airspeed
     lift, drag = vehicle.coefficients(angle_of_attack, mach, airspeed)
@@ -87,7 +92,8 @@ def aerodynamic_acceleration(
     air = air_data(planet, vehicle, state, controls.angle_of_attack)
     above = air.lift * controls.cos_bank
     right = air.lift * controls.sin_bank
-    return about_velocity(planet.wind, state, -air.drag, above, right)
+    wind = wind_at(planet, state)
+    return about_velocity(wind, state, -air.drag, above, right)
 
 
 def about_velocity(

@@ -14,7 +14,9 @@ from .state import EntryState
 def energy(planet: Planet, state: EntryState) -> Scalar:
     """Energy per unit mass in the planet-relative frame, V^2/2 + potential, J/kg."""
     radius = planet.radius + state.altitude
-    return 0.5 * state.velocity * state.velocity + planet.gravity.potential(radius)
+    return 0.5 * state.velocity * state.velocity + planet.gravity.potential_at(
+        radius, state.latitude
+    )
 
 
 def load_factor(air: AirData) -> Scalar:

@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ..fields import NOT_NEGATIVE, Flag, Scalar, scalar
-from ..motion.forces import AirData, velocity_over_air
+from ..motion.forces import AirData, velocity_over_air, wind_at
 from ..motion.state import EntryState
 from ..world.planet import Planet
 from .sampling import normal_sample
@@ -65,7 +65,7 @@ class FlowSensors(eqx.Module):
         """Sample at a time, s."""
         senses = air.mach <= self.largest_mach
         senses &= air.dynamic_pressure >= self.least_dynamic_pressure
-        actual = AirVelocity(*velocity_over_air(planet.wind, state), senses)
+        actual = AirVelocity(*velocity_over_air(wind_at(planet, state), state), senses)
         noise = normal_sample(self.noise_seed, sampled_at)
         errors = self.speed_scale_error, self.side_error, self.rise_error
         shares = [

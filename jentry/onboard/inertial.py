@@ -17,7 +17,7 @@ from .._math import sincos
 from ..fields import Scalar, scalar
 from ..motion.axes import Components, LocalAxes, VelocityAxes, cross
 from ..motion.dynamics import rates_under
-from ..motion.forces import AirData, about_velocity, air_data
+from ..motion.forces import AirData, about_velocity, air_data, wind_at
 from ..motion.quantities import ground_track
 from ..motion.state import Controls, EntryState
 from ..world.planet import Planet
@@ -158,7 +158,8 @@ class Sensed(NamedTuple):
         controls = self.actual.controls
         above = lifted * controls.cos_bank - side * controls.sin_bank
         right = lifted * controls.sin_bank + side * controls.cos_bank
-        wind, state = self.actual.planet.wind, self.actual.state
+        state = self.actual.state
+        wind = wind_at(self.actual.planet, state)
         ahead = about_velocity(wind, state, along, above, right)
         return self.place.to_planet(*self.velocity.to_local(*ahead))
 

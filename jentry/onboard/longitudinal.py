@@ -17,7 +17,7 @@ from ..motion.quantities import ground_track
 from ..motion.state import EntryState
 from ..world.planet import Planet
 from .measurement import measure
-from .model import OnboardModel, require_still_air
+from .model import OnboardModel, require_sphere, require_still_air
 from .profiles import AbstractProfile
 
 
@@ -66,6 +66,9 @@ def along_equator(
     rotation, and a part of the centrifugal acceleration (0.02 m/s2 for the Earth), act to
     the side; bank reversals compensate for them.
     """
+    require_sphere(
+        model.planet, "a prediction in the vertical plane", ", or take in_space=True"
+    )
     share = sincos(state.latitude)[1] * sincos(state.heading)[0]
     turned = eqx.tree_at(
         lambda m: m.planet.rotation_rate, model, model.planet.rotation_rate * share
@@ -106,6 +109,7 @@ class LongitudinalModel(eqx.Module):
     def _here(self, state: LongitudinalState) -> EntryState:
         """The state to the east; a wind would not be that of the actual heading."""
         require_still_air(self.onboard.planet, "the motion in the vertical plane")
+        require_sphere(self.onboard.planet, "the motion in the vertical plane")
         return state.eastward()
 
 

@@ -6,10 +6,11 @@ import jax.numpy as jnp
 
 from .._newton import by_jvp, newton
 from ..fields import Scalar
-from ..motion.forces import speed_over_air
+from ..motion.forces import speed_over_air, wind_at
 from ..motion.state import EntryState
 from ..world.aerodynamics import AbstractInvertibleAerodynamics
 from ..world.planet import Planet
+from ..world.shape import Sphere
 from ..world.vehicle import Vehicle
 from ..world.wind import StillAir
 
@@ -23,7 +24,8 @@ class OnboardModel(eqx.Module):
 
     Any atmosphere, gravity and aerodynamics can be used. Quantities that laws need beside
     the forces are computed from these by forward differentiation, in the actual state and
-    at the actual angle of attack (rad).
+    at the actual angle of attack (rad). Laws whose equations are those of a sphere with a
+    central gravity refuse another planet; that of the scenario may be another one.
     """
 
     planet: Planet
@@ -57,7 +59,7 @@ class OnboardModel(eqx.Module):
         """
         _, drag = self._coefficients(state, angle_of_attack)
         density = self._above(state).density(state.altitude)
-        airspeed = speed_over_air(self.planet.wind, state)
+        airspeed = speed_over_air(wind_at(self.planet, state), state)
         return jnp.log(density) + 2.0 * jnp.log(airspeed) + jnp.log(drag)
 
     def angle_of_attack_for(
@@ -68,7 +70,10 @@ class OnboardModel(eqx.Module):
         The lift coefficient must rise between the bounds. If no angle between them gives
         the lift, the result is the nearer bound.
         """
-        here, airspeed = self._above(state), speed_over_air(self.planet.wind, state)
+        here, airspeed = (
+            self._above(state),
+            speed_over_air(wind_at(self.planet, state), state),
+        )
         pressure = 0.5 * here.density(state.altitude) * airspeed * airspeed
         wanted = lift * self.vehicle.mass / (pressure * self.vehicle.reference_area)
         aerodynamics = self.vehicle.aerodynamics
@@ -102,7 +107,7 @@ class OnboardModel(eqx.Module):
         self, state: EntryState, angle_of_attack: Scalar
     ) -> tuple[Scalar, Scalar]:
         sound = self._above(state).atmosphere.speed_of_sound(state.altitude)
-        airspeed = speed_over_air(self.planet.wind, state)
+        airspeed = speed_over_air(wind_at(self.planet, state), state)
         return self.vehicle.coefficients(angle_of_attack, airspeed / sound, airspeed)
 
 
@@ -120,4 +125,29 @@ def require_still_air(planet: Planet, what: str, instead: str = "") -> None:
         raise ValueError(
             f"the planet of the onboard model has a {type(planet.wind).__name__}, and "
             f"{what} takes the air to be still: give the model StillAir(){instead}"
+        )
+
+
+def require_sphere(planet: Planet, what: str, instead: str = "") -> None:
+    """Refuse an ellipsoid and a gravity that is not central, for a computation that
+    neglects them.
+
+    **Arguments:**
+
+    - `what`: computation that assumes a sphere, as the subject of a sentence.
+    - `instead`: alternative to another planet.
+
+    **Raises:** `ValueError` for any shape but `Sphere`, and for a gravity that depends on
+    the latitude.
+    """
+    found = []
+    if not isinstance(planet.shape, Sphere):
+        found.append(f"the shape {type(planet.shape).__name__}")
+    if not planet.gravity.is_central:
+        found.append(f"a {type(planet.gravity).__name__}")
+    if found:
+        raise ValueError(
+            f"the planet of the onboard model has {' and '.join(found)}, and {what} takes "
+            "it to be a sphere with a central gravity: give the model Sphere() and "
+            f"InverseSquareGravity{instead}; the planet of the scenario may differ"
         )

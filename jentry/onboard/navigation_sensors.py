@@ -85,12 +85,18 @@ class AbstractNavigationSensor(eqx.Module):
         """Standard deviations of the measurement that the filter assumes."""
 
 
+def _altitude(sensed: Sensed) -> Scalar:
+    """Actual altitude, m; the geodetic one on an ellipsoid."""
+    state = sensed.actual.state
+    return sensed.actual.planet.geodetic_altitude(state.altitude, state.latitude)
+
+
 def _assumed(noise: Scalar, assumed: Scalar | None) -> Scalar:
     return noise if assumed is None else assumed
 
 
 class Altimeter(AbstractNavigationSensor):
-    """Measures the altitude, below an altitude."""
+    """Measures the altitude, below an altitude: on an ellipsoid the geodetic one."""
 
     noise: Scalar = scalar(unit="m", range=NOT_NEGATIVE)
     """Standard deviation of a measurement"""
@@ -103,13 +109,14 @@ class Altimeter(AbstractNavigationSensor):
     """Standard deviation that the filter assumes; None for `noise`"""
 
     def senses(self, sensed: Sensed) -> Flag:
-        return sensed.actual.state.altitude <= self.largest_altitude
+        return _altitude(sensed) <= self.largest_altitude
 
     def measured(self, sensed: Sensed, drawn: Drawn, at: Scalar) -> Values:
-        return (sensed.actual.state.altitude + self.bias + self.noise * drawn(0),)
+        return (_altitude(sensed) + self.bias + self.noise * drawn(0),)
 
     def expected(self, believed: Believed) -> Values:
-        return (believed.state.altitude,)
+        state = believed.state
+        return (believed.planet.geodetic_altitude(state.altitude, state.latitude),)
 
     def deviations(self, believed: Believed) -> Values:
         return (_assumed(self.noise, self.assumed),)
@@ -132,7 +139,7 @@ class TerrainPosition(AbstractNavigationSensor):
     """Standard deviation that the filter assumes; None for `noise`"""
 
     def senses(self, sensed: Sensed) -> Flag:
-        return sensed.actual.state.altitude <= self.largest_altitude
+        return _altitude(sensed) <= self.largest_altitude
 
     def measured(self, sensed: Sensed, drawn: Drawn, at: Scalar) -> Values:
         state, radius = sensed.actual.state, sensed.actual.planet.radius
@@ -164,7 +171,7 @@ class DopplerVelocity(AbstractNavigationSensor):
     """Standard deviation that the filter assumes; None for `noise`"""
 
     def senses(self, sensed: Sensed) -> Flag:
-        return sensed.actual.state.altitude <= self.largest_altitude
+        return _altitude(sensed) <= self.largest_altitude
 
     def measured(self, sensed: Sensed, drawn: Drawn, at: Scalar) -> Values:
         speed = sensed.actual.state.velocity, *2 * [jnp.zeros_like(sensed.air.airspeed)]

@@ -15,7 +15,7 @@ from jaxtyping import Array, Float, Int
 from .._math import sincos
 from ..fields import Scalar, scalar
 from ..motion.state import EntryState
-from .model import OnboardModel, require_still_air
+from .model import OnboardModel, require_sphere, require_still_air
 
 
 class GlidePoint(eqx.Module):
@@ -69,6 +69,7 @@ class VelocityDomain(eqx.Module):
         )
         planet = self.model.planet
         require_still_air(planet, "a glide over the velocity")
+        require_sphere(planet, "a glide over the velocity")
         return GlidePoint(
             velocity=state.velocity / self.circular_velocity,
             radius=1.0 + value["altitude"] / planet.radius,

@@ -16,6 +16,7 @@ from ..fields import Scalar, scalar
 from ..motion.forces import AirData, air_data
 from ..motion.index import VelocityIndex
 from ..motion.state import EntryState
+from ..onboard.model import require_sphere
 from ..onboard.profiles import AbstractProfile, grid, quintic_table
 from ..onboard.reference import Reference
 from ..units import degree
@@ -85,6 +86,7 @@ def plan_glide(
     **Raises:** `ValueError` if there is no such altitude or bank. Under `jit` the values
     are NaN instead.
     """
+    require_sphere(planet, "a glide")
     glide = Glide() if glide is None else glide
     world = _World(planet, vehicle, angle_of_attack, glide)
     nodes = grid(glide.last, glide.first, 2 * intervals)

@@ -16,6 +16,7 @@ from .._newton import by_jvp, newton
 from ..fields import Scalar, output
 from ..motion.forces import AirData, air_data
 from ..motion.state import EntryState
+from ..onboard.model import require_sphere
 from ..onboard.profiles import AbstractProfile
 from ..units import km
 from ..world.planet import Planet
@@ -59,6 +60,7 @@ class AbstractInverse(eqx.Module):
         """The point at a velocity, m/s; NaN where no altitude has the drag."""
 
     def air(self, altitude: Scalar, velocity: Scalar) -> AirData:
+        require_sphere(self.planet, "the inverse of the motion in a plane")
         nothing = jnp.zeros_like(velocity)
         level = EntryState(altitude, nothing, nothing, velocity, nothing, nothing)
         return air_data(

@@ -22,6 +22,7 @@ from .gravity import (
     AbstractGravity as AbstractGravity,
     ConstantGravity as ConstantGravity,
     InverseSquareGravity as InverseSquareGravity,
+    ZonalGravity as ZonalGravity,
 )
 from .perturbed_atmosphere import (
     DensityWave as DensityWave,
@@ -34,6 +35,12 @@ from .random_air import RandomAtmosphere as RandomAtmosphere, RandomWind as Rand
 from .random_profile import (
     RandomAltitudeProfile as RandomAltitudeProfile,
     RandomMachProfile as RandomMachProfile,
+)
+from .shape import (
+    Ellipsoid as Ellipsoid,
+    GeodeticAtmosphere as GeodeticAtmosphere,
+    GeodeticWind as GeodeticWind,
+    Sphere as Sphere,
 )
 from .smoothed_atmosphere import (
     SmoothedAtmosphere as SmoothedAtmosphere,

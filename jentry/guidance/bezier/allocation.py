@@ -16,7 +16,7 @@ from ...motion.constraints import (
     limit_of,
 )
 from ...motion.state import Controls
-from ...onboard.model import require_still_air
+from ...onboard.model import require_sphere, require_still_air
 from ...units import standard_gravity
 from ...world.aerodynamics import AbstractInvertibleAerodynamics
 from ...world.planet import Planet
@@ -79,6 +79,7 @@ def attitude(
     aerodynamics = vehicle.aerodynamics
     assert isinstance(aerodynamics, AbstractInvertibleAerodynamics)
     require_still_air(planet, "the law along a curve")
+    require_sphere(planet, "the law along a curve")
     radius = planet.radius + altitude
     mach = velocity / planet.atmosphere.speed_of_sound(altitude)
 
