@@ -73,11 +73,14 @@ def test_every_law_is_in_the_list(reference):
 @pytest.mark.parametrize("name", all_gravities)
 def test_gravity_is_the_slope_of_its_potential(name):
     gravity = all_gravities[name]()
-    radius = jnp.asarray(3.5e6)
-    slope = jax.grad(gravity.potential)(radius)
+    radius, latitude = jnp.asarray(3.5e6), jnp.asarray(0.7)
+    slope, aside = jax.grad(gravity.potential_at, (0, 1))(radius, latitude)
+    down, north = gravity.components(radius, latitude)
     # Towards the centre is down: rounding of one product.
-    assert float(gravity.acceleration(radius)) == pytest.approx(float(slope), rel=1e-14)
+    assert float(down) == pytest.approx(float(slope), rel=1e-14)
     assert float(slope) > 0.0
+    assert (north is None) == gravity.is_central
+    assert float(aside) == pytest.approx(0.0 if north is None else -north * radius)
 
 
 # Every law, without a flight: what it commands and remembers at one instant.

@@ -177,6 +177,7 @@ def any_vehicle():
         ("standard", "inverse square"),
         ("table", "inverse square"),
         ("perturbed", "constant"),
+        ("exponential", "zonal"),
     ],
 )
 def test_rates_are_those_along_the_motion(atmosphere, gravity, key):

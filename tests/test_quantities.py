@@ -227,7 +227,14 @@ def test_energy_is_kinetic_and_potential(name):
     gravity = all_gravities[name]()
     planet = eqx.tree_at(lambda p: p.gravity, mars_planet(), gravity)
     radius = 3397e3 + 31e3
-    potential = {"inverse square": -4.28283e13 / radius, "constant": 3.7 * radius}
+    newton, s, ratio = -4.28283e13 / radius, np.sin(STATE.latitude), 3396e3 / radius
+    j2 = 1.9566e-3 * ratio**2 * (1.5 * s**2 - 0.5)
+    j3 = 3.1e-5 * ratio**3 * (2.5 * s**3 - 1.5 * s)
+    potential = {
+        "inverse square": newton,
+        "constant": 3.7 * radius,
+        "zonal": newton * (1.0 - j2 - j3),
+    }
     expected = 0.5 * 1900.0**2 + potential[name]
     assert float(energy(planet, STATE)) == pytest.approx(expected, rel=1e-14)
 

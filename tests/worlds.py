@@ -19,10 +19,13 @@ from jentry.world import (
     ConstantGravity,
     ConstantWind,
     DensityWave,
+    Ellipsoid,
     EnsembleAtmosphere,
     EnsembleWind,
     ExponentialAerodynamics,
     ExponentialAtmosphere,
+    GeodeticAtmosphere,
+    GeodeticWind,
     GroundWave,
     InverseSquareGravity,
     PerturbedAtmosphere,
@@ -38,6 +41,7 @@ from jentry.world import (
     TabulatedAtmosphere,
     TabulatedWind,
     USStandardAtmosphere1976,
+    ZonalGravity,
     smoothed,
 )
 
@@ -51,6 +55,9 @@ def tabulated_atmosphere(**numbers) -> TabulatedAtmosphere:
         altitudes, density(altitudes), temperature(altitudes), **numbers
     )
 
+
+WGS_84 = Ellipsoid(6378137.0, 1 / 298.257223563)
+"""Defining constants of NIMA TR8350.2, table 3.1"""
 
 all_atmospheres = {
     "exponential": lambda: ExponentialAtmosphere(1.225, 7200.0),
@@ -74,6 +81,9 @@ all_atmospheres = {
         jnp.stack([f * tabulated_atmosphere().densities for f in (0.9, 1.1)]),
         jnp.stack([f * tabulated_atmosphere().temperatures for f in (1.1, 1.0)]),
         profile=1.0,
+    ),
+    "over an ellipsoid": lambda: GeodeticAtmosphere(
+        ExponentialAtmosphere(1.225, 7200.0), WGS_84, 6371e3, 0.3
     ),
     "smoothed": functools.cache(lambda: smoothed(ExponentialAtmosphere(1.225, 7200.0))),
 }
@@ -145,6 +155,9 @@ all_winds = {
         RandomAltitudeProfile(8e3, -1.3e3, seed=0.9, nodes=21),
         15.0,
     ),
+    "over an ellipsoid": lambda: GeodeticWind(
+        ConstantWind(10.0, -4.0, 0.5), WGS_84, 6371e3, 0.3
+    ),
     "estimated": lambda: EstimatedWind(
         ConstantWind(10.0, -4.0, 0.5),
         WindPrior(20.0, 30e3),
@@ -156,4 +169,5 @@ all_winds = {
 all_gravities = {
     "inverse square": lambda: InverseSquareGravity(4.28283e13),
     "constant": lambda: ConstantGravity(3.7),
+    "zonal": lambda: ZonalGravity(4.28283e13, 3396e3, {"j2": 1.9566e-3, "j3": 3.1e-5}),
 }

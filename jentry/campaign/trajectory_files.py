@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from .._files import write_whole
@@ -15,6 +16,8 @@ from ..flight.flight import Flight
 from ..flight.scenario import Scenario
 from ..motion.state import EntryState
 from ..units import at_edge
+from ..world.planet import Planet
+from ..world.shape import Sphere
 from .campaign import campaign_of_one
 from .outputs import at_end
 from .results import dataset
@@ -49,7 +52,8 @@ def write_trajectory(
     - `flight`: flight with a history.
     - `path`: file to write. `.csv` is a table of all that the history has: time in s,
       angles in degrees, everything else in SI units, with the end of the flight as its last
-      line. `.kml` is for Google Earth and `.czml` for Cesium.
+      line. `.kml` is for Google Earth and `.czml` for Cesium: over an ellipsoid they have
+      the geodetic altitude and latitude.
     - `start`: date and time at which the flight begins, for the clock of the globe.
 
     **Raises:** `ValueError` for a flight without a history, for another ending of the path
@@ -70,6 +74,8 @@ def write_trajectory(
     one = campaign_of_one(scenario, flight)
     interval = float(f"{time[1] - time[0]:.12g}")  # without its rounding
     results = dataset(scenario, one, interval)
+    if Path(path).suffix.lower() != ".csv":
+        results = _geodetic(results, scenario.planet)
     write_trajectories(results, path, globe_of(float(scenario.planet.radius)), start)
 
 
@@ -86,7 +92,8 @@ def write_trajectories(
     - `results`: results with histories, such as those of `open_campaign`. A table has the
       run as its first column. On a globe each run is a path of its own.
     - `path`: file to write: `.csv`, `.kml` or `.czml`.
-    - `globe`: `earth`, `mars` or `moon`.
+    - `globe`: `earth`, `mars` or `moon`. Altitude and latitude are those of the states,
+      also over an ellipsoid.
     - `start`: date and time at which all flights begin.
 
     **Raises:** `ValueError` for results without histories, for another ending of the path
@@ -104,6 +111,23 @@ def write_trajectories(
     check_trajectory_file(path)
     write = _WRITERS[path.suffix.lower()]
     write_whole(path, write(results, globe, start).encode())
+
+
+def _geodetic(results: "xarray.Dataset", planet: Planet) -> "xarray.Dataset":
+    """Results with the geodetic altitude and latitude, which globes take."""
+    if isinstance(planet.shape, Sphere):
+        return results
+    found = jnp.vectorize(planet.shape.geodetic)
+    changed = {}
+    for altitude, latitude in (
+        ("altitude", "latitude"),
+        (at_end("altitude"), at_end("latitude")),
+    ):
+        radius = planet.radius + results[altitude].values
+        both = found(radius, jnp.asarray(results[latitude].values))
+        for name, values in zip((altitude, latitude), both, strict=True):
+            changed[name] = results[name].copy(data=np.asarray(values))
+    return results.assign(changed)
 
 
 def check_trajectory_file(path: Path) -> None:
