@@ -56,7 +56,9 @@ def main() -> None:
     print(f"{FLIGHTS} Mars entries, {'fast, ' if options.fast else ''}one core")
     for name, times in zip(programs, zip(*rounds, strict=True), strict=True):
         print(f"{name:16}{1e3 * statistics.median(times):8.1f} ms")
-    print(f"flights per second over an ellipsoid with J2: {ratio:.3f} of those over a sphere")
+    print(
+        f"flights per second over an ellipsoid with J2: {ratio:.3f} of those over a sphere"
+    )
 
 
 if __name__ == "__main__":

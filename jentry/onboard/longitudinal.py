@@ -123,6 +123,7 @@ class Units(eqx.Module):
 
     @classmethod
     def of(cls, planet: Planet) -> "Units":
+        require_sphere(planet, "the motion in the vertical plane")
         gravity = planet.gravity.acceleration(planet.radius)
         return cls(planet.radius, jnp.sqrt(planet.radius / gravity))
 

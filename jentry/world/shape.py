@@ -17,7 +17,9 @@ class Ellipsoid(eqx.Module):
     """An ellipsoid of revolution about the axis of rotation.
 
     The geodetic altitude is the distance from the ellipsoid, along its normal; the geodetic
-    latitude is the angle of the normal above the equator. The ellipsoid of WGS 84 is
+    latitude is the angle of the normal above the equator. For Earth and Mars they are
+    accurate to 1e-8 m and 1e-15 rad from 11 km below the ground to 1000 km, and for a
+    flattening of 0.1 to 1e-5 m. The ellipsoid of WGS 84 is
     `Ellipsoid(6378137.0, 1 / 298.257223563)`, and that of Mars, by the working group of the
     IAU (2015), `Ellipsoid(3396190.0, 1 / 169.894447)`.
     """
@@ -47,8 +49,8 @@ class Ellipsoid(eqx.Module):
         rise, run = self._along(radius, latitude, 1)
         sine, cosine = sincos(latitude)
         squashed = 1.0 - self.flattening
-        # The distance from the tangent plane is stationary in the latitude: an error of 1e-8
-        # rad is one of 1e-9 m.
+        # The distance from the tangent plane is stationary in the latitude: an error of
+        # 1e-8 rad is one of 1e-9 m.
         per_size = 1.0 / jnp.sqrt(rise * rise + run * run)
         support = jnp.sqrt(run * run + (squashed * rise) * (squashed * rise))
         out = radius * (run * cosine + rise * sine)
@@ -84,10 +86,10 @@ class Ellipsoid(eqx.Module):
     ) -> tuple[Scalar, Scalar]:
         """Sine and cosine of the geodetic latitude, times a positive factor.
 
-        Bowring's iteration for the parametric latitude, in a fixed number of steps, in sines
-        and cosines: it has no singular point, neither at a pole nor at the equator. Each
-        step squares the error. It begins with the parametric latitude of the point of the
-        ellipsoid at this geocentric latitude, which is exact on the ground.
+        Bowring's iteration for the parametric latitude, in a fixed number of steps, in
+        sines and cosines: it has no singular point, neither at a pole nor at the equator.
+        Each step squares the error. It begins with the parametric latitude of the point of
+        the ellipsoid at this geocentric latitude, which is exact on the ground.
 
         Reference: B. R. Bowring, "Transformation from spatial to geographical
         coordinates", Survey Review 23(181), 1976; in the form of T. Fukushima, "Fast
