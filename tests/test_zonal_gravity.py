@@ -9,11 +9,13 @@ import numpy as np
 import oblate
 import pytest
 from helpers import mars_planet, mars_scenario, mars_vehicle
+from override_files import read, write_overrides
 from scipy.special import eval_legendre
 from worlds import WGS_84
 
-from jentry.addresses import leaves_by_address, replace_leaves
+from jentry.addresses import leaves_by_address
 from jentry.campaign import Dispersion, Uniform, monte_carlo
+from jentry.cli.overrides import apply_values
 from jentry.motion import Controls, entry_dynamics, equatorial_dynamics
 from jentry.world import ZonalGravity
 
@@ -164,10 +166,17 @@ def test_the_numbers_of_an_oblate_planet_are_drawn():
     assert "planet.shape.flattening" in campaign.inputs
 
 
-def test_harmonics_can_be_set_by_their_address():
-    j2 = "planet.gravity.zonal_harmonics.j2"
-    changed = replace_leaves(oblate_scenario(), {j2: 0.0})
-    assert float(changed.planet.gravity.zonal_harmonics["j2"]) == 0.0
+def test_the_numbers_of_an_oblate_planet_are_written_and_set(tmp_path):
+    """To a TOML file and from it, and from an assignment of the command line."""
+    scenario, path = oblate_scenario(), tmp_path / "moved.toml"
+    leaves = leaves_by_address(scenario)
+    moved = {address: 1.1 * float(leaves[address]) for address in MOVES}
+    write_overrides(path, "", "right", moved, "all")
+    j3 = "planet.gravity.zonal_harmonics.j3"
+    values = read(path, [f"{j3}=4e-5"], scenario=scenario).values
+    assert values == moved | {j3: 4e-5}
+    found = leaves_by_address(apply_values(scenario, values))
+    assert {address: float(found[address]) for address in MOVES} == values
 
 
 def test_a_scenario_with_an_oblate_planet_is_printed():

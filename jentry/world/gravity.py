@@ -96,6 +96,12 @@ def _harmonics(given: Mapping[str, Any]) -> dict[str, Array]:
     return {name: as_float_array(given[name]) for name in sorted(given, key=_degree)}
 
 
+def _coefficients() -> Any:
+    """A field of numbers by name, each a leaf."""
+    metadata = {"unit": "1", "positive": False, "range": None}
+    return eqx.field(converter=_harmonics, metadata=metadata)
+
+
 def _degree(name: str) -> int:
     return int(name[1:])
 
@@ -121,9 +127,7 @@ class ZonalGravity(AbstractGravity):
     gravitational_parameter: Scalar = scalar(unit="m3/s2", positive=True)
     reference_radius: Scalar = scalar(unit="m", positive=True)
     """R, the radius of the coefficients: not necessarily that of the planet"""
-    zonal_harmonics: dict[str, Scalar] = eqx.field(
-        converter=_harmonics, metadata={"unit": "1", "positive": False, "range": None}
-    )
+    zonal_harmonics: Mapping[str, Scalar] = _coefficients()
     """Coefficients by name, {"j2": ..., "j3": ...}; those that are left out cost nothing.
     The address of the first is `planet.gravity.zonal_harmonics.j2`"""
 
