@@ -9,6 +9,7 @@ import oblate
 import pytest
 from external_cases import NOWHERE
 from helpers import ConstantBank, fly_compiled
+from worlds import tabulated_atmosphere
 
 from jentry.flight import (
     AltitudeBelow,
@@ -286,3 +287,13 @@ def test_a_batch_and_derivatives_of_an_oblate_flight():
         # Central differences: their curvature.
         slope = (ends[1] - ends[2]) / (2.0 * step)
         np.testing.assert_allclose(forward[which], slope, rtol=1e-5)
+
+
+def test_a_table_of_air_ends_at_a_geodetic_altitude():
+    """Near a pole the altitude of the state falls to -9 km, and the table begins at 0."""
+    flown = descent(-80 * degree, low=AltitudeBelow(10 * km))
+    tabulated = dataclasses.replace(flown.planet, atmosphere=tabulated_atmosphere())
+    flight = fly_compiled(dataclasses.replace(flown, planet=tabulated), FixedStep(0.1))
+    assert float(flight.state.altitude) < -8 * km
+    (distance,) = flight.beyond_tables.values()
+    assert float(distance) == 0.0
