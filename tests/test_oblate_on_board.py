@@ -70,6 +70,7 @@ REFUSING = (
     "neural with an angle of attack",
     "recorded",  # by inputs of a neural law
     "modulation composition",
+    "terminal point",  # by its early end
 )
 """Laws whose equations are those of a sphere with a central gravity"""
 

@@ -13,7 +13,7 @@ from ..motion.index import VelocityIndex
 from ..motion.quantities import direction_to, from_ground_track, ground_track
 from ..motion.state import Controls
 from ..onboard.measurement import Measurement, measure
-from ..onboard.model import OnboardModel, require_still_air
+from ..onboard.model import OnboardModel, require_sphere, require_still_air
 from ..onboard.profiles import AbstractProfile
 from ..onboard.reference import Reference
 from ..world.planet import Planet
@@ -78,6 +78,7 @@ class EarlyEnd(eqx.Module):
     def range_lost(self, aim: Aim, measurement: Measurement, sensed: Flag) -> Scalar:
         """Range to go at the predicted end, m; zero where the drag is not sensed."""
         model, state = self.model, measurement.state
+        require_sphere(model.planet, "an end at the altitude of the aim")
         angle = measurement.trim_angle_of_attack
         believed = measure(model.planet, model.vehicle, state, angle).drag
         factor = jnp.where(sensed, measurement.drag, 1.0)
