@@ -13,6 +13,7 @@ there.
     python benchmarks/populations.py sx-2
     python benchmarks/populations.py apollo-10
     python benchmarks/populations.py cav-h-glide
+    python benchmarks/populations.py msl
 
 `populations.csv` beside this file has each statistic of each set: `--save` writes it
 again. Its columns are mission, law with case and worlds, dispersions, heading, date, the
@@ -37,6 +38,7 @@ from jentry.flight import Outcome
 from jentry.missions import find_mission
 from jentry.missions.choice import Choice
 from jentry.missions.x_33.scenario import corridor
+from jentry.statistics.miss_ellipse import ellipse_of
 from jentry.units import degree, km
 
 
@@ -135,6 +137,14 @@ COLUMNS = {
         Column("velocity error, median, m/s", VELOCITY, 1.0, np.median),
         Column("velocity error, maximum, m/s", VELOCITY, 1.0, np.max),
     ),
+    "msl": (
+        *_END[:6],
+        *_PEAKS,
+        Column("load factor, median", "peak_load_factor", 1.0, np.median),
+        Column("altitude at the end, median, km", "end_altitude", km, np.median),
+        Column("Mach number at the end, median", "end_mach", 1.0, np.median),
+        Column("time of the flight, median, s", "time", 1.0, np.median),
+    ),
 }
 
 
@@ -157,6 +167,17 @@ def over_ground(statistic: Callable[[np.ndarray], float]) -> Callable[..., float
     def of(results) -> float:
         errors = (results[name].values for name in (DOWNRANGE, CROSSRANGE))
         return float(statistic(np.hypot(*errors) / km))
+
+    return of
+
+
+def axis_of_ellipse(place: int) -> Callable[..., float]:
+    """Length of the error ellipse of 99 % (0) or its width (1), from end to end, km."""
+
+    def of(results) -> float:
+        ellipse = ellipse_of(results, (99.0,))
+        assert ellipse is not None
+        return 2.0 * ellipse.scale(99.0) * ellipse.semi_axes[place] / km
 
     return of
 
@@ -247,6 +268,12 @@ OTHERS = {
         "miss over ground, maximum, km": over_ground(np.max),
         "lost, %": lost,
         "beyond a limit, %": beyond_limits("cav-h-glide"),
+    },
+    "msl": {
+        "ellipse of 99 %, length, km": axis_of_ellipse(0),
+        "ellipse of 99 %, width, km": axis_of_ellipse(1),
+        "miss over ground, maximum, km": over_ground(np.max),
+        "lost, %": lost,
     },
     "mars-drag-tracking": {
         value.name: value.statistic
@@ -351,6 +378,25 @@ ROWS = {
         ("predictor-corrector world inertial", "everything-and-knowledge"),
         ("predictor-corrector world aided", "everything-and-knowledge"),
     ),
+    "msl": (
+        ("terminal-point", "everything"),
+        ("terminal-point", "entry-errors"),
+        ("terminal-point", "air-and-vehicle"),
+        ("terminal-point world wind-and-waves", "wind-and-waves"),
+        ("terminal-point world wind-and-waves", "everything-with-wind"),
+        ("terminal-point world inertial", "knowledge"),
+        ("terminal-point world inertial", "everything-and-knowledge"),
+        (
+            "terminal-point world wind-and-waves world inertial",
+            "everything-with-wind-and-knowledge",
+        ),
+        (
+            "terminal-point world wind-and-waves world inertial world range-trigger",
+            "everything-with-wind-and-knowledge",
+        ),
+        ("terminal-point world fitted-air", "everything"),
+        ("predictor-corrector", "everything"),
+    ),
     "mars-drag-tracking": tuple(
         (choice, "lift-to-drag-held")
         for choice in (
@@ -395,10 +441,15 @@ RUNS = {
     "rlv": 25,
     "apollo-10": 50,
     "cav-h-glide": 50,
+    "msl": 100,
 }
 """In a set"""
 
-OTHER_RUNS = {("cav-h", "predictor-corrector"): 50, ("apollo-10", "neural"): 625}
+OTHER_RUNS = {
+    ("cav-h", "predictor-corrector"): 50,
+    ("apollo-10", "neural"): 625,
+    ("msl", "predictor-corrector"): 25,
+}
 """In a set of a law that takes longer, or of one that is fast"""
 
 

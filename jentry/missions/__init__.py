@@ -10,6 +10,7 @@ from .cav_h_glide import MISSION as CAV_H_GLIDE
 from .mars.drag_tracking_mission import MISSION as DRAG_TRACKING
 from .mars.range_tracking import MISSION as RANGE_TRACKING
 from .mission import Mission as Mission, PublishedValue as PublishedValue
+from .msl import MISSION as MSL
 from .own import (
     is_file,
     mission_in_file,
@@ -35,6 +36,7 @@ ALL = {
         SHUTTLE,
         APOLLO_10,
         CAV_H_GLIDE,
+        MSL,
     )
 }
 """Every mission of jentry by its name."""

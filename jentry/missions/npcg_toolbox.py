@@ -1,4 +1,4 @@
-"""Common parts of the missions of the NPCG Toolbox: the Earth, dispersions, linear bank.
+"""Common parts of the missions of the NPCG Toolbox: Earth, entry, dispersions, bank.
 
 The Earth is that of the examples `Earth_Apollo10` and `Earth_CAVH` of the NPCG Toolbox of
 Iowa State University (Y. Lee, D. Y. Lee, B. Wie, 2024), which calls the air "Hicks 2009".
@@ -6,8 +6,10 @@ The dispersions, the step and the ceiling are our own round numbers.
 """
 
 import equinox as eqx
+import jax.numpy as jnp
 
 from .._computed_once import computed_once
+from .._math import sincos
 from ..campaign.dispersions import Dispersion, add
 from ..campaign.distributions import Normal
 from ..flight.scenario import Scenario
@@ -38,6 +40,38 @@ def earth(heating_coefficient: float, heating_exponent: int | float = 3) -> Plan
         rotation_rate=ROTATION_RATE,
         heating_coefficient=heating_coefficient,
         heating_exponent=heating_exponent,
+    )
+
+
+def relative_entry(
+    planet: Planet,
+    *,
+    radius: float,
+    longitude: float,
+    latitude: float,
+    velocity: float,
+    flight_path_angle: float,
+    heading: float,
+) -> EntryState:
+    """State relative to the rotating planet, of an inertial entry.
+
+    Velocity (m/s), flight-path angle and heading (rad) are inertial. The radius is that
+    from the centre, m.
+    """
+    sin_path, cos_path = sincos(jnp.asarray(flight_path_angle))
+    sin_heading, cos_heading = sincos(jnp.asarray(heading))
+    carried = planet.rotation_rate * radius * jnp.cos(latitude)
+    up = velocity * sin_path
+    north = velocity * cos_path * cos_heading
+    east = velocity * cos_path * sin_heading - carried
+    level = jnp.hypot(north, east)
+    return EntryState(
+        altitude=radius - planet.radius,
+        longitude=longitude,
+        latitude=latitude,
+        velocity=jnp.hypot(up, level),
+        flight_path_angle=jnp.arctan2(up, level),
+        heading=jnp.arctan2(east, north),
     )
 
 

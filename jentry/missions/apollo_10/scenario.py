@@ -12,7 +12,6 @@ import dataclasses
 import equinox as eqx
 import jax.numpy as jnp
 
-from ..._math import sincos
 from ...flight.scenario import Scenario, Target
 from ...flight.termination import (
     AltitudeAbove,
@@ -82,20 +81,14 @@ def capsule() -> Vehicle:
 
 def entry_state(planet: Planet) -> EntryState:
     """State at the entry interface, relative to the rotating planet."""
-    sin_path, cos_path = sincos(jnp.asarray(INERTIAL_PATH_ANGLE))
-    sin_heading, cos_heading = sincos(jnp.asarray(INERTIAL_HEADING))
-    carried = planet.rotation_rate * RADIUS_AT_ENTRY * jnp.cos(LATITUDE)
-    up = INERTIAL_VELOCITY * sin_path
-    north = INERTIAL_VELOCITY * cos_path * cos_heading
-    east = INERTIAL_VELOCITY * cos_path * sin_heading - carried
-    level = jnp.hypot(north, east)
-    return EntryState(
-        altitude=RADIUS_AT_ENTRY - planet.radius,
+    return toolbox.relative_entry(
+        planet,
+        radius=RADIUS_AT_ENTRY,
         longitude=LONGITUDE,
         latitude=LATITUDE,
-        velocity=jnp.hypot(up, level),
-        flight_path_angle=jnp.arctan2(up, level),
-        heading=jnp.arctan2(east, north),
+        velocity=INERTIAL_VELOCITY,
+        flight_path_angle=INERTIAL_PATH_ANGLE,
+        heading=INERTIAL_HEADING,
     )
 
 
