@@ -143,7 +143,7 @@ COLUMNS = {
         Column("load factor, median", "peak_load_factor", 1.0, np.median),
         Column("altitude at the end, median, km", "end_altitude", km, np.median),
         Column("Mach number at the end, median", "end_mach", 1.0, np.median),
-        Column("time of the flight, median, s", "time", 1.0, np.median),
+        Column("time of the flight, median, s", "end_time", 1.0, np.median),
     ),
 }
 
@@ -382,7 +382,8 @@ ROWS = {
         ("terminal-point", "everything"),
         ("terminal-point", "entry-errors"),
         ("terminal-point", "air-and-vehicle"),
-        ("terminal-point world wind-and-waves", "wind-and-waves"),
+        ("terminal-point world wind-and-waves", "wind"),
+        ("terminal-point world wind-and-waves", "waves"),
         ("terminal-point world wind-and-waves", "everything-with-wind"),
         ("terminal-point world inertial", "knowledge"),
         ("terminal-point world inertial", "everything-and-knowledge"),

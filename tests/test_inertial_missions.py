@@ -24,6 +24,7 @@ MISSIONS = {
     "cav-h-glide": "everything-and-knowledge",
     "sx-2": "everything-and-knowledge",
     "rlv": "table-1-and-knowledge",
+    "msl": "everything-and-knowledge",
 }
 """With the name of the set of all their errors"""
 
@@ -40,6 +41,7 @@ DECIDED = {
     "cav-h-glide": {"energy"},
     "sx-2": {"energy"},
     "rlv": {"velocity"},
+    "msl": {"velocity"},
 }
 """Ends that the vehicle decides by what it believes"""
 

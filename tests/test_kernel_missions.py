@@ -30,6 +30,7 @@ LAWS = {
     "x-33": "tracking",
     "apollo-10": "predictor-corrector",
     "cav-h-glide": "predictor-corrector",
+    "msl": "terminal-point",
 }
 """The law of each mission whose kernel is flown"""
 

@@ -53,21 +53,26 @@ def everything() -> dict[str, Dispersion]:
 
 
 @computed_once
-def wind_and_waves() -> dict[str, Dispersion]:
-    """Random winds and density waves of the world `wind-and-waves`; chosen.
-
-    The standard deviation of the wind towards east and towards north is 20 m/s.
-    The waves are those of `mars-range-tracking`: 5 % of the density with a wavelength of
-    25 km over the altitude, and 2 % with 8 km.
-    """
-    wind, air = lambda s: s.planet.wind, lambda s: s.planet.atmosphere
-    table = {
-        "wind": Dispersion(lambda s: wind(s).standard_deviation, Constant(GUST)),
-        "wind east": Dispersion(lambda s: wind(s).east.seed, Uniform(0.0, 1.0)),
-        "wind north": Dispersion(lambda s: wind(s).north.seed, Uniform(0.0, 1.0)),
+def wind() -> dict[str, Dispersion]:
+    """Random winds of the world `wind-and-waves`, of 20 m/s at one sigma; chosen."""
+    air = lambda s: s.planet.wind
+    return {
+        "wind": Dispersion(lambda s: air(s).standard_deviation, Constant(GUST)),
+        "wind east": Dispersion(lambda s: air(s).east.seed, Uniform(0.0, 1.0)),
+        "wind north": Dispersion(lambda s: air(s).north.seed, Uniform(0.0, 1.0)),
     }
+
+
+@computed_once
+def waves() -> dict[str, Dispersion]:
+    """Density waves of the world `wind-and-waves`: those of `mars-range-tracking`.
+
+    They are 5 % of the density with a wavelength of 25 km over the altitude, and 2 % with
+    8 km.
+    """
+    table = {}
     for place, (_, amplitude) in enumerate(WAVES):
-        wave = lambda s, place=place: air(s).waves[place]
+        wave = lambda s, place=place: s.planet.atmosphere.waves[place]
         table[f"wave {place}"] = Dispersion(
             lambda s, wave=wave: wave(s).amplitude, Constant(amplitude)
         )
@@ -80,4 +85,4 @@ def wind_and_waves() -> dict[str, Dispersion]:
 @computed_once
 def everything_with_wind() -> dict[str, Dispersion]:
     """Entry, air and vehicle, with wind and waves."""
-    return everything() | wind_and_waves()
+    return everything() | wind() | waves()

@@ -10,7 +10,8 @@ from .dispersions import (
     entry_errors,
     everything,
     everything_with_wind,
-    wind_and_waves as wind_and_wave_errors,
+    waves,
+    wind,
 )
 from .laws import predictor_corrector, terminal_point
 from .worlds import fitted_air, range_trigger, wind_and_waves
@@ -50,7 +51,8 @@ MISSION = Mission(
         "everything": everything,
         "entry-errors": entry_errors,
         "air-and-vehicle": air_and_vehicle,
-        "wind-and-waves": wind_and_wave_errors,
+        "wind": wind,
+        "waves": waves,
         "everything-with-wind": everything_with_wind,
         "knowledge": NAVIGATION.knowledge,
         "everything-and-knowledge": NAVIGATION.usual_and_knowledge,
