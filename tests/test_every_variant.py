@@ -58,6 +58,7 @@ CHANCE = {
     # Equal numbers that say different things.
     ("guidance.limits.last_range", "termination.conditions.altitude.altitude"),
     ("guidance.limits.last_range", "target.altitude"),
+    ("guidance.lateral.floor", "guidance.least_effect"),
     ("planet.atmosphere.waves.0.wavelength", "guidance.arrival.altitude"),
     ("planet.atmosphere.waves.0.wavelength", "target.altitude"),
 }

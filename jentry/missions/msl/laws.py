@@ -88,7 +88,7 @@ def _plan(start: Scenario) -> Plan:
 
     def differences(cos_bank):
         step = 1e-4
-        one, other = jax.vmap(error)(cos_bank + jnp.array([0.0, step]))
+        one, other = jnp.asarray(jax.vmap(error)(cos_bank + jnp.array([0.0, step])))
         return one, (other - one) / step
 
     found = newton(differences, jnp.asarray(0.65), 6, lower=-1.0, upper=1.0)

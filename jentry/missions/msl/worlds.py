@@ -81,13 +81,15 @@ def range_trigger(scenario: Scenario) -> Scenario:
     """
     target, conditions = scenario.target, scenario.termination.conditions
     origin = scenario.initial_state if target.origin is None else target.origin
-    place = from_ground_track(
+    longitude, latitude = from_ground_track(
         scenario.planet, origin, target.downrange, target.crossrange
     )
     by = conditions["velocity"].by
     conditions = conditions | {
-        "range": RangeToGoBelow(TRIGGER_RANGE, *place, by=by),
-        "velocity": VelocityBelow(SLOWEST, by=by),
+        "range": RangeToGoBelow(
+            range=TRIGGER_RANGE, longitude=longitude, latitude=latitude, by=by
+        ),
+        "velocity": VelocityBelow(velocity=SLOWEST, by=by),
     }
     return dataclasses.replace(
         scenario,
