@@ -13,6 +13,7 @@ import typer
 
 from .._warnings import ResultWarning
 from . import (
+    benchmark as benchmark,
     compare as compare,
     fly as fly,
     footprint as footprint,

@@ -49,8 +49,13 @@ def page_of(title: str, summary: Summary, figures: Mapping[str, bytes]) -> str:
         _acceptance(summary),
         _statistics(summary),
         "" if summary.ellipse is None else _ellipse(summary.ellipse),
-        _figures(figures),
+        html_figures(figures),
     ]
+    return page_around(title, sections)
+
+
+def page_around(title: str, sections: Iterable[str]) -> str:
+    """A page of HTML that needs no other file. Empty sections are left out."""
     body = "\n".join(section for section in sections if section)
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -102,7 +107,7 @@ def _acceptance(summary: Summary) -> str:
         for text in dict.fromkeys(cautions)
         if text
     )
-    return f"<h2>Acceptance ({kind})</h2>\n{_table(heads, rows)}{notes}"
+    return f"<h2>Acceptance ({kind})</h2>\n{html_table(heads, rows)}{notes}"
 
 
 def _statistics(summary: Summary) -> str:
@@ -120,7 +125,7 @@ def _statistics(summary: Summary) -> str:
     navigation = f"{summary.of_navigation}. " if summary.of_navigation else ""
     return (
         f"<h2>Statistics of {summary.finite} finite flights</h2>\n"
-        f"{_table(heads, rows)}"
+        f"{html_table(heads, rows)}"
         f'<p class="note">Errors are actual minus desired. {navigation}Small: intervals of '
         f"{CONFIDENCE:.0%}; mean and standard deviation by "
         f"{escape(METHODS['mean'])}, percentiles by {escape(METHODS['percentiles'])}; "
@@ -147,7 +152,7 @@ def _ellipse(ellipse: MissEllipse) -> str:
     rows.append(("flights in the ellipse", "%", *shares))
     along, across = (in_digits(x / size) for x in ellipse.mean)
     return (
-        f"<h2>Downrange and crossrange errors</h2>\n{_table(heads, rows)}"
+        f"<h2>Downrange and crossrange errors</h2>\n{html_table(heads, rows)}"
         f'<p class="note">Centre of the ellipses: {along} {unit} downrange, {across} '
         f"{unit} crossrange; larger axis {in_digits(ellipse.angle / degree)} deg from "
         "downrange to the left, where crossrange is positive. The ellipses are of the "
@@ -155,7 +160,7 @@ def _ellipse(ellipse: MissEllipse) -> str:
     )
 
 
-def _figures(figures: Mapping[str, bytes]) -> str:
+def html_figures(figures: Mapping[str, bytes]) -> str:
     drawn = []
     for name, contents in figures.items():
         words = escape(in_words(name))
@@ -178,7 +183,7 @@ def _cell(interval: Interval, size: float) -> str:
     return f"{value}<small>{in_digits(bounds[0])} … {in_digits(bounds[1])}</small>"
 
 
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def html_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     """Table as HTML. Heads are plain text, cells are HTML."""
     first = "".join(f"<th>{escape(head)}</th>" for head in heads)
     lines = ("".join(f"<td>{cell}</td>" for cell in row) for row in rows)

@@ -9,6 +9,7 @@ import importlib.metadata
 import importlib.util
 import sys
 import traceback
+import types
 from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
@@ -39,24 +40,13 @@ def mission_in_file(path: Path) -> Mission:
     during its import, with the line, and for an ambiguous import.
     """
     path = path.resolve()
-    if not path.is_file():
-        raise ValueError(f"there is no file {path}")
-    with _with_the_line(f"{path}"):
-        sources = sources_of(path, path.parent, None)
-    code = _digests(sources, path.parent)
+    sources, code = _read(path)
     known = _FOUND.get(path)
     if known is not None and known.code == code:
         return known
     if known is not None:
         _forget(sources)
-    if str(path.parent) not in sys.path:
-        sys.path.append(str(path.parent))
-    _refuse_ambiguous(path, sources)
-    module = ModuleType(f"mission_file_{path.stem}", f"The mission of {path}.")
-    module.__file__ = str(path)
-    sys.modules[module.__name__] = module
-    with _with_the_line(f"{path}", sources):
-        exec(compile(sources[path], path, "exec"), vars(module))
+    module = _import(path, sources, "mission")
     if not hasattr(module, "MISSION"):
         raise ValueError(
             f"{path} defines no MISSION: end it with MISSION = jentry.Mission(...)"
@@ -64,6 +54,49 @@ def mission_in_file(path: Path) -> Mission:
     found = _own(module.MISSION, f"MISSION of {path}", code, sources)
     _FOUND[path] = found
     return found
+
+
+def law_in_file(path: Path) -> tuple[Any, dict[str, str]]:
+    """What a file defines as `LAW`, and the digests of its code.
+
+    Its imports are searched as those of a mission. If `LAW` is a function, an error in it
+    becomes a `ValueError` that names the line.
+
+    Raises `ValueError` for a file without `LAW`, and for the reasons of `mission_in_file`.
+    """
+    path = path.resolve()
+    sources, code = _read(path)
+    module = _import(path, sources, "law")
+    if not hasattr(module, "LAW"):
+        raise ValueError(
+            f"{path} defines no LAW: end it with LAW = ..., your law, or a function of a "
+            "Scenario that returns it"
+        )
+    if not isinstance(module.LAW, types.FunctionType):
+        return module.LAW, code
+    return _naming_the_line(module.LAW, f"LAW of {path}", sources), code
+
+
+def _read(path: Path) -> tuple[dict[Path, bytes], dict[str, str]]:
+    """Contents of a file and of all that it imports from its folder, and their digests."""
+    if not path.is_file():
+        raise ValueError(f"there is no file {path}")
+    with _with_the_line(f"{path}"):
+        sources = sources_of(path, path.parent, None)
+    return sources, _digests(sources, path.parent)
+
+
+def _import(path: Path, sources: Mapping[Path, bytes], kind: str) -> ModuleType:
+    """The module of a file, whose name says of which kind it is."""
+    if str(path.parent) not in sys.path:
+        sys.path.append(str(path.parent))
+    _refuse_ambiguous(path, sources)
+    module = ModuleType(f"{kind}_file_{path.stem}", f"The {kind} of {path}.")
+    module.__file__ = str(path)
+    sys.modules[module.__name__] = module
+    with _with_the_line(f"{path}", sources):
+        exec(compile(sources[path], path, "exec"), vars(module))
+    return module
 
 
 EntryPoint = Any
@@ -198,13 +231,7 @@ def _own(
     if not isinstance(mission, Mission):
         raise ValueError(f"{where} is a {type(mission).__name__}: it must be a Mission")
 
-    def told(function: Callable) -> Callable:
-        @functools.wraps(function)
-        def call(*given: Any) -> Any:
-            with _with_the_line(where, sources):
-                return function(*given)
-
-        return call
+    told = functools.partial(_naming_the_line, where=where, sources=sources)
 
     return dataclasses.replace(
         mission,
@@ -215,6 +242,19 @@ def _own(
         figures={name: told(f) for name, f in mission.figures.items()},
         code=code,
     )
+
+
+def _naming_the_line(
+    function: Callable, where: str, sources: Collection[Path]
+) -> Callable:
+    """The function, whose errors name the line of the user's file."""
+
+    @functools.wraps(function)
+    def call(*given: Any) -> Any:
+        with _with_the_line(where, sources):
+            return function(*given)
+
+    return call
 
 
 @contextlib.contextmanager

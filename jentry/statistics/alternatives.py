@@ -23,6 +23,7 @@ from ..campaign.populations import finite_flights
 from ..flight.termination import Outcome
 from .comparison import Comparison, TooFewFlights, are_pairs, compared, quantity, words
 from .intervals import CONFIDENCE, RESAMPLES
+from .lost_flights import percentile_with_lost
 from .summary import END_STATE, without_nan
 
 
@@ -319,8 +320,9 @@ def _row(
     levels = {}
     for output in outputs:
         ordered = np.sort(_sizes(flown, output))
+        every = np.append(ordered, np.full(runs - finite, np.inf))
         levels[output] = Levels(
-            {p: _percentile(ordered, runs, p) for p in percentiles},
+            {p: float(percentile_with_lost(every, p)) for p in percentiles},
             float(ordered[-1]) if finite else np.nan,
         )
     return Alternative(
@@ -334,16 +336,3 @@ def _row(
         },
         levels=levels,
     )
-
-
-def _percentile(ordered: np.ndarray, runs: int, percentile: float) -> float:
-    """A percentile of so many runs, of which those not in `ordered` are infinite.
-
-    `ordered` holds the finite values in increasing order. The interpolation between two
-    runs is linear, as in `numpy.percentile`.
-    """
-    # With infinite values, `numpy.percentile` is NaN from the last finite value on.
-    place = (runs - 1) * percentile / 100.0
-    if not place <= ordered.size - 1:
-        return np.inf
-    return float(np.interp(place, np.arange(ordered.size), ordered))
