@@ -23,7 +23,7 @@ from jentry.statistics.lost_flights import (
     percentile_with_lost,
     runs_needed,
 )
-from jentry.statistics.rank_intervals import rank_intervals, ranks_of
+from jentry.statistics.ranks import rank_intervals, ranks_of
 
 
 def banked(angles, step=2.0, **more):

@@ -209,6 +209,8 @@ ARRIVE = {
     }
     | {"out", "quiet", "workers", "device", "fast", "no-fast", "cluster"}
     | {"outputs", "percentiles", "all-pairs", "json"},
+    "benchmark": {"law", "case", "laws", "cases", "short", "sets", "runs", "seed"}
+    | {"step", "beside", "out", "json", "quiet", "workers"},
     "tune": RUN
     | {"gains", "runs", "steps", "loss", "of", "out", "optimizer", "learning-rate"}
     | {"bounds", "smooth", "no-smooth", "fresh-draws", "no-fresh-draws", "patience"}

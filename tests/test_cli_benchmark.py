@@ -166,7 +166,8 @@ def test_a_law_of_ones_own_has_its_row(benchmark, tmp_path):
     ]
     # Changed, it does not continue the flights of the former law.
     (tmp_path / "half.py").write_text(OWN_LAW.replace("0.5 *", "0.6 *"))
-    assert_refused(benchmark("--law", "half.py"), "holds another campaign", 3)
+    code, _, said = benchmark("--law", "half.py", "--laws", "half", "--quiet")
+    assert code == 3 and "half holds another campaign: code.half.py differs" in said
 
 
 def test_a_case_of_ones_own(benchmark, tmp_path):

@@ -85,7 +85,7 @@ def command(
     set_up(workers)
     import_meanwhile("scipy.special", "matplotlib.figure")
     from .._files import write_whole
-    from ..missions.own_law import own_law
+    from ..missions.own_law import law_of_file
     from ..statistics.benchmark import statistics_of_case
     from .benchmark_page import PAGE, page_of_benchmark
     from .benchmark_record import (
@@ -113,7 +113,7 @@ def command(
     made = prepared(
         chosen,
         laws,
-        [own_law(file) for file in law or ()],
+        [law_of_file(file) for file in law or ()],
         lambda x: count * sizes[x.name],
         seed,
         step,

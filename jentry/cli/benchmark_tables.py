@@ -105,8 +105,8 @@ def table_of_case(case: Record, sets: int, others: Mapping[str, Record]) -> Tabl
 
 HOW_TO_READ = (
     "Percentiles are of the magnitude of the error of all flights. A flight that does not "
-    f"reach the end of guided flight is larger than any number, and shown as {LOST!r} where "
-    "it is the percentile. After ±: standard deviation from set to set, where a set has "
+    f"reach the end of guided flight is larger than any number: {LOST!r} stands where it "
+    "is the percentile. After ±: standard deviation from set to set, where a set has "
     "enough flights. Nominal is the flight without dispersions. Bank rate (mean magnitude) "
     "and bank reversals are of the first flights, at the interval of their histories. "
     f"Ranks are by the percentile {RANKED:g} %, with intervals of 95 % by bootstrap; equal "
@@ -199,7 +199,8 @@ def table_of_all(record: Record) -> Table:
         "within 10 times\nthe best",
         "mean rank",
     ]
-    title = f"Over {len(cases)} {'case' if len(cases) == 1 else 'cases'}, by the percentile {RANKED:g} % of the error"
+    number = "1 case" if len(cases) == 1 else f"{len(cases)} cases"
+    title = f"Over {number}, by the percentile {RANKED:g} % of the error"
     return Table(title, heads, rows, [])
 
 

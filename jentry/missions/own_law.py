@@ -52,7 +52,7 @@ class OwnLaw(NamedTuple):
         return dataclasses.replace(scenario, guidance=made)
 
 
-def own_law(name: str) -> OwnLaw:
+def law_of_file(name: str) -> OwnLaw:
     """The law of a file that defines `LAW`.
 
     `LAW` is a law, or a function of a `Scenario` that returns one. The scenario is that of

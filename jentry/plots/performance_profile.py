@@ -1,4 +1,4 @@
-"""Profiles of performance: how often each of several laws is within a factor of the best."""
+"""Profiles of performance: how often a law is within a factor of the best law."""
 
 import itertools
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Statistics of the laws of one case of a benchmark, over sets of runs on the same draws."""
+"""Statistics of the laws of one case of a benchmark, on the same draws."""
 
 import dataclasses
 import hashlib
@@ -25,7 +25,7 @@ from .lost_flights import (
     percentile_with_lost,
     runs_needed,
 )
-from .rank_intervals import rank_intervals
+from .ranks import rank_intervals
 from .ranking import inputs_of
 
 
@@ -74,7 +74,7 @@ class Statistic:
 
     @property
     def deviation(self) -> float:
-        """Standard deviation over the sets; NaN for fewer than two, or if one is infinite."""
+        """Standard deviation over the sets; NaN for one set, or if a value is infinite."""
         if len(self.sets) < 2 or not np.all(np.isfinite(self.sets)):
             return np.nan
         return float(np.std(self.sets, ddof=1))

@@ -8,8 +8,8 @@ from .lost_flights import percentile_with_lost, runs_needed
 
 
 def ranks_of(
-    values: Float[np.ndarray, "laws *sets"],
-) -> Float[np.ndarray, "laws *sets"]:
+    values: Float[np.ndarray, "laws ..."],
+) -> Float[np.ndarray, "laws ..."]:
     """Ranks along the first axis; 1 is the smallest. Equal values have their mean rank.
 
     Infinite values are equal.
