@@ -9,7 +9,7 @@ from commands import assert_refused
 
 from jentry.campaign import open_campaign
 from jentry.cli import benchmark_runs
-from jentry.cli.benchmark_tables import shares_of_cases, table_of_case
+from jentry.cli.benchmark_tables import shares_of_cases, table_of_all, table_of_case
 from jentry.flight import Outcome
 from jentry.missions.benchmark_cases import CASES, BenchmarkCase
 
@@ -107,6 +107,7 @@ def test_a_table_that_is_equal_to_the_last_digit(benchmark, command, tmp_path):
     assert code == 0
     twice = row(printed, r"right \(again/benchmark.json\)")
     assert twice[1:] == row(printed, "right")[1:]
+    assert f"again/benchmark.json: jentry {found['versions']['jentry']}, " in printed
     # Another seed cannot be continued, nor laid beside.
     assert_refused(benchmark("--seed", 1), "out holds a benchmark with seed 0")
     words = "--seed", 1, "--out", "other", "--beside", "again/benchmark.json"
@@ -289,9 +290,19 @@ def test_profile_of_all_cases():
         "cases": [
             case_of("a", law("one", 1.0, 1.0), law("two", 1.5, 2.0)),
             case_of("b", law("one", 100.0, 2.0), law("two", 10.0, 1.0)),
-            case_of("c", law("one", "lost", 1.0)),
-            case_of("d", law("two", 7.0, 1.0)),
+            case_of("c", law("one", "lost", 2.0), law("six", 9.0, 1.0)),
+            case_of("d", law("two", 7.0, 1.0), law("six", 15.0, 2.0)),
+            case_of("alone", law("six", 7.0, 1.0)),
         ],
     }
-    # Equal below the resolution in a.
-    assert shares_of_cases(record) == {"one": [0.25, 0.5], "two": [0.75, 0.75]}
+    # Equal below the resolution in a. A case with one law does not count.
+    assert shares_of_cases(record) == {
+        "one": [0.25, 0.5],
+        "two": [0.75, 0.75],
+        "six": [0.25, 0.5],
+    }
+    found = table_of_all(record)
+    rows = {row[0]: row[1:] for row in found.rows}
+    assert rows["one"] == ["3", "1", "2", "1.6667"]
+    assert found.notes == ["without cases in which one law flies: alone"]
+    assert table_of_all({**record, "cases": record["cases"][-1:]}) is None

@@ -156,7 +156,8 @@ def command(
             found.append((each, size, statistics))
     record = record_of(found, seed, count, step)
     tables = [table_of_case(x, count, others) for x in record["cases"] if x["laws"]]
-    tables.append(table_of_all(record))
+    over_all = table_of_all(record)
+    tables += [] if over_all is None else [over_all]
     cost = [table_of_cost(name, of) for name, of in costs.items()]
     written = write_record(out, record)
     write_whole(out / "cost.json", (json_.dumps(costs, indent=2) + "\n").encode())

@@ -9,6 +9,7 @@ from .benchmark_record import Record
 from .benchmark_tables import (
     HOW_TO_READ,
     Table,
+    contested,
     shares_of_cases,
     skipped_lines,
 )
@@ -55,7 +56,7 @@ def _list(lines: Sequence[str]) -> str:
 
 def figures_of(record: Record) -> dict[str, bytes]:
     """Profiles of performance by name: of the cases, and of the flights of each case."""
-    factors, cases = record["profile_factors"], record["cases"]
+    factors, cases = record["profile_factors"], contested(record)
     found = {}
     if len(cases) > 1:
         shares = shares_of_cases(record)
@@ -69,10 +70,10 @@ def figures_of(record: Record) -> dict[str, bytes]:
         found["profile of all cases"] = draw_profiles(factors, shown, title, "cases")
     for case in cases:
         laws = {law["name"]: law["profile"] for law in case["laws"]}
-        if len(laws) > 1:
-            title = f"{case['name']}, on the same draws"
-            figure = draw_profiles(factors, laws, title, "flights")
-            found[f"profile of {case['name']}"] = figure
+        same = not any(law["other_draws"] for law in case["laws"])
+        title = f"{case['name']}, {'' if same else 'not '}on the same draws"
+        figure = draw_profiles(factors, laws, title, "flights")
+        found[f"profile of {case['name']}"] = figure
     return {name: _png(figure) for name, figure in found.items()}
 
 

@@ -49,6 +49,8 @@ def table_of_case(case: Record, sets: int, others: Mapping[str, Record]) -> Tabl
         if there is None:
             notes.append(f"{name} has no flights of this case")
             continue
+        version = record["versions"]["jentry"]
+        notes.append(f"{name}: jentry {version}, {record['machine']}")
         here = {law["name"]: law["draws"] for law in case["laws"]}
         for law in there["laws"]:
             rows.append((f"{law['name']} ({name})", law))
@@ -85,7 +87,7 @@ def table_of_case(case: Record, sets: int, others: Mapping[str, Record]) -> Tabl
                 _percent(found[BROKEN]) if BROKEN in found else "no limits",
                 _told(found[BANK_RATE], degree),
                 _told(found[REVERSALS], 1.0),
-                _rank(law["rank"]),
+                _rank(law["rank"]) if len(case["laws"]) > 1 else "-",
             ]
         )
     for law in case["laws"]:
@@ -96,8 +98,9 @@ def table_of_case(case: Record, sets: int, others: Mapping[str, Record]) -> Tabl
             )
     where = "".join(f", {name}" for name in (case["case"], *case["worlds"]) if name)
     tables = dict.fromkeys(law["dispersions"] for law in case["laws"])
+    mission = "" if case["mission"] == case["name"] else f"{case['mission']}{where}; "
     title = (
-        f"{case['name']}: {case['mission']}{where}; dispersions {', '.join(tables)}; "
+        f"{case['name']}: {mission}dispersions {', '.join(tables)}; "
         f"{sets} sets of {size} flights; {in_words(measure)}"
     )
     return Table(title, heads, cells, notes)
@@ -141,13 +144,18 @@ def _rank(interval: Record) -> str:
     return value if lower == "-" else f"{value} [{lower}, {upper}]"
 
 
+def contested(record: Record) -> list[Record]:
+    """Cases in which two laws or more fly, so that one can be better."""
+    return [case for case in record["cases"] if len(case["laws"]) > 1]
+
+
 def shares_of_cases(record: Record) -> dict[str, list[float]]:
-    """Share of all cases in which each law is within the factors of the best law.
+    """Share of the contested cases in which each law is within factors of the best law.
 
     The error is the percentile `RANKED`, and at least the resolution of the case. A law is
     within no factor in a case in which it does not fly.
     """
-    factors, cases = np.array(record["profile_factors"]), record["cases"]
+    factors, cases = np.array(record["profile_factors"]), contested(record)
     within: dict[str, np.ndarray] = {}
     for case in cases:
         errors = {
@@ -173,9 +181,14 @@ def error_of_rank(case: Record, law: Record) -> float:
     return math.inf if plain["value"] is None else number_of(plain["value"])
 
 
-def table_of_all(record: Record) -> Table:
-    """One row for each law: its cases, and in how many of them it is good."""
-    shares, cases = shares_of_cases(record), record["cases"]
+def table_of_all(record: Record) -> Table | None:
+    """One row for each law: its cases, and in how many of them it is good.
+
+    Cases with one law do not count. None if there is no other case.
+    """
+    shares, cases = shares_of_cases(record), contested(record)
+    if not cases:
+        return None
     factors = record["profile_factors"]
     at = {
         factor: int(np.argmin(np.abs(np.array(factors) - factor))) for factor in (1, 10)
@@ -201,7 +214,9 @@ def table_of_all(record: Record) -> Table:
     ]
     number = "1 case" if len(cases) == 1 else f"{len(cases)} cases"
     title = f"Over {number}, by the percentile {RANKED:g} % of the error"
-    return Table(title, heads, rows, [])
+    left_out = [case["name"] for case in record["cases"] if case not in cases]
+    notes = [f"without cases in which one law flies: {', '.join(left_out)}"]
+    return Table(title, heads, rows, notes if left_out else [])
 
 
 def table_of_cost(case: str, costs: Mapping[str, Mapping[str, Any]]) -> Table:

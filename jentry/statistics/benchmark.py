@@ -25,8 +25,8 @@ from .lost_flights import (
     percentile_with_lost,
     runs_needed,
 )
-from .ranks import rank_intervals
 from .ranking import inputs_of
+from .ranks import rank_intervals
 
 
 if TYPE_CHECKING:
