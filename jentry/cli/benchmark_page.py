@@ -65,7 +65,10 @@ def figures_of(record: Record) -> dict[str, bytes]:
             for name in shares
         }
         most = sorted(shares, key=lambda name: (-flown[name], name))[:_MOST]
-        shown = {f"{n}, {flown[n]} cases": shares[n] for n in most}
+        shown = {
+            f"{n}, {flown[n]} case{'s' if flown[n] > 1 else ''}": shares[n]
+            for n in most
+        }
         title = f"{len(cases)} cases, of which a law flies some"
         found["profile of all cases"] = draw_profiles(factors, shown, title, "cases")
     for case in cases:

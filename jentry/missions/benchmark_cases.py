@@ -95,14 +95,6 @@ CASES = {
             "sx-2", "sx-2", ("full", "predictor-corrector"), ("everything",), runs=100
         ),
         BenchmarkCase(
-            "sx-2-inertial",
-            "sx-2",
-            ("full", "predictor-corrector"),
-            ("everything-and-knowledge",),
-            worlds=("inertial",),
-            runs=100,
-        ),
-        BenchmarkCase(
             "rlv",
             "rlv",
             ("modulation", "predictor-corrector", "feedback-linearization"),
