@@ -11,6 +11,7 @@ from jentry.campaign import open_campaign
 from jentry.cli import benchmark_runs
 from jentry.cli.benchmark_tables import shares_of_cases, table_of_all, table_of_case
 from jentry.flight import Outcome
+from jentry.missions import find_mission
 from jentry.missions.benchmark_cases import CASES, BenchmarkCase
 
 
@@ -306,3 +307,13 @@ def test_profile_of_all_cases():
     assert rows["one"] == ["3", "1", "2", "1.6667"]
     assert found.notes == ["without cases in which one law flies: alone"]
     assert table_of_all({**record, "cases": record["cases"][-1:]}) is None
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_every_case_names_what_its_mission_has(name):
+    case = CASES[name]
+    mission = find_mission(case.mission)
+    assert set(case.laws) <= set(mission.laws) and len(case.laws) > 1
+    assert set(case.dispersions) <= set(mission.dispersions)
+    assert set(case.worlds) <= set(mission.worlds)
+    assert case.case is None or case.case in mission.cases
