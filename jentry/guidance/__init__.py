@@ -11,6 +11,17 @@ from .angle_of_attack_modulation import (
     ModulationGains as ModulationGains,
     ObserverStates as ObserverStates,
 )
+from .apollo import (
+    ApolloEntry as ApolloEntry,
+    ConstantDrag as ConstantDrag,
+    DecelerationLimit as DecelerationLimit,
+    HeldPhase as HeldPhase,
+    InitialRoll as InitialRoll,
+    SkipPlan as SkipPlan,
+    SkipPrediction as SkipPrediction,
+    SkipRange as SkipRange,
+    UpControl as UpControl,
+)
 from .bank_shapes import (
     AbstractBankShape as AbstractBankShape,
     ConstantBankShape as ConstantBankShape,

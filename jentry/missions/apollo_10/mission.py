@@ -4,7 +4,7 @@ from ...units import degree, foot, hour, km
 from ..inertial import Errors, Inertial, satellite_sensors
 from ..mission import Mission
 from ..npcg_toolbox import through_us_1976
-from . import neural_law
+from . import flight_program, neural_law
 from .dispersions import air_and_vehicle, entry_errors, everything
 from .scenario import guided, skip, unlimited
 
@@ -40,6 +40,8 @@ MISSION = Mission(
     laws={
         "predictor-corrector": guided,
         "unlimited": unlimited,
+        "apollo": flight_program.guided,
+        "apollo-steered": flight_program.steered,
         "neural": neural_law.neural,
     },
     cases={"skip": skip},
