@@ -364,6 +364,11 @@ ROWS = {
         ("predictor-corrector world us-1976", "everything"),
         ("predictor-corrector world inertial", "everything-and-knowledge"),
         ("predictor-corrector world aided", "everything-and-knowledge"),
+        ("apollo", "everything"),
+        ("apollo-steered", "everything"),
+        ("apollo case skip", "everything"),
+        ("apollo-steered case skip", "everything"),
+        ("apollo world us-1976", "everything"),
         ("neural", "everything"),
     ),
     "cav-h-glide": (
@@ -428,6 +433,8 @@ HARD_AIR = {
 
 BEYOND = {
     ("apollo-10", "predictor-corrector"),
+    ("apollo-10", "apollo"),
+    ("apollo-10", "apollo-steered"),
     ("apollo-10", "neural"),
     ("cav-h", "neural"),
 }

@@ -7,9 +7,11 @@ from neural_laws import ANGLES, PERIOD, law_of
 from jentry.guidance import (
     Adjustment,
     AngleOfAttackProfile,
+    ApolloEntry,
     AttitudeBand,
     AttitudeLag,
     ConstantBankShape,
+    ConstantDrag,
     ControlProfiles,
     CrossrangeCorridor,
     DeviationWeights,
@@ -24,6 +26,7 @@ from jentry.guidance import (
     GroundTrackTracking,
     GuidedEnd,
     HeadingAlignment,
+    InitialRoll,
     ModulationGains,
     ObserverDragTracking,
     ObserverGains,
@@ -36,6 +39,7 @@ from jentry.guidance import (
     ScaleLimits,
     ShuttleBank,
     ShuttleModulation,
+    SkipPrediction,
     StateFeedbackDragTracking,
     StoredGainTracking,
     TerminalPoint,
@@ -126,6 +130,22 @@ def terminal_point(reference) -> TerminalPoint:
         gain=5.0,
         alignment=HeadingAlignment(700.0),
         early_end=EarlyEnd(model, PolynomialProfile([1.0 * km, 5.0], 10.0 * km)),
+    )
+
+
+def apollo(reference) -> ApolloEntry:
+    """With velocities of Mars, such that the flights go through constant drag."""
+    return ApolloEntry(
+        final=terminal_point(reference),
+        prediction=SkipPrediction(
+            lift_to_drag=0.18,
+            circular_velocity=3500.0,
+            radius=3430 * km,
+            scale_height=9354.5,
+        ),
+        initial_roll=InitialRoll(shallow_velocity=4000.0, slow_velocity=3600.0),
+        constant_drag=ConstantDrag(slow_exit=2000.0),
+        cycle=FixedCycle(1.0),
     )
 
 
@@ -255,6 +275,7 @@ all_laws = {
     "range tracking": range_tracking,
     "predictor-corrector": lambda reference: predictor_corrector(),
     "terminal point": terminal_point,
+    "Apollo": apollo,
     "Bézier": lambda reference: stored().guidance,
     "ground track": ground_track_law,
     "replanning": replanning_law,

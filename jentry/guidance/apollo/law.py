@@ -114,8 +114,8 @@ class ApolloEntry(AbstractSampledLaw[tuple[()], HeldPhase]):
     """Time to go per rad of range to go, in which the planet carries the target"""
     last_velocity: Scalar = scalar(1000.0 * foot, unit="m/s", positive=True)
     """Velocity relative to the planet below which the bank is held (VQUIT)"""
-    largest_last_bank: Scalar = scalar(85.0 * degree, unit="rad", range=(0.0, math.pi))
-    """Largest bank below that velocity; our own. With a larger one a capsule falls
+    largest_last_bank: Scalar = scalar(75.0 * degree, unit="rad", range=(0.0, math.pi))
+    """Largest bank below that velocity; our own. With a larger one a capsule may fall
     vertically, where its state has no heading"""
     steers_to_the_end: bool = eqx.field(default=False, static=True)
     """Whether the final phase also commands the bank below `last_velocity`, which is our
@@ -157,7 +157,7 @@ class ApolloEntry(AbstractSampledLaw[tuple[()], HeldPhase]):
         held: HeldPhase,
     ) -> tuple[tuple[()], HeldPhase]:
         require_still_air(self.final.planet, "the entry guidance of Apollo")
-        seen, inertial, destination = self._seen(measurement)
+        seen, inertial, destination = self.seen(measurement)
         held = self._rolled(seen, held)
         held = self._searched(seen, held)
         held = self._climbed(seen, held)
@@ -168,7 +168,7 @@ class ApolloEntry(AbstractSampledLaw[tuple[()], HeldPhase]):
         )
         return (), dataclasses.replace(held, bank=bank)
 
-    def _seen(self, measurement: Measurement) -> tuple[Seen, Measurement, Destination]:
+    def seen(self, measurement: Measurement) -> tuple[Seen, Measurement, Destination]:
         """Motion, measurement and destination in the frame that does not rotate."""
         aim, planet, state = known(self.aim), self.final.planet, measurement.state
         east, north, up = local_velocity(state)
