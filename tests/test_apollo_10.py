@@ -195,7 +195,12 @@ def saved(variant, heading, reading="everything"):
 
 def test_what_is_said_of_apollo_10():
     others = "unlimited", "predictor-corrector world inertial"
-    within = [row for row in populations.ROWS["apollo-10"] if row[0] not in others]
+    # Flights under the guidance of Apollo are in a table of their own.
+    within = [
+        row
+        for row in populations.ROWS["apollo-10"]
+        if row[0] not in others and not row[0].startswith("apollo")
+    ]
     misses, loads, rates, pressures = (
         max(np.max(saved(variant, heading, reading)) for variant, reading in within)
         for heading in (

@@ -10,6 +10,7 @@ import pytest
 from first_sets import populations
 from helpers import fly_compiled, with_leaf
 from laws import apollo
+from pages import assert_says
 
 from jentry._computed_once import computed_once
 from jentry.campaign import monte_carlo
@@ -18,7 +19,7 @@ from jentry.guidance import FixedCycle
 from jentry.guidance.apollo.law import BALLISTIC, FINAL, PHASES, UP_CONTROL
 from jentry.missions import find_mission
 from jentry.missions.apollo_10.scenario import SKIP_RANGE, skip
-from jentry.units import km
+from jentry.units import degree, km
 
 
 MISSION = find_mission("apollo-10")
@@ -208,3 +209,42 @@ def test_bad_input_is_refused():
 def test_numbers_that_cannot_be_flown_are_refused(where, value, message):
     with pytest.raises(ValueError, match=message):
         check(with_leaf(scenario(), where, value))
+
+
+# What the page says.
+
+
+def saved(choice, heading):
+    return populations.saved()["apollo-10", choice, "everything", heading]
+
+
+def test_what_is_said_of_the_guidance_of_apollo():
+    names = [row[0] for row in populations.ROWS["apollo-10"] if "apollo" in row[0]]
+    assert len(names) == 5
+    constraints = scenario().constraints
+    for name, heading, unit in (
+        ("load_factor", "load factor, maximum", 1.0),
+        ("heat_rate", "heat rate, maximum, MW/m2", 1e6),
+        ("dynamic_pressure", "dynamic pressure, maximum, kPa", 1e3),
+    ):
+        limit = float(constraints[name].limit) / unit
+        assert max(np.max(saved(choice, heading)) for choice in names) < limit
+    across, along = (
+        np.mean(saved("apollo", f"{name} error, median, km"))
+        for name in ("crossrange", "downrange")
+    )
+    assert_says("It ends 2.3 km short and 1.9 km to", along, across)
+    medians = {
+        name: np.mean(saved(name, "miss, median, km"))
+        for name in ("apollo-steered", "predictor-corrector")
+    }
+    assert 1.0 < medians["apollo-steered"] / medians["predictor-corrector"] < 1.3
+    beyond = np.mean(saved("predictor-corrector", "beyond a limit, %"))
+    assert_says("the predictor-corrector 3.5 % of the flights", beyond)
+    law = scenario().law
+    assert_says("held below 305 m/s", float(law.last_velocity))
+    assert_says("from a descent of 213 m/s on", -float(law.constant_drag.search_rate))
+    assert_says("at 1.8 m/s² of drag", float(law.prediction.exit_drag))
+    assert_says("at 2.0 m/s² of drag", float(law.reentry_drag))
+    largest = float(law.largest_last_bank) / degree
+    assert_says("largest bank of 75 degrees", largest)
