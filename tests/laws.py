@@ -134,11 +134,7 @@ def terminal_point(reference) -> TerminalPoint:
 
 
 def apollo(reference) -> ApolloEntry:
-    """With velocities of Mars, such that the flights go through constant drag.
-
-    A flight in the plane has its target neither to the left nor to the right: without a
-    smallest bank, which has a side.
-    """
+    """With velocities of Mars, such that the flights go through constant drag."""
     return ApolloEntry(
         final=terminal_point(reference),
         prediction=SkipPrediction(
@@ -149,7 +145,6 @@ def apollo(reference) -> ApolloEntry:
         ),
         initial_roll=InitialRoll(shallow_velocity=4000.0, slow_velocity=3600.0),
         constant_drag=ConstantDrag(slow_exit=2000.0),
-        turning_bank=0.0,
         cycle=FixedCycle(1.0),
     )
 

@@ -202,7 +202,6 @@ def test_bad_input_is_refused():
             "prediction.lift_to_drag is 0",
         ),
         (lambda s: s.guidance.reentry_drag, -1.0, "guidance.reentry_drag is -1 m/s2"),
-        (lambda s: s.guidance.turning_bank, 3.0, "guidance.turning_bank is"),
         (lambda s: s.guidance.deceleration_limit.limit, 0.0, "limit is 0 m/s2"),
     ],
 )

@@ -27,7 +27,7 @@ from jentry.units import degree
 SLOW = pytest.mark.slow
 
 
-MODEL = r"guidance\.(.*\.)?(model|onboard|domain|planet)\."
+MODEL = r"guidance\.(.*\.)?(model|onboard|domain|planet|prediction)\."
 PLACE = r"(initial_state|target\.origin)\."
 TABLE = r"guidance\.(.*\.)?(start|spacing)$"
 JUDGED = r"constraints\.\w+_deviation\.reference\."
@@ -61,6 +61,8 @@ CHANCE = {
     ("guidance.lateral.floor", "guidance.least_effect"),
     ("planet.atmosphere.waves.0.wavelength", "guidance.arrival.altitude"),
     ("planet.atmosphere.waves.0.wavelength", "target.altitude"),
+    ("guidance.initial_roll.constant_drag", "guidance.up_control.fading_drag"),
+    ("guidance.constant_drag.lowering", "guidance.last_velocity"),
 }
 
 

@@ -76,7 +76,8 @@ class ApolloEntry(AbstractSampledLaw[tuple[()], HeldPhase]):
     Bank and upward lift are related by the largest lift-to-drag ratio that is counted on,
     and not by the sensed one. The side is that of the lateral logic of `final`. In the
     program this is a `CrossrangeCorridor` that widens with the square of the velocity.
-    Near full lift, up or down, the bank still turns to the target.
+    Near full lift, up or down, the upper phases keep the `smallest_bank` of `final` towards
+    the target, which is 15 degrees in the program.
 
     The upper phases are those of an inertial velocity, and of the place to which the
     rotation of the planet carries the target until the end. The final phase here is
@@ -91,9 +92,9 @@ class ApolloEntry(AbstractSampledLaw[tuple[()], HeldPhase]):
     Not included: the extrapolation of the sensed drag over half a cycle, the halving of the
     corridor near full lift, the first side by the place of the target, full lift down
     behind the target (the final phase commands it by its range error), and displays,
-    scaling and attitude. Our own: a vehicle that is slower than `slow_exit` of
-    `constant_drag` searches at any altitude rate, so that each flight reaches the final
-    phase.
+    scaling and attitude. Our own: the limit of the last bank, and that a vehicle slower
+    than `slow_exit` of `constant_drag` searches at any altitude rate, so that it comes to
+    the final phase.
     """
 
     final: TerminalPoint
@@ -106,8 +107,6 @@ class ApolloEntry(AbstractSampledLaw[tuple[()], HeldPhase]):
         default_factory=DecelerationLimit
     )
     """Limit in the final phase; None for no limit"""
-    turning_bank: Scalar = scalar(15.0 * degree, unit="rad", range=(0.0, math.pi / 2))
-    """Smallest bank to the target, from lift up or down, in the upper phases"""
     reentry_drag: Scalar = scalar(6.5 * foot, unit="m/s2", positive=True)
     """Drag that ends the ballistic phase (Q7F + KDMIN)"""
     seconds_per_range: Scalar = scalar(1000.0, unit="s", positive=True)
@@ -288,7 +287,7 @@ class ApolloEntry(AbstractSampledLaw[tuple[()], HeldPhase]):
         # A miss to the left, which is positive, needs a bank to the right.
         turns = steers & (sign * (passing - destination.crossrange) > 0.0)
         cosine = jnp.clip(held.lift_to_drag / self.prediction.lift_to_drag, -1.0, 1.0)
-        most = jnp.where(turns, jnp.cos(self.turning_bank), 1.0)
+        most = jnp.where(turns, jnp.cos(self.final.smallest_bank), 1.0)
         cosine = jnp.clip(cosine, -most, most)
         controls = turned(vertical_lift_command(cosine, 0.0 * cosine), sign)
         bank = HeldBank(controls.cos_bank, controls.sin_bank, side)
