@@ -1,6 +1,5 @@
 """The entry guidance of Apollo: its constants, its equations and its phases."""
 
-import dataclasses
 import functools
 import math
 
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from laws import apollo
 
-from jentry._computed_once import computed_once
 from jentry.guidance import (
     ConstantDrag,
     DecelerationLimit,
@@ -280,7 +278,7 @@ def test_descent_to_the_pull_out_is_that_of_the_program():
 
 @pytest.mark.parametrize(
     ("drag", "rate", "lifts"),
-    [(3.9, -3000, False), (5.0, -700, False), (5.0, -2800, True), (8.1, 100, True)],
+    [(3.9, -3500, False), (4.1, -3500, True), (5.0, -700, False), (8.1, 100, True)],
 )
 def test_deceleration_limit_is_that_of_the_program(drag, rate, lifts):
     velocity, d, gmax = 25_000.0, drag * G, 8 * G
@@ -299,48 +297,3 @@ def test_a_shallow_entry_rolls_over(degrees, shallow):
     """At 36 000 ft/s; the limit is at 4.5 degrees."""
     rate = 36_000.0 * math.sin(math.radians(degrees))
     assert bool(InitialRoll().is_shallow(seen_at(36_000.0, rate, 2.0))) == shallow
-
-
-# In the frame that does not rotate.
-
-
-@computed_once
-def scenario():
-    return MISSION.scenario(law="apollo")
-
-
-def vectors(longitude, latitude):
-    (sa, ca), (sb, cb) = ((np.sin(x), np.cos(x)) for x in (longitude, latitude))
-    up = np.array([cb * ca, cb * sa, sb])
-    return up, np.array([-sa, ca, 0.0]), np.array([-sb * ca, -sb * sa, cb])
-
-
-def test_velocity_is_inertial_and_the_target_moves():
-    from jentry.onboard import measure
-
-    flown = scenario()
-    planet, state = flown.planet, flown.initial_state
-    measurement = measure(planet, flown.vehicle, state, jnp.zeros(()))
-    measurement = dataclasses.replace(
-        measurement, lift=jnp.asarray(3.0), drag=jnp.asarray(4.0)
-    )
-    seen, inertial, destination = flown.law.seen(measurement)
-    # Those of the toolbox, in an inertial frame.
-    assert float(seen.velocity) == pytest.approx(11_067.15, rel=1e-12)
-    sine = math.sin(math.radians(-6.6198381))
-    assert float(seen.rate) == pytest.approx(11_067.15 * sine, rel=1e-9)
-    heading = math.degrees(float(inertial.state.heading))
-    assert heading == pytest.approx(71.9317, rel=1e-9)
-    assert float(seen.drag) == 5.0
-    # The target of the toolbox after 1000 s for each rad, by vectors.
-    here, *_ = vectors(math.radians(174.24384), math.radians(-23.51457))
-    arc = 0.3
-    for _ in range(30):
-        turned = math.radians(194.8501) + 7.292115e-5 * 1000.0 * arc
-        there, *_ = vectors(turned, math.radians(-15.4121))
-        arc = math.atan2(np.linalg.norm(np.cross(here, there)), here @ there)
-    # Three passes; the rest of the range is the motion in 0.1 s.
-    assert float(seen.range_to_go) == pytest.approx(arc, rel=3e-4)
-    along, left = (float(destination.downrange), float(destination.crossrange))
-    radius = float(planet.radius)
-    assert math.hypot(along, left) == pytest.approx(radius * arc, rel=1e-3)
