@@ -240,6 +240,8 @@ def test_what_is_said_of_the_guidance_of_apollo():
     assert 1.0 < medians["apollo-steered"] / medians["predictor-corrector"] < 1.3
     beyond = np.mean(saved("predictor-corrector", "beyond a limit, %"))
     assert_says("the predictor-corrector 3.5 % of the flights", beyond)
+    farthest = np.max(saved("apollo case skip", "crossrange error, maximum, km"))
+    assert_says("ends 10.8 km to a side", farthest)
     law = scenario().law
     assert_says("held below 305 m/s", float(law.last_velocity))
     assert_says("from a descent of 213 m/s on", -float(law.constant_drag.search_rate))
