@@ -57,8 +57,8 @@ CORRIDOR = 4.0 * 0.00003
 """Half width of the corridor of the crossrange at low velocity, rad (LATBIAS)"""
 CYCLE = FixedCycle(2.0)
 GATE, PREBANK = 0.5, 60.0 * degree
-"""Drag, m/s2, below which the final phase holds a bank, and that bank; chosen. No flight
-of the dispersions gets there: the final phase starts above it"""
+"""Drag, m/s2, below which the final phase holds a bank, and that bank; chosen. The final
+phase starts above this drag"""
 
 _LAST = 0.97
 """Share of the velocity at the end down to which the reference is flown"""
