@@ -9,6 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from ..fields import QUARTER, Scalar, scalar
+from ..motion.orbit import orbit_of
 from ..motion.quantities import arc_to, direction_to, energy
 from ..motion.state import EntryState
 from ..onboard.track import Track
@@ -145,6 +146,45 @@ class AltitudeAbove(AbstractEndCondition):
 
     def margin(self, state: EntryState, planet: Planet) -> Scalar:
         return self.altitude - planet.geodetic_altitude(state.altitude, state.latitude)
+
+
+class CapturedAbove(AbstractEndCondition):
+    """Ends an aerocapture when the altitude has risen to a value, on a bound orbit.
+
+    The orbit is that of the inertial velocity. A vehicle that leaves the air on a hyperbola
+    is ended by `EscapedAbove`: give a scenario both, with one altitude.
+    """
+
+    altitude: Scalar = scalar(unit="m", positive=True)
+    outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
+
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
+        return _exit_margin(self.altitude, state, planet, bound=True)
+
+
+class EscapedAbove(AbstractEndCondition):
+    """Ends an aerocapture that has failed: it leaves the air, and its orbit is not bound.
+
+    See `CapturedAbove`.
+    """
+
+    altitude: Scalar = scalar(unit="m", positive=True)
+    outcome: Outcome = eqx.field(default=Outcome.SKIPPED_OUT, static=True)
+
+    def margin(self, state: EntryState, planet: Planet) -> Scalar:
+        return _exit_margin(self.altitude, state, planet, bound=False)
+
+
+def _exit_margin(
+    altitude: Scalar, state: EntryState, planet: Planet, bound: bool
+) -> Scalar:
+    """Margin to an altitude for orbits that are bound, or for those that are not.
+
+    For the other ones it is the altitude, which is positive and constant. It jumps where
+    the orbit becomes bound. There it is positive on both sides.
+    """
+    counts = orbit_of(planet, state).is_bound == bound
+    return jnp.where(counts, altitude - state.altitude, altitude)
 
 
 class VelocityAbove(AbstractEndCondition):

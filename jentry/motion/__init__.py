@@ -55,6 +55,14 @@ from .index import (
     TimeIndex as TimeIndex,
     VelocityIndex as VelocityIndex,
 )
+from .orbit import (
+    Burns as Burns,
+    Orbit as Orbit,
+    OrbitTarget as OrbitTarget,
+    burns_to as burns_to,
+    inertial_velocity as inertial_velocity,
+    orbit_of as orbit_of,
+)
 from .quantities import (
     convective_heat_rate as convective_heat_rate,
     detra_kemp_riddell_heat_rate as detra_kemp_riddell_heat_rate,
