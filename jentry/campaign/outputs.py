@@ -11,6 +11,11 @@ if TYPE_CHECKING:
 
 MISS_DISTANCE = "miss_distance"
 
+VELOCITY_INCREMENT = "velocity_increment"
+
+_NAMED = {"distance": MISS_DISTANCE, VELOCITY_INCREMENT: VELOCITY_INCREMENT}
+"""Names of misses that have no sign, and are no errors"""
+
 NORMALISED = "normalised_error_squared"
 """Name of the error of the navigation, normalised by the covariance of its filter"""
 
@@ -27,7 +32,7 @@ def navigated(name: str) -> str:
 
 def error_of(miss: str) -> str:
     """Name in results of a field of `Misses`, or of its `distance`."""
-    return MISS_DISTANCE if miss == "distance" else f"{miss}_error"
+    return _NAMED.get(miss, f"{miss}_error")
 
 
 _BELIEVED, _NAVIGATION = "believed_", "navigation_"
@@ -79,7 +84,8 @@ def difference_of(error: str) -> str:
 
 def is_output(name: str) -> bool:
     """Whether a variable of results belongs to the end of a flight or is a peak."""
-    begins = at_end(""), peak_of(""), MISS_DISTANCE, believed(MISS_DISTANCE)
+    unsigned = *_NAMED.values(), *map(believed, _NAMED.values())
+    begins = at_end(""), peak_of(""), *unsigned
     return "." not in name and (name.startswith(begins) or is_error(name))
 
 

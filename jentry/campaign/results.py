@@ -13,7 +13,7 @@ from ..addresses import field_metadata, unit_of
 from ..fields import Scalar, units_of
 from ..flight.flight import Flight, History
 from ..flight.lane import Instant
-from ..flight.miss import Misses
+from ..flight.miss import Misses, misses_towards
 from ..flight.scenario import Scenario
 from ..flight.sensing import first_moving
 from ..flight.termination import Outcome
@@ -24,6 +24,7 @@ from ..world.tabulated import distance_of, unit_of_caveat
 from .campaign import Campaign, errors_of
 from .outputs import (
     NORMALISED,
+    VELOCITY_INCREMENT,
     at_end,
     believed,
     difference_of,
@@ -42,6 +43,12 @@ if TYPE_CHECKING:
 
 _ANGLES = ("bank_angle", "angle_of_attack")
 """Components of the controls in results"""
+
+_UNSIGNED = "distance", VELOCITY_INCREMENT
+"""Misses that are no errors, which the navigation does not have"""
+
+_OF_ORBIT = "apoapsis", "inclination"
+"""Misses that the navigation does not have, since its errors are those of a place"""
 
 
 def _angles(controls: Controls) -> dict[str, Scalar]:
@@ -103,7 +110,7 @@ def _errors(
         yield miss, missed, component
         if known is not None:
             yield believed(miss), known, component
-        if off is not None and component != "distance":
+        if off is not None and component not in _UNSIGNED:
             yield navigation_error_of(component), off, component
 
 
@@ -116,11 +123,12 @@ def output_names(scenario: Scenario) -> list[str]:
         found += [at_end(navigated(name)) for name in states]
     if getattr(scenario.navigation, "filter", None) is not None:
         found.append(at_end(NORMALISED))
+    aims = misses_towards(scenario.target)
     for miss in units_of(Misses):
-        aimed = miss == "distance" or getattr(scenario.target, miss) is not None
+        aimed, of_place = miss in aims, miss not in (*_UNSIGNED, *_OF_ORBIT)
         found += [error_of(miss)] if aimed else []
         found += [believed(error_of(miss))] if aimed and believes else []
-        found += [navigation_error_of(miss)] if believes and miss != "distance" else []
+        found += [navigation_error_of(miss)] if believes and of_place else []
     for name in scenario.constraints:
         found.append(peak_of(name))
         if name in scenario.located_peaks:

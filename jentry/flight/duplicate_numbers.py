@@ -13,6 +13,7 @@ from ..guidance.bezier import BezierGuidance, NewtonAdjustment
 from ..guidance.guided_end import GuidedEnd
 from ..guidance.lateral import HeadingCorridor
 from ..guidance.replanning import ReplannedTracking
+from ..motion.orbit import OrbitTarget
 from ..world.perturbed_atmosphere import GroundWave
 from .termination import (
     AbstractEndCondition,
@@ -63,7 +64,7 @@ def stated_twice(scenario: "Scenario") -> list[Twice]:
         found += _with_ends(scenario, f"{address}.end", "energy")
     for _, address in nodes(scenario.guidance, BezierGuidance, "guidance"):
         found.append(Twice(f"{address}.arrival.altitude", "target.altitude"))
-        if scenario.target.flight_path_angle is not None:
+        if getattr(scenario.target, "flight_path_angle", None) is not None:
             angle = "flight_path_angle"
             found.append(Twice(f"{address}.arrival.{angle}", f"target.{angle}"))
     for _, address in nodes(scenario.guidance, NewtonAdjustment, "guidance"):
@@ -74,7 +75,8 @@ def stated_twice(scenario: "Scenario") -> list[Twice]:
     ):
         for _, address in nodes(tree, kind, place):
             found.append(Twice(f"{address}.radius", "planet.radius"))
-    for name in ("velocity", "altitude"):
+    place = not isinstance(scenario.target, OrbitTarget)
+    for name in ("velocity", "altitude") if place else ():
         for there in _conditions(scenario, name):
             found.append(Twice(there, f"target.{name}", may_differ=True))
     return found

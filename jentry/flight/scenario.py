@@ -19,7 +19,7 @@ from ..addresses import (
     with_leaves,
 )
 from ..fields import QUARTER, Scalar, optional_scalar, scalar, units_of
-from ..guidance.aim import Aim, TargetOfScenario, is_aim, told
+from ..guidance.aim import Aim, OrbitOfScenario, TargetOfScenario, is_aim, told
 from ..guidance.lateral import HeadingCorridor
 from ..guidance.law import (
     AbstractLaw,
@@ -34,6 +34,7 @@ from ..motion.constraints import (
     usual_constraints,
 )
 from ..motion.dynamics import AbstractDynamics, EntryDynamics
+from ..motion.orbit import OrbitTarget
 from ..motion.quantities import from_ground_track, ground_track
 from ..motion.state import EntryState
 from ..onboard.flow_sensing import FlowSensors
@@ -101,7 +102,8 @@ class Scenario(eqx.Module):
     initial_state: EntryState
     guidance: AbstractLaw
     termination: Termination
-    target: Target
+    target: Target | OrbitTarget
+    """Where guided flight should end: at a place, or on an orbit after the exit"""
     accelerometers: AbstractAccelerometers = PerfectAccelerometers()
     flow_sensors: FlowSensors | None = None
     """Sensors of the velocity relative to the air; None if guidance has none"""
@@ -125,23 +127,42 @@ class Scenario(eqx.Module):
     one cycle"""
 
     @property
+    def place(self) -> Target:
+        """The target, which must be a place.
+
+        Raises `ValueError` if it is an orbit.
+        """
+        if isinstance(self.target, OrbitTarget):
+            raise ValueError(
+                "target is an OrbitTarget, and this needs a place on the ground: give the "
+                "scenario target=Target(...)"
+            )
+        return self.target
+
+    @property
     def law(self) -> AbstractLaw:
         """The guidance law, with the target of the scenario.
 
-        Raises `ValueError` if the law flies to a place and the target is not a place.
+        Raises `ValueError` if the law flies to a place and the target is not a place, or to
+        an orbit and the target is none.
         """
         parts = jax.tree.leaves(self.guidance, is_leaf=is_aim)
-        if not any(isinstance(part, TargetOfScenario) for part in parts):
+        asks = TargetOfScenario | OrbitOfScenario
+        if not any(isinstance(part, asks) for part in parts):
             return self.guidance
         target = self.target
-        if target.origin is None:
+        if isinstance(target, OrbitTarget):
+            return told(self.guidance, target)
+        to_orbit = any(isinstance(part, OrbitOfScenario) for part in parts)
+        if target.origin is None and not to_orbit:
             raise ValueError(
                 f"{type(self.guidance).__name__} flies to a place, and target.origin is "
                 "None, which leaves the target a range: give the place and heading from "
                 "which it is counted, such as Target(..., origin=initial_state)"
             )
+        origin = self.initial_state if target.origin is None else target.origin
         aim = Aim(
-            target.origin,
+            origin,
             target.downrange,
             target.crossrange,
             target.altitude,
@@ -240,13 +261,16 @@ def _check_navigation(scenario: Scenario) -> None:
 
 def _check_one_target(scenario: Scenario) -> None:
     """Refuse a scenario that states two different targets."""
+    to_orbit = isinstance(scenario.target, OrbitTarget)
     for part, address in nodes(scenario.guidance, is_aim, "guidance"):
-        if isinstance(part, Aim):
+        if isinstance(part, type(scenario.target) if to_orbit else Aim):
             raise ValueError(
-                f"{address} is an Aim, and the scenario has a target: leave it out, "
-                "and the law flies to scenario.target"
+                f"{address} is an {type(part).__name__}, and the scenario has a target: "
+                "leave it out, and the law flies to scenario.target"
             )
     _ = scenario.law  # raises if the law flies to a place and the target is not one
+    if isinstance(scenario.target, OrbitTarget):
+        return
     target, planet = scenario.target, scenario.planet
     origin = scenario.initial_state if target.origin is None else target.origin
     for longitude, latitude, addresses in _places_to_go(scenario):

@@ -1,6 +1,14 @@
 """Floor 4: guidance laws."""
 
-from .aim import Aim as Aim, TargetOfScenario as TargetOfScenario
+from .aerocapture import (
+    AerocaptureGuidance as AerocaptureGuidance,
+    CaptureDecision as CaptureDecision,
+)
+from .aim import (
+    Aim as Aim,
+    OrbitOfScenario as OrbitOfScenario,
+    TargetOfScenario as TargetOfScenario,
+)
 from .angle_of_attack import (
     AngleOfAttackProfile as AngleOfAttackProfile,
     TrimAngleOfAttack as TrimAngleOfAttack,
@@ -84,6 +92,10 @@ from .feedback_linearization import (
 from .gated import Gated as Gated
 from .glide_damping import GlideDamping as GlideDamping
 from .guided_end import GuidedEnd as GuidedEnd
+from .inclination import (
+    InclinationCorridor as InclinationCorridor,
+    OrbitPlane as OrbitPlane,
+)
 from .lateral import (
     AbstractLateralLogic as AbstractLateralLogic,
     CrossrangeCorridor as CrossrangeCorridor,

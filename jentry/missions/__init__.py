@@ -9,6 +9,7 @@ from .cav_h import MISSION as CAV_H
 from .cav_h_glide import MISSION as CAV_H_GLIDE
 from .mars.drag_tracking_mission import MISSION as DRAG_TRACKING
 from .mars.range_tracking import MISSION as RANGE_TRACKING
+from .mars_aerocapture import MISSION as MARS_AEROCAPTURE
 from .mission import Mission as Mission, PublishedValue as PublishedValue
 from .msl import MISSION as MSL
 from .own import (
@@ -37,6 +38,7 @@ ALL = {
         APOLLO_10,
         CAV_H_GLIDE,
         MSL,
+        MARS_AEROCAPTURE,
     )
 }
 """Every mission of jentry by its name."""

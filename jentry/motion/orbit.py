@@ -6,6 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import safe_arccos, safe_sqrt, sincos
+from .._printed import as_text
 from ..fields import NOT_NEGATIVE, Flag, Scalar, optional_scalar, output, scalar
 from ..world.gravity import InverseSquareGravity
 from ..world.planet import Planet
@@ -70,10 +71,17 @@ class OrbitTarget(eqx.Module):
     inclination: Scalar | None = optional_scalar(unit="rad", range=_HALF_TURN)
     """Desired inclination; None if there is none"""
 
+    __str__ = as_text
+
     @property
     def origin(self) -> None:
         """There is no place from which a range is counted."""
         return None
+
+    @property
+    def counted_from(self) -> str:
+        """Text that describes from what downrange and crossrange count."""
+        return "not counted, since the target is an orbit"
 
 
 class Burns(NamedTuple):

@@ -39,7 +39,7 @@ class Aim(eqx.Module):
     across: Scalar = scalar(math.inf, unit="m")
 
     def __call__(self, scenario: Scenario, flight: Flight) -> Scalar:
-        target = scenario.target
+        target = scenario.place
         downrange = AtEnd("downrange")(scenario, flight)
         crossrange = AtEnd("crossrange")(scenario, flight)
         off = (downrange - target.downrange) / self.along
@@ -135,7 +135,7 @@ def footprint(
             middle[1] + _FAR * across * math.sin(angle),
         )
         begin = _nearest(found, problem, aim)
-        aimed = dataclasses.replace(scenario, target=_aimed(scenario.target, *aim))
+        aimed = dataclasses.replace(scenario, target=_aimed(scenario.place, *aim))
         try:
             found.append(best_flight(aimed, asked, solver, begin))
         except ValueError as error:

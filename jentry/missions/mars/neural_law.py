@@ -59,7 +59,7 @@ def residuals(scenario: Scenario, flight: Flight) -> tuple[Scalar, ...]:
     the law comes down faster, and has less time to miss.
     """
     missed = misses(scenario, flight)
-    excess = jax.nn.relu(flight.state.velocity - scenario.target.velocity)
+    excess = jax.nn.relu(flight.state.velocity - scenario.place.velocity)
     return missed.downrange / km, missed.crossrange / km, excess / EXCESS
 
 

@@ -40,7 +40,7 @@ def guided() -> Scenario:
 
     The prediction also determines the bank reversals."""
     start = entry()
-    target = start.target
+    target = start.place
     law = PredictorCorrector(
         model=OnboardModel(start.planet, start.vehicle),
         shape=ConstantBankShape(),

@@ -1,0 +1,307 @@
+"""Numerical predictor-corrector for an aerocapture: lift up first, then a larger bank.
+
+In each guidance cycle the onboard model is propagated to the exit from the atmosphere, and
+the apoapsis of the orbit there is compared with that of the target orbit. In the first
+phase the bank is small, and the law corrects the time of the switch to a large bank. From
+that time on, in the second phase, it corrects a constant magnitude of the bank. This is
+the shape of the bank for which the burns after the exit are smallest.
+
+Source: P. Lu, C. Cerimele, M. Tigges, D. Matz, "Optimal Aerocapture Guidance", Journal of
+Guidance, Control, and Dynamics 38(4), 2015. We have not seen the paper itself: the two
+phases are as later papers describe them. Beyond these: Newton's method with the exact
+derivative of the prediction, in both phases; the reciprocal of the apoapsis radius in place
+of the apoapsis, which is smooth for a hyperbola too.
+"""
+
+import math
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from .._batching import where_due
+from .._interpolation import clamp
+from .._math import safe_sqrt, sincos
+from .._newton import by_jvp, newton
+from ..fields import Flag, Scalar, scalar
+from ..motion.orbit import OrbitTarget, orbit_of
+from ..motion.state import Controls, EntryState
+from ..onboard.estimation import (
+    AbstractFactorEstimate,
+    AbstractFactorEstimator,
+    AbstractFactors,
+    FactorEstimator,
+)
+from ..onboard.measurement import Measurement, measure
+from ..onboard.model import OnboardModel
+from ..onboard.propagation import Prediction, propagate
+from ..units import degree, km
+from .aim import OrbitOfScenario, known_orbit
+from .cycle import FixedCycle
+from .inclination import OrbitPlane
+from .lateral import AbstractLateralLogic, FixedSide
+from .law import AbstractSampledLaw
+
+
+_HALF_TURN = 0.0, math.pi
+
+
+class CaptureDecision(eqx.Module):
+    """Decision at a guidance cycle."""
+
+    exits: Flag
+    """Whether the second phase has begun"""
+    switches_at: Scalar
+    """Time at which the second phase begins, s since the start"""
+    cos_bank: Scalar
+    """Cosine of the constant bank of the second phase"""
+    side: Any
+    """Decision of the lateral logic"""
+    estimate: AbstractFactorEstimate
+    decisions: Scalar
+    """Number of corrections so far"""
+    without_prediction: Scalar
+    """Number of corrections with a prediction that was not finite"""
+
+
+class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
+    """Commands the bank with which the onboard model leaves the air for the target orbit.
+
+    In the first phase the bank has the magnitude `first_bank`, which is small, until the
+    switch. The time of the switch is such that a flight which then turns to `exit_bank` is
+    predicted to have the apoapsis of the target. In the second phase the bank has a
+    constant magnitude, between `least_bank` and `largest_bank`, which is corrected for the
+    same apoapsis. If the apoapsis cannot be met, the switch is as early or as late, and the
+    bank as small or as large, as allowed. An `exit_bank` below the largest one leaves the
+    second phase a reserve. Once begun, the second phase does not end.
+
+    At the start of a cycle the sensed lift and drag are compared with those of the model,
+    and the prediction uses the estimated factors. It ends at the exit altitude or on the
+    ground, where the orbit has a low apoapsis. So it has for a flight that is still in the
+    air after all steps. A prediction that is not finite leaves the decision unchanged.
+
+    The apoapsis is that of the inertial velocity, over a planet that may rotate. The
+    prediction is in three dimensions, with the bank on its present side to the exit.
+
+    The derivative of a flight has the following meaning. The corrections are differentiated
+    exactly. Three things are discrete: the cycle at which the second phase begins, bank
+    reversals, and the cycle at which the drag first exceeds `gate`. A number at a bound has
+    no derivative.
+    """
+
+    model: OnboardModel
+    orbit: OrbitTarget | OrbitOfScenario = OrbitOfScenario()
+    """Target orbit"""
+    lateral: AbstractLateralLogic = FixedSide()
+    """Side of the bank: an `InclinationCorridor`, or a fixed side"""
+    exit_altitude: Scalar = scalar(130.0 * km, unit="m", positive=True)
+    """Altitude at which a vehicle has left the air"""
+    first_bank: Scalar = scalar(15.0 * degree, unit="rad", range=_HALF_TURN)
+    """Magnitude of the bank in the first phase"""
+    exit_bank: Scalar = scalar(120.0 * degree, unit="rad", range=_HALF_TURN)
+    """Magnitude of the bank after the switch, in predictions of the first phase"""
+    least_bank: Scalar = scalar(15.0 * degree, unit="rad", range=_HALF_TURN)
+    """Least magnitude of the bank in the second phase"""
+    largest_bank: Scalar = scalar(165.0 * degree, unit="rad", range=_HALF_TURN)
+    """Largest magnitude of the bank in the second phase"""
+    turn_rate: Scalar = scalar(15.0 * degree, unit="rad/s", positive=True)
+    """Rate at which the bank turns after the switch, until the second phase begins"""
+    latest_switch: Scalar = scalar(300.0, unit="s", positive=True)
+    """Largest time to the switch that is considered"""
+    gate: Scalar = scalar(0.2, unit="m/s2", positive=True)
+    """Sensed drag below which the decision stays unchanged, since there is too little
+    lift"""
+    estimator: AbstractFactorEstimator = eqx.field(default_factory=FactorEstimator)
+    cycle: FixedCycle = FixedCycle(1.0)
+    corrections: int = eqx.field(default=4, static=True)
+    """Newton steps in one guidance cycle; each needs a prediction"""
+    step: float = eqx.field(default=4.0, static=True)
+    """Step of a prediction, s"""
+    steps: int = eqx.field(default=200, static=True)
+    """Largest number of steps in a prediction"""
+
+    def __check_init__(self):
+        if self.corrections < 1:
+            raise ValueError(f"corrections is {self.corrections}: it must be 1 or more")
+        if not 0.0 < self.step < math.inf or self.steps < 1:
+            raise ValueError(
+                f"a prediction has {self.steps} steps of {self.step} s: both must be "
+                "positive"
+            )
+        for smaller, larger in (
+            ("first_bank", "exit_bank"),
+            ("least_bank", "exit_bank"),
+            ("least_bank", "largest_bank"),
+        ):
+            _require_order(self, smaller, larger)
+
+    def init(self, measurement: Measurement) -> tuple[tuple[()], CaptureDecision]:
+        nothing = 0.0 * measurement.drag
+        return (), CaptureDecision(
+            exits=nothing > 0.0,
+            switches_at=nothing + 0.5 * self.latest_switch,
+            cos_bank=nothing + sincos(self.exit_bank)[1],
+            side=self.lateral.init(measurement),
+            estimate=self.estimator.start(nothing),
+            decisions=nothing,
+            without_prediction=nothing,
+        )
+
+    def update(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        memory: tuple[()],
+        held: CaptureDecision,
+    ) -> tuple[tuple[()], CaptureDecision]:
+        senses = measurement.drag > self.gate
+        estimate = self._estimate(measurement, held.estimate, senses)
+        exits = held.exits | (senses & (time >= held.switches_at))
+        sign = self.lateral.sign(held.side)
+
+        def correct(before: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
+            return self._correct(measurement, estimate.ahead, before[0], exits, sign)
+
+        begin = jnp.where(exits, held.cos_bank, held.switches_at - time)
+        before = begin, jnp.zeros_like(held.decisions)
+        number, lacks = where_due(senses, correct, before)
+        corrects_time = senses & ~exits
+        # Without air to feel, the switch is planned as a time to go.
+        waits = ~senses & ~exits
+        later = jnp.where(waits, held.switches_at + self.cycle.period, held.switches_at)
+        desired = known_orbit(self.orbit).inclination
+        plane = None if desired is None else OrbitPlane(self.model.planet, desired)
+        side = self.lateral.update(time, measurement, held.side, plane)
+        return (), CaptureDecision(
+            exits=exits,
+            switches_at=jnp.where(corrects_time, time + number, later),
+            cos_bank=jnp.where(exits, number, held.cos_bank),
+            side=side,
+            estimate=estimate,
+            decisions=held.decisions + jnp.where(senses, 1.0, 0.0),
+            without_prediction=held.without_prediction + lacks,
+        )
+
+    def __call__(
+        self,
+        time: Scalar,
+        measurement: Measurement,
+        memory: tuple[()],
+        held: CaptureDecision,
+    ) -> tuple[Controls, tuple[()]]:
+        cosine = self._cos_bank(held.exits, held.cos_bank, held.switches_at, time)
+        angle = measurement.trim_angle_of_attack
+        return _banked_to(cosine, angle, self.lateral.sign(held.side)), ()
+
+    def caveats(self, held: CaptureDecision) -> dict[str, Scalar]:
+        """Share of the corrections without a prediction, and caveats of the estimate."""
+        share = held.without_prediction / jnp.maximum(held.decisions, 1.0)
+        return {"decisions_without_prediction": share} | held.estimate.caveats()
+
+    def predicted(
+        self,
+        measurement: Measurement,
+        factors: AbstractFactors,
+        number: Scalar,
+        exits: Flag,
+        sign: Scalar | float,
+    ) -> Prediction:
+        """Rest of the flight as predicted with the onboard model, to exit or ground.
+
+        **Arguments:**
+
+        - `number`: in the first phase the time to the switch, s; in the second phase the
+          cosine of the bank.
+        - `exits`: whether it is the second phase.
+        """
+        angle = measurement.trim_angle_of_attack
+
+        def flown(elapsed: Scalar, state: EntryState) -> Controls:
+            cosine = self._cos_bank(exits, number, number, elapsed)
+            return _banked_to(cosine, angle, sign)
+
+        ceiling = self.exit_altitude
+        return propagate(
+            self.model,
+            measurement.state,
+            flown,
+            (lambda state: state.altitude, lambda state: ceiling - state.altitude),
+            step=self.step,
+            steps=self.steps,
+            factors=factors,
+        )
+
+    def _cos_bank(
+        self, exits: Flag, cosine: Scalar, switches_at: Scalar, time: Scalar
+    ) -> Scalar:
+        """Cosine of the bank of either phase at a time."""
+        since = jnp.where(exits, 0.0, time - switches_at)
+        turned = self.first_bank + self.turn_rate * jnp.maximum(since, 0.0)
+        _, switching = sincos(jnp.minimum(turned, self.exit_bank))
+        return jnp.where(exits, cosine, switching)
+
+    def _correct(
+        self,
+        measurement: Measurement,
+        factors: AbstractFactors,
+        number: Scalar,
+        exits: Flag,
+        sign: Scalar | float,
+    ) -> tuple[Scalar, Scalar]:
+        """The number of the phase after its corrections, and 1 if a prediction was not
+        finite, else 0."""
+        planet = self.model.planet
+        goal = planet.radius + known_orbit(self.orbit).apoapsis_altitude
+        (_, steep), (_, flat) = sincos(self.least_bank), sincos(self.largest_bank)
+        lower = jnp.where(exits, flat, 0.0)
+        upper = jnp.where(exits, steep, self.latest_switch)
+
+        def too_low(number: Scalar) -> Scalar:
+            """Falls where the lift is upwards for longer, or more of it is."""
+            end = self.predicted(measurement, factors, number, exits, sign)
+            inverse = orbit_of(planet, end.state).inverse_apoapsis_radius
+            return goal * inverse - 1.0
+
+        found = newton(
+            by_jvp(too_low),
+            clamp(number, lower, upper),
+            self.corrections,
+            lower=lower,
+            upper=upper,
+            falls=True,
+        )
+        return jnp.asarray(found.x), jnp.where(found.known, 0.0, 1.0)
+
+    def _estimate(
+        self, measurement: Measurement, before: AbstractFactorEstimate, senses: Flag
+    ) -> AbstractFactorEstimate:
+        state, model = measurement.state, self.model
+        angle = measurement.angle_of_attack
+        believed = measure(model.planet, model.vehicle, state, angle)
+        after = self.estimator.update(
+            before,
+            state.altitude,
+            (measurement.lift, measurement.drag),
+            (believed.lift, believed.drag),
+            jnp.full_like(measurement.drag, self.cycle.period),
+        )
+        return jax.tree.map(lambda a, b: jnp.where(senses, a, b), after, before)
+
+
+def _banked_to(cosine: Scalar, angle: Scalar, sign: Scalar | float) -> Controls:
+    return Controls(angle, cosine, sign * safe_sqrt(1.0 - cosine * cosine))
+
+
+def _require_order(law: AerocaptureGuidance, smaller: str, larger: str) -> None:
+    first, second = getattr(law, smaller), getattr(law, larger)
+    if any(isinstance(x, jax.core.Tracer) or jnp.ndim(x) for x in (first, second)):
+        return
+    if not eqx.is_array(first) or not eqx.is_array(second):
+        return
+    if not float(first) < float(second):
+        raise ValueError(
+            f"{smaller} is {float(first) / degree:g} deg and {larger} "
+            f"{float(second) / degree:g} deg: the lift is upwards first and downwards "
+            f"after the switch, so {smaller} must be the smaller one"
+        )
