@@ -182,6 +182,7 @@ from .planning import (
     Optimized as Optimized,
     Peak as Peak,
     best_flight as best_flight,
+    capture_corridor as capture_corridor,
     control_coefficients as control_coefficients,
     footprint as footprint,
     free_controls as free_controls,

@@ -39,7 +39,7 @@ from ..onboard.propagation import Prediction, propagate
 from ..units import degree, km
 from .aim import OrbitOfScenario, known_orbit
 from .cycle import FixedCycle
-from .inclination import OrbitPlane
+from .inclination import InclinationCorridor, OrbitPlane
 from .lateral import AbstractLateralLogic, FixedSide
 from .law import AbstractSampledLaw
 
@@ -50,8 +50,8 @@ _HALF_TURN = 0.0, math.pi
 class CaptureDecision(eqx.Module):
     """Decision at a guidance cycle."""
 
-    exits: Flag
-    """Whether the second phase has begun"""
+    exits: Scalar
+    """1 if the second phase has begun, else 0"""
     switches_at: Scalar
     """Time at which the second phase begins, s since the start"""
     cos_bank: Scalar
@@ -114,7 +114,7 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
     lift"""
     estimator: AbstractFactorEstimator = eqx.field(default_factory=FactorEstimator)
     cycle: FixedCycle = FixedCycle(1.0)
-    corrections: int = eqx.field(default=4, static=True)
+    corrections: int = eqx.field(default=2, static=True)
     """Newton steps in one guidance cycle; each needs a prediction"""
     step: float = eqx.field(default=4.0, static=True)
     """Step of a prediction, s"""
@@ -139,7 +139,7 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
     def init(self, measurement: Measurement) -> tuple[tuple[()], CaptureDecision]:
         nothing = 0.0 * measurement.drag
         return (), CaptureDecision(
-            exits=nothing > 0.0,
+            exits=nothing,
             switches_at=nothing + 0.5 * self.latest_switch,
             cos_bank=nothing + sincos(self.exit_bank)[1],
             side=self.lateral.init(measurement),
@@ -157,7 +157,8 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
     ) -> tuple[tuple[()], CaptureDecision]:
         senses = measurement.drag > self.gate
         estimate = self._estimate(measurement, held.estimate, senses)
-        exits = held.exits | (senses & (time >= held.switches_at))
+        begun = senses & (time >= held.switches_at)
+        exits = (held.exits > 0.5) | begun
         sign = self.lateral.sign(held.side)
 
         def correct(before: tuple[Scalar, Scalar]) -> tuple[Scalar, Scalar]:
@@ -170,11 +171,9 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
         # Without air to feel, the switch is planned as a time to go.
         waits = ~senses & ~exits
         later = jnp.where(waits, held.switches_at + self.cycle.period, held.switches_at)
-        desired = known_orbit(self.orbit).inclination
-        plane = None if desired is None else OrbitPlane(self.model.planet, desired)
-        side = self.lateral.update(time, measurement, held.side, plane)
+        side = self._side(time, measurement, held.side)
         return (), CaptureDecision(
-            exits=exits,
+            exits=jnp.where(exits, 1.0, 0.0),
             switches_at=jnp.where(corrects_time, time + number, later),
             cos_bank=jnp.where(exits, number, held.cos_bank),
             side=side,
@@ -190,7 +189,8 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
         memory: tuple[()],
         held: CaptureDecision,
     ) -> tuple[Controls, tuple[()]]:
-        cosine = self._cos_bank(held.exits, held.cos_bank, held.switches_at, time)
+        exits = held.exits > 0.5
+        cosine = self._cos_bank(exits, held.cos_bank, held.switches_at, time)
         angle = measurement.trim_angle_of_attack
         return _banked_to(cosine, angle, self.lateral.sign(held.side)), ()
 
@@ -272,6 +272,15 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
             falls=True,
         )
         return jnp.asarray(found.x), jnp.where(found.known, 0.0, 1.0)
+
+    def _side(self, time: Scalar, measurement: Measurement, side: Any) -> Any:
+        """Decision of the lateral logic, which only the inclination gives an aim."""
+        desired = known_orbit(self.orbit).inclination
+        lateral = self.lateral
+        if desired is None or not isinstance(lateral, InclinationCorridor):
+            return lateral.update(time, measurement, side, None)
+        plane = OrbitPlane(self.model.planet, desired)
+        return lateral.update(time, measurement, side, plane)
 
     def _estimate(
         self, measurement: Measurement, before: AbstractFactorEstimate, senses: Flag

@@ -6,6 +6,10 @@ from .bezier_curve import (
     plan_parameters as plan_parameters,
     velocity_map as velocity_map,
 )
+from .capture_corridor import (
+    CaptureCorridor as CaptureCorridor,
+    capture_corridor as capture_corridor,
+)
 from .control_splines import (
     control_coefficients as control_coefficients,
     free_controls as free_controls,

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from ..addresses import addresses_of
 from ..fields import Scalar, scalar, units_of
 from ..flight.flight import Flight
+from ..flight.miss import misses
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
 from ..guidance.law import AbstractLaw
@@ -24,7 +25,13 @@ from .optimization import Optimized, optimize
 
 
 _STATE = units_of(EntryState)
-_BESIDE = {"time": "s", "energy": "J/kg", "downrange": "m", "crossrange": "m"}
+_BESIDE = {
+    "time": "s",
+    "energy": "J/kg",
+    "downrange": "m",
+    "crossrange": "m",
+    "velocity_increment": "m/s",
+}
 
 _MUCH = {"rad": degree, "s": 1.0, "m": km, "m/s": 1.0, "J/kg": 1000.0}
 
@@ -34,9 +41,10 @@ END_QUANTITIES: Mapping[str, str] = _STATE | _BESIDE
 
 @dataclasses.dataclass(frozen=True)
 class AtEnd:
-    """A quantity at the end of a flight: of its state, or one of four further quantities.
+    """A quantity at the end of a flight: of its state, or one of five further quantities.
 
-    These are time, energy, downrange and crossrange. Downrange and crossrange are arcs from
+    These are time, energy, downrange, crossrange, and the velocity increment to the orbit
+    that is the target. Downrange and crossrange are arcs from
     the origin of the target, or from the start of the flight if the target has no origin,
     as in `misses`. Crossrange is positive to the left. Downrange increases beyond half of
     the circumference of the planet, up to three quarters of it.
@@ -67,6 +75,15 @@ class AtEnd:
             return flight.time
         if self.name == "energy":
             return energy(scenario.planet, end)
+        if self.name == "velocity_increment":
+            increment = misses(scenario, flight).velocity_increment
+            if increment is None:
+                raise ValueError(
+                    "target is a place, and the velocity increment is that to an orbit: "
+                    "give the scenario target=OrbitTarget(...), or choose from "
+                    f"{', '.join(name for name in END_QUANTITIES if name != self.name)}"
+                )
+            return increment
         if self.name in ("downrange", "crossrange"):
             origin = scenario.target.origin
             origin = scenario.initial_state if origin is None else origin

@@ -1,8 +1,25 @@
 """The mission Mars aerocapture: its law and its dispersions."""
 
+from ...motion.index import TimeIndex
+from ...planning.flight_problem import AtEnd, FlightProblem, FreeControl
+from ...units import degree
 from ..mission import Mission
 from .dispersions import air_and_vehicle, entry_errors, everything
-from .scenario import guided
+from .scenario import free_plane, guided
+
+
+def least_increment() -> FlightProblem:
+    """The least velocity increment, with a free bank to one side.
+
+    It is the floor for laws in the case `free-plane`. Nodes and start are our own.
+    """
+    return FlightProblem(
+        objective=AtEnd("velocity_increment"),
+        bank=FreeControl(60.0 * degree, 0.0, 180.0 * degree),
+        largest=False,
+        nodes=40,
+        index=TimeIndex(),
+    )
 
 
 MISSION = Mission(
@@ -11,6 +28,8 @@ MISSION = Mission(
     source='Gelly and Vernis, "Neural Networks as a Guidance Solution for Soft-Landing and '
     'Aerocapture", AIAA 2009-5664; law of Lu and others, JGCD 38(4), 2015',
     laws={"predictor-corrector": guided},
+    cases={"free-plane": free_plane},
+    problems={"least-increment": least_increment},
     dispersions={
         "everything": everything,
         "entry-errors": entry_errors,

@@ -26,6 +26,7 @@ from ...flight.termination import (
 )
 from ...guidance.aerocapture import AerocaptureGuidance
 from ...guidance.inclination import InclinationCorridor
+from ...guidance.lateral import FixedSide
 from ...guidance.open_loop import BankProfile
 from ...motion.constraints import DynamicPressure, LoadFactor
 from ...motion.orbit import OrbitTarget
@@ -127,6 +128,15 @@ def entry() -> Scenario:
         },
         step=STEP,
     )
+
+
+def free_plane(scenario: Scenario) -> Scenario:
+    """Target orbit without an inclination, and a bank to one side: our own choice."""
+    target = dataclasses.replace(target_orbit(), inclination=None)
+    law = scenario.guidance
+    if isinstance(law, AerocaptureGuidance):
+        law = dataclasses.replace(law, lateral=FixedSide())
+    return dataclasses.replace(scenario, target=target, guidance=law)
 
 
 def guided() -> Scenario:

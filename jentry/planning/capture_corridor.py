@@ -1,0 +1,111 @@
+"""Entry corridor of an aerocapture: between lift down and lift up all the way."""
+
+import dataclasses
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .._setup import needs_float64
+from ..fields import Scalar
+from ..flight.flight import fly
+from ..flight.scenario import Scenario, checked
+from ..flight.solver import AbstractSolver, FixedStep
+from ..guidance.open_loop import BankProfile
+from ..motion.orbit import OrbitTarget, orbit_of
+from ..onboard.profiles import PolynomialProfile
+from ..units import degree
+
+
+_FLOWN = 17
+"""Number of flights that divide an interval at once"""
+_ROUNDS = 8
+"""Number of divisions of the interval, each by 16"""
+
+
+class CaptureCorridor(NamedTuple):
+    """Flight-path angles at the entry between which the target apoapsis can be met, rad."""
+
+    shallow: Scalar
+    """Shallowest angle: with the lift downwards throughout, the apoapsis is that of the
+    target. A shallower flight leaves the air too fast, whatever its bank"""
+    steep: Scalar
+    """Steepest angle: with the lift upwards throughout, the apoapsis is that of the target.
+    A steeper flight leaves the air too slowly, or not at all"""
+
+    @property
+    def width(self) -> Scalar:
+        """Difference of the two angles, rad; negative if no angle allows a capture."""
+        return self.shallow - self.steep
+
+
+@needs_float64
+def capture_corridor(
+    scenario: Scenario,
+    steepest: float = -20.0 * degree,
+    shallowest: float = -5.0 * degree,
+    solver: AbstractSolver = FixedStep(),
+) -> CaptureCorridor:
+    """Entry corridor of the vehicle of a scenario, whose target is an orbit.
+
+    The flights are those of the scenario, with its air and errors, but with a constant bank
+    in place of its law. The angles are those of the velocity relative to the planet, to
+    1e-9 of the interval that is searched.
+
+    **Arguments:**
+
+    - `steepest`, `shallowest`: flight-path angles between which to search, rad.
+
+    **Raises:** `ValueError` if the target is a place, if the angles are in the wrong order,
+    and if a limit does not lie between them.
+    """
+    if not isinstance(scenario.target, OrbitTarget):
+        raise ValueError(
+            "target is a place: the corridor is about the apoapsis of a target orbit; give "
+            "the scenario target=OrbitTarget(...)"
+        )
+    if not steepest < shallowest < 0.0:
+        raise ValueError(
+            f"steepest is {steepest / degree:g} deg and shallowest "
+            f"{shallowest / degree:g} deg: both are below the horizon, so that steepest < "
+            "shallowest < 0"
+        )
+    scenario = checked(scenario)
+    found = {}
+    for name, cosine in (("shallow", -1.0), ("steep", 1.0)):
+        law = BankProfile(PolynomialProfile(jnp.full(1, cosine)))
+        flown = dataclasses.replace(scenario, guidance=law)
+        low, high = jnp.asarray(steepest), jnp.asarray(shallowest)
+        for _ in range(_ROUNDS):
+            angles = jnp.linspace(low, high, _FLOWN)
+            # The steeper a flight, the more it is braked.
+            steep = _too_low(flown, angles, solver)
+            if not (bool(steep[0]) and not bool(steep[-1])):
+                raise ValueError(
+                    f"with the lift {'down' if cosine < 0 else 'up'}wards, the apoapsis "
+                    f"of the target is not between {steepest / degree:g} and "
+                    f"{shallowest / degree:g} deg: give other angles"
+                )
+            first = jnp.argmin(steep)
+            low, high = angles[first - 1], angles[first]
+        found[name] = 0.5 * (low + high)
+    return CaptureCorridor(**found)
+
+
+@eqx.filter_jit
+def _too_low(
+    scenario: Scenario, angles: Float[Array, " n"], solver: AbstractSolver
+) -> Array:
+    """Whether flights from these angles have an apoapsis below that of the target."""
+    planet, target = scenario.planet, scenario.target
+    assert isinstance(target, OrbitTarget)
+    goal = planet.radius + target.apoapsis_altitude
+
+    def too_low(angle: Scalar) -> Scalar:
+        start = dataclasses.replace(scenario.initial_state, flight_path_angle=angle)
+        flight = fly(dataclasses.replace(scenario, initial_state=start), solver)
+        return goal * orbit_of(planet, flight.state).inverse_apoapsis_radius > 1.0
+
+    return jax.vmap(too_low)(angles)
