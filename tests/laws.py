@@ -6,6 +6,7 @@ from neural_laws import ANGLES, PERIOD, law_of
 
 from jentry.guidance import (
     Adjustment,
+    AerocaptureGuidance,
     AngleOfAttackProfile,
     ApolloEntry,
     AttitudeBand,
@@ -52,6 +53,7 @@ from jentry.guidance.aim import TargetOfScenario
 from jentry.learning.recorded_law import RecordedLaw
 from jentry.missions.cav_h.scenario import stored
 from jentry.motion.index import EnergyIndex, VelocityIndex
+from jentry.motion.orbit import OrbitTarget
 from jentry.onboard import (
     LongitudinalModel,
     LongitudinalReference,
@@ -146,6 +148,14 @@ def apollo(reference) -> ApolloEntry:
         initial_roll=InitialRoll(shallow_velocity=4000.0, slow_velocity=3600.0),
         constant_drag=ConstantDrag(slow_exit=2000.0),
         cycle=FixedCycle(1.0),
+def aerocapture() -> AerocaptureGuidance:
+    """To an orbit of its own, in long steps."""
+    return AerocaptureGuidance(
+        model=OnboardModel(mars_planet(), mars_vehicle()),
+        orbit=OrbitTarget(500 * km, 500 * km),
+        exit_altitude=135 * km,
+        step=8.0,
+        steps=80,
     )
 
 
@@ -276,6 +286,7 @@ all_laws = {
     "predictor-corrector": lambda reference: predictor_corrector(),
     "terminal point": terminal_point,
     "Apollo": apollo,
+    "aerocapture": lambda reference: aerocapture(),
     "Bézier": lambda reference: stored().guidance,
     "ground track": ground_track_law,
     "replanning": replanning_law,

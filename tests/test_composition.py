@@ -48,7 +48,7 @@ CHOOSES_ITS_ANGLE = {
     "control profiles",
     "neural with an angle of attack",
 }
-OTHERS_DO = {"predictor-corrector", "pseudospectral"}
+OTHERS_DO = {"predictor-corrector", "pseudospectral", "aerocapture"}
 """Laws that take long to compile; what is composed does not look into them"""
 ALONE = [
     n

@@ -31,6 +31,7 @@ LAWS = {
     "apollo-10": "predictor-corrector",
     "cav-h-glide": "predictor-corrector",
     "msl": "terminal-point",
+    "mars-aerocapture": "predictor-corrector",
 }
 """The law of each mission whose kernel is flown"""
 
@@ -51,6 +52,8 @@ def assert_same_flights(found, campaign, metres):
     assert believed is None and off is None
     np.testing.assert_array_equal(flights.outcome, campaign.flights.outcome)
     for name in ("downrange", "crossrange", "altitude"):
+        if getattr(misses, name) is None:  # the target is an orbit
+            continue
         apart = getattr(misses, name) - getattr(campaign.misses, name)
         np.testing.assert_allclose(apart, 0.0, atol=metres, err_msg=name)
     leaves = [jax.tree.leaves(x) for x in (found, (campaign.flights, campaign.misses))]

@@ -10,6 +10,7 @@ from rich.table import Table
 from .._printed import in_words
 from ..campaign.outputs import (
     MISS_DISTANCE,
+    VELOCITY_INCREMENT,
     believed,
     is_error,
     is_of_navigation,
@@ -163,7 +164,8 @@ def _print_aims(
     rows, still, others, shown = [], [], 0, ""
     for each in signed.values():
         size = sizes.get(each.name, each)
-        named = MISS_DISTANCE, believed(MISS_DISTANCE), *aims, *limits
+        unsigned = MISS_DISTANCE, VELOCITY_INCREMENT
+        named = *unsigned, *map(believed, unsigned), *aims, *limits
         counts = each.name in named or is_error(each.name)
         if not counts:
             others += 1

@@ -9,6 +9,7 @@ from jax.core import Tracer
 
 from .._printed import quantity_in_words
 from ..addresses import address_of, leaves_by_address, unit_of
+from ..guidance.aerocapture import AerocaptureGuidance
 from ..guidance.bezier import BezierGuidance, NewtonAdjustment
 from ..guidance.guided_end import GuidedEnd
 from ..guidance.lateral import HeadingCorridor
@@ -19,8 +20,10 @@ from .termination import (
     AbstractEndCondition,
     AltitudeAbove,
     AltitudeBelow,
+    CapturedAbove,
     Crossing,
     EnergyBelow,
+    EscapedAbove,
     Outcome,
     VelocityBelow,
 )
@@ -60,6 +63,10 @@ def stated_twice(scenario: "Scenario") -> list[Twice]:
         for name in _ENDS:
             if getattr(end, name) is not None:
                 found += _with_ends(scenario, f"{address}.{name}", name)
+    for _, address in nodes(scenario.guidance, AerocaptureGuidance, "guidance"):
+        for kind in (CapturedAbove, EscapedAbove):
+            for _, end in nodes(scenario.termination, kind, "termination"):
+                found.append(Twice(f"{address}.exit_altitude", f"{end}.altitude"))
     for _, address in nodes(scenario.guidance, ReplannedTracking, "guidance"):
         found += _with_ends(scenario, f"{address}.end", "energy")
     for _, address in nodes(scenario.guidance, BezierGuidance, "guidance"):

@@ -71,7 +71,7 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
     In the first phase the bank has the magnitude `first_bank`, which is small, until the
     switch. The time of the switch is such that a flight which then turns to `exit_bank` is
     predicted to have the apoapsis of the target. In the second phase the bank has a
-    constant magnitude, between `least_bank` and `largest_bank`, which is corrected for the
+    constant magnitude, between `first_bank` and `largest_bank`, which is corrected for the
     same apoapsis. If the apoapsis cannot be met, the switch is as early or as late, and the
     bank as small or as large, as allowed. An `exit_bank` below the largest one leaves the
     second phase a reserve. Once begun, the second phase does not end.
@@ -98,11 +98,9 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
     exit_altitude: Scalar = scalar(130.0 * km, unit="m", positive=True)
     """Altitude at which a vehicle has left the air"""
     first_bank: Scalar = scalar(15.0 * degree, unit="rad", range=_HALF_TURN)
-    """Magnitude of the bank in the first phase"""
+    """Magnitude of the bank in the first phase, and the least one in the second phase"""
     exit_bank: Scalar = scalar(120.0 * degree, unit="rad", range=_HALF_TURN)
     """Magnitude of the bank after the switch, in predictions of the first phase"""
-    least_bank: Scalar = scalar(15.0 * degree, unit="rad", range=_HALF_TURN)
-    """Least magnitude of the bank in the second phase"""
     largest_bank: Scalar = scalar(165.0 * degree, unit="rad", range=_HALF_TURN)
     """Largest magnitude of the bank in the second phase"""
     turn_rate: Scalar = scalar(15.0 * degree, unit="rad/s", positive=True)
@@ -129,12 +127,8 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
                 f"a prediction has {self.steps} steps of {self.step} s: both must be "
                 "positive"
             )
-        for smaller, larger in (
-            ("first_bank", "exit_bank"),
-            ("least_bank", "exit_bank"),
-            ("least_bank", "largest_bank"),
-        ):
-            _require_order(self, smaller, larger)
+        for larger in ("exit_bank", "largest_bank"):
+            _require_order(self, "first_bank", larger)
 
     def init(self, measurement: Measurement) -> tuple[tuple[()], CaptureDecision]:
         nothing = 0.0 * measurement.drag
@@ -253,7 +247,7 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
         finite, else 0."""
         planet = self.model.planet
         goal = planet.radius + known_orbit(self.orbit).apoapsis_altitude
-        (_, steep), (_, flat) = sincos(self.least_bank), sincos(self.largest_bank)
+        (_, steep), (_, flat) = sincos(self.first_bank), sincos(self.largest_bank)
         lower = jnp.where(exits, flat, 0.0)
         upper = jnp.where(exits, steep, self.latest_switch)
 

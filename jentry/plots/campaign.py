@@ -47,15 +47,22 @@ def drag_deviation(data: FigureData) -> "matplotlib.figure.Figure | None":
     return data.noted(figure, histories=True)
 
 
-def downrange(data: FigureData) -> "matplotlib.figure.Figure":
-    """Histogram of the downrange error."""
+def downrange(data: FigureData) -> "matplotlib.figure.Figure | None":
+    """Histogram of the downrange error; None if the target is an orbit."""
+    if not _aims_at_a_place(data):
+        return None
     figure, (axes,) = panelled(6.4, 4.2, 1, data.title)
     errors.draw_downrange(axes, data.results)
     return data.noted(figure)
 
 
-def footprint(data: FigureData) -> "matplotlib.figure.Figure":
-    """Altitude error, and crossrange error if there is any, over downrange error."""
+def footprint(data: FigureData) -> "matplotlib.figure.Figure | None":
+    """Altitude error, and crossrange error if there is any, over downrange error.
+
+    None if the target is an orbit.
+    """
+    if not _aims_at_a_place(data):
+        return None
     return data.noted(errors.footprint(data.results, data.nominal, data.title))
 
 
@@ -92,7 +99,7 @@ def overview(data: FigureData) -> "matplotlib.figure.Figure | None":
 
     Without trajectories, or without their drag, it shows downrange error and footprint.
     """
-    if error_of("downrange") not in data.results:
+    if not _aims_at_a_place(data):
         return None
     runs = data.trajectories
     if runs is None or DRAG.name not in runs:
@@ -108,6 +115,10 @@ def overview(data: FigureData) -> "matplotlib.figure.Figure | None":
         legend(drag)
     errors.draw_downrange(histogram, data.results)
     return data.noted(figure)
+
+
+def _aims_at_a_place(data: FigureData) -> bool:
+    return error_of("downrange") in data.results
 
 
 def navigation(data: FigureData) -> "matplotlib.figure.Figure | None":

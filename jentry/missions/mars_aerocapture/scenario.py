@@ -44,8 +44,9 @@ from ...world.vehicle import Vehicle
 ANGLE_OF_ATTACK = -27.5 * degree
 AXIAL, NORMAL = 1.269, -0.205
 """Coefficients of the force along the axis of the aeroshell, and normal to it"""
-EXIT_ALTITUDE = 130.0 * km
-"""Altitude at which the vehicle has left the air; that of the repository is 131 km"""
+EXIT_ALTITUDE = 125.0 * km
+"""Altitude at which the vehicle has left the air, where the table of the air ends; that of
+the repository is 131 km"""
 STEP = 1.0
 """Length of a step, s: a guidance cycle, as in the paper"""
 CORRIDOR = 0.02 * degree, 4e-9 * degree
