@@ -1,7 +1,5 @@
 """The entry corridor against bisection with scipy, and the floor of the increment."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from helpers import fly_compiled
@@ -14,7 +12,7 @@ from jentry.flight import FixedStep, Outcome, misses
 from jentry.missions import find_mission
 from jentry.missions.mars_aerocapture.scenario import _AIR, entry
 from jentry.planning import best_flight, capture_corridor
-from jentry.units import degree, km
+from jentry.units import degree
 
 
 MISSION = find_mission("mars-aerocapture")
@@ -94,7 +92,7 @@ def test_the_corridor_is_that_of_bisection_in_scipy():
 
 def test_a_corridor_that_is_not_there_is_refused():
     with pytest.raises(
-        ValueError, match="lift downwards, the apoapsis .* not between -9"
+        ValueError, match="lift upwards, the apoapsis .* not between -9"
     ):
         capture_corridor(entry(), -9 * degree, -5 * degree, FixedStep(4.0))
     with pytest.raises(ValueError, match="steepest < shallowest"):
@@ -112,10 +110,10 @@ def in_free_plane():
 @pytest.mark.slow
 def test_the_law_is_not_better_than_the_floor_and_near_to_it():
     scenario = in_free_plane()
-    problem = dataclasses.replace(MISSION.problem(), nodes=16)
-    best = best_flight(scenario, problem, FixedStep(2.0))
-    floor = best.objective
+    best = best_flight(scenario, MISSION.problem())
+    missed = misses(best.scenario, best.flight)
+    floor = float(missed.velocity_increment)
     assert best.flight.outcome == Outcome.REACHED
-    assert abs(float(misses(best.scenario, best.flight).apoapsis)) < 1 * km
+    assert abs(float(missed.apoapsis)) < 10.0
     law = float(misses(scenario, fly_compiled(scenario)).velocity_increment)
-    assert floor < law < 1.05 * floor
+    assert floor < law < 1.1 * floor

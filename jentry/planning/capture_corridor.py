@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .._setup import needs_float64
-from ..fields import Scalar
+from ..fields import Flag, Scalar
 from ..flight.flight import fly
 from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
@@ -103,7 +103,7 @@ def _too_low(
     assert isinstance(target, OrbitTarget)
     goal = planet.radius + target.apoapsis_altitude
 
-    def too_low(angle: Scalar) -> Scalar:
+    def too_low(angle: Scalar) -> Flag:
         start = dataclasses.replace(scenario.initial_state, flight_path_angle=angle)
         flight = fly(dataclasses.replace(scenario, initial_state=start), solver)
         return goal * orbit_of(planet, flight.state).inverse_apoapsis_radius > 1.0

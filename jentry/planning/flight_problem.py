@@ -15,6 +15,7 @@ from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
 from ..guidance.law import AbstractLaw
 from ..motion.index import AbstractIndex, EnergyIndex
+from ..motion.orbit import orbit_of
 from ..motion.quantities import energy, ground_track
 from ..motion.state import EntryState
 from ..parameters.maps import Bounds
@@ -25,11 +26,13 @@ from .optimization import Optimized, optimize
 
 
 _STATE = units_of(EntryState)
+_ORBIT = {"apoapsis_altitude": "m", "periapsis_altitude": "m"}
 _BESIDE = {
     "time": "s",
     "energy": "J/kg",
     "downrange": "m",
     "crossrange": "m",
+    **_ORBIT,
     "velocity_increment": "m/s",
 }
 
@@ -41,10 +44,11 @@ END_QUANTITIES: Mapping[str, str] = _STATE | _BESIDE
 
 @dataclasses.dataclass(frozen=True)
 class AtEnd:
-    """A quantity at the end of a flight: of its state, or one of five further quantities.
+    """A quantity at the end of a flight: of its state, or one of seven further quantities.
 
-    These are time, energy, downrange, crossrange, and the velocity increment to the orbit
-    that is the target. Downrange and crossrange are arcs from
+    These are time, energy, downrange, crossrange, the altitudes of apoapsis and periapsis
+    of the orbit without air, and the velocity increment to the orbit that is the target.
+    Downrange and crossrange are arcs from
     the origin of the target, or from the start of the flight if the target has no origin,
     as in `misses`. Crossrange is positive to the left. Downrange increases beyond half of
     the circumference of the planet, up to three quarters of it.
@@ -75,6 +79,8 @@ class AtEnd:
             return flight.time
         if self.name == "energy":
             return energy(scenario.planet, end)
+        if self.name in _ORBIT:
+            return getattr(orbit_of(scenario.planet, end), self.name)
         if self.name == "velocity_increment":
             increment = misses(scenario, flight).velocity_increment
             if increment is None:

@@ -47,6 +47,8 @@ AXIAL, NORMAL = 1.269, -0.205
 EXIT_ALTITUDE = 125.0 * km
 """Altitude at which the vehicle has left the air, where the table of the air ends; that of
 the repository is 131 km"""
+APOAPSIS = 500.0 * km
+"""Altitude of the parking orbit"""
 STEP = 1.0
 """Length of a step, s: a guidance cycle, as in the paper"""
 CORRIDOR = 0.02 * degree, 4e-9 * degree
@@ -93,7 +95,7 @@ def orbiter() -> Vehicle:
 
 def target_orbit() -> OrbitTarget:
     """The circular parking orbit, 500 km high."""
-    return OrbitTarget(500.0 * km, 500.0 * km, 50.0 * degree)
+    return OrbitTarget(APOAPSIS, APOAPSIS, 50.0 * degree)
 
 
 def entry() -> Scenario:
