@@ -1,14 +1,14 @@
 """Floor 8: plans references, curves and parameters before a flight."""
 
+from .aerocapture_corridor import (
+    CaptureCorridor as CaptureCorridor,
+    capture_corridor as capture_corridor,
+)
 from .bezier_curve import (
     k2_polynomial as k2_polynomial,
     k2_polynomials as k2_polynomials,
     plan_parameters as plan_parameters,
     velocity_map as velocity_map,
-)
-from .capture_corridor import (
-    CaptureCorridor as CaptureCorridor,
-    capture_corridor as capture_corridor,
 )
 from .control_splines import (
     control_coefficients as control_coefficients,

@@ -1,7 +1,7 @@
 """Entry corridor of an aerocapture: between lift down and lift up all the way."""
 
 import dataclasses
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -97,7 +97,7 @@ def capture_corridor(
 @eqx.filter_jit
 def _too_low(
     scenario: Scenario, angles: Float[Array, " n"], solver: AbstractSolver
-) -> Array:
+) -> Any:
     """Whether flights from these angles have an apoapsis below that of the target."""
     planet, target = scenario.planet, scenario.target
     assert isinstance(target, OrbitTarget)
