@@ -19,6 +19,7 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 
 from .._batching import where_due
 from .._interpolation import clamp
@@ -298,7 +299,7 @@ def _banked_to(cosine: Scalar, angle: Scalar, sign: Scalar | float) -> Controls:
 
 def _require_order(law: AerocaptureGuidance, smaller: str, larger: str) -> None:
     first, second = getattr(law, smaller), getattr(law, larger)
-    if any(isinstance(x, jax.core.Tracer) or jnp.ndim(x) for x in (first, second)):
+    if any(isinstance(x, Tracer) or jnp.ndim(x) for x in (first, second)):
         return
     if not eqx.is_array(first) or not eqx.is_array(second):
         return
