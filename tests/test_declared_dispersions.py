@@ -59,8 +59,13 @@ def test_every_declared_dispersion_changes_the_flight_when_it_alone_is_drawn_ane
         inputs = {a: [float(row.get(a, leaves[a])) for row in rows] for a in addresses}
         with small_batches():
             campaign = monte_carlo(scenario, inputs=inputs)
-        misses = campaign.misses
-        ends = np.stack((campaign.flights.time, misses.downrange, misses.velocity))
+        misses, flights = campaign.misses, campaign.flights
+        place = misses.downrange, misses.velocity
+        if (
+            misses.downrange is None
+        ):  # the target is an orbit, and any longitude will do
+            place = misses.apoapsis, flights.state.longitude
+        ends = np.stack((flights.time, *place))
         bases = [names.index((reading, None)) for reading, _ in names]
         change = np.abs(ends - ends[:, bases]).max(axis=0)
         # s, m and m/s; far above rounding, far below what a tenth of a deviation does.
