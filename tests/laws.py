@@ -148,6 +148,9 @@ def apollo(reference) -> ApolloEntry:
         initial_roll=InitialRoll(shallow_velocity=4000.0, slow_velocity=3600.0),
         constant_drag=ConstantDrag(slow_exit=2000.0),
         cycle=FixedCycle(1.0),
+    )
+
+
 def aerocapture() -> AerocaptureGuidance:
     """To an orbit of its own, in long steps."""
     return AerocaptureGuidance(

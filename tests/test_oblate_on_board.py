@@ -71,6 +71,8 @@ REFUSING = (
     "recorded",  # by inputs of a neural law
     "modulation composition",
     "terminal point",  # by its early end
+    "Apollo",  # by the early end of its final phase
+    "aerocapture",
 )
 """Laws whose equations are those of a sphere with a central gravity"""
 

@@ -184,7 +184,8 @@ def _exit_margin(
     the orbit becomes bound. There it is positive on both sides.
     """
     counts = orbit_of(planet, state).is_bound == bound
-    return jnp.where(counts, altitude - state.altitude, altitude)
+    risen = planet.geodetic_altitude(state.altitude, state.latitude)
+    return jnp.where(counts, altitude - risen, altitude)
 
 
 class VelocityAbove(AbstractEndCondition):

@@ -35,7 +35,7 @@ from ..onboard.estimation import (
     FactorEstimator,
 )
 from ..onboard.measurement import Measurement, measure
-from ..onboard.model import OnboardModel
+from ..onboard.model import OnboardModel, require_sphere
 from ..onboard.propagation import Prediction, propagate
 from ..units import degree, km
 from .aim import OrbitOfScenario, known_orbit
@@ -150,6 +150,7 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
         memory: tuple[()],
         held: CaptureDecision,
     ) -> tuple[tuple[()], CaptureDecision]:
+        require_sphere(self.model.planet, "the guidance of an aerocapture")
         senses = measurement.drag > self.gate
         estimate = self._estimate(measurement, held.estimate, senses)
         begun = senses & (time >= held.switches_at)

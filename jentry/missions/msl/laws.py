@@ -84,7 +84,7 @@ def _plan(start: Scenario) -> Plan:
         """Range error in units of 100 km."""
         flown = fly(open_loop(flat, profile(cos_bank, velocity), END_VELOCITY))
         downrange, _ = ground_track(flat.planet, flat.initial_state, flown.state)
-        return (downrange - start.target.downrange) / (100.0 * km)
+        return (downrange - start.place.downrange) / (100.0 * km)
 
     def differences(cos_bank):
         step = 1e-4

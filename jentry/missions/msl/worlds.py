@@ -79,7 +79,7 @@ def range_trigger(scenario: Scenario) -> Scenario:
     A flight that passes the target farther away than the trigger opens it at the lowest
     velocity.
     """
-    target, conditions = scenario.target, scenario.termination.conditions
+    target, conditions = scenario.place, scenario.termination.conditions
     origin = scenario.initial_state if target.origin is None else target.origin
     longitude, latitude = from_ground_track(
         scenario.planet, origin, target.downrange, target.crossrange
