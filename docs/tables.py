@@ -13,6 +13,8 @@ import numpy as np
 from described import markdown_table
 
 from jentry.campaign.populations import Population
+from jentry.cli.benchmark_record import read_record
+from jentry.cli.benchmark_tables import table_of_all, table_of_case
 from jentry.missions import find_mission
 from jentry.units import km
 
@@ -35,13 +37,14 @@ def table(specification: str) -> str:
     **Arguments:**
 
     - `specification`: TOML. `source` names the file: `populations.csv`, `published.csv`,
-      `timings.csv`, `navigation.csv`, `neural_law.csv`, `sampling.csv`, `wind.csv`, or
-      `tuned` for the files of tuned gains. For the first, `rows` and `columns` are lists
-      of tables whose keys are merged for each cell: `title`, `choice`, `dispersions`,
-      `heading`, `show` (see `SHOWN`), `published`, `digits`, `mission`, or `cells` for
-      several numbers in one cell. For the next two, `table` is the name of the table in the
+      `timings.csv`, `navigation.csv`, `neural_law.csv`, `sampling.csv`, `wind.csv`,
+      `benchmark.json`, or `tuned` for the files of tuned gains. For the first, `rows` and
+      `columns` are lists of tables whose keys are merged for each cell: `title`,
+      `choice`, `dispersions`, `heading`, `show` (see `SHOWN`), `published`, `digits`,
+      `mission`, or `cells` for several numbers in one cell. For the next two, `table` is the name of the table in the
       file. For `navigation.csv` and `neural_law.csv`, `part` is a part of the program;
       tables of a part are put below each other, and so are those of the `ways` to a law.
+      For `benchmark.json`, `table` is a case, or `all`.
 
     **Raises:** `ValueError` for an unknown key or source, `KeyError` for a number that is
     not in the file.
@@ -304,6 +307,25 @@ _TUNED = {
     },
 }
 
+
+def of_benchmark(table: str) -> tuple[list[str], Rows, str]:
+    """The laws of a case of `jentry benchmark --short`, or of `all` cases."""
+    record = read_record(BENCHMARKS / "benchmark.json")
+    made = {case["name"]: case for case in record["cases"] if case["laws"]}
+    if table == "all":
+        found = table_of_all(record)
+        if found is None:
+            raise ValueError("benchmark.json has no case with two laws or more")
+    elif table in made:
+        found = table_of_case(made[table], record["sets"], {})
+    else:
+        raise ValueError(f"table is {table!r}: choose from all, {', '.join(made)}")
+    heads = [head.replace("\n", " ") for head in found.heads]
+    versions = ", ".join(f"{n} {x}" for n, x in record["versions"].items())
+    caption = f"{'; '.join([found.title, *found.notes])}. {versions}"
+    return heads, found.rows, caption
+
+
 SOURCES: dict[str, tuple[set[str], Callable[..., tuple[list[str], Rows, str]]]] = {
     "populations.csv": (
         {"rows", "columns", "mission", "corner", "digits"},
@@ -316,5 +338,6 @@ SOURCES: dict[str, tuple[set[str], Callable[..., tuple[list[str], Rows, str]]]] 
     "sampling.csv": (set(), of_sampling),
     "wind.csv": (set(), of_wind),
     "tuned": (set(), of_tuned),
+    "benchmark.json": ({"table"}, of_benchmark),
 }
 """By file: the keys of a specification, and what makes the table"""

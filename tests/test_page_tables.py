@@ -1,6 +1,7 @@
 """The tables of the pages: what a specification asks for, out of the saved files."""
 
 import csv
+import json
 import re
 import sys
 
@@ -186,3 +187,24 @@ def test_every_mission_has_a_page():
     pages = {path.stem for path in ROOT.joinpath("docs", "missions").glob("*.md")}
     others = {"index", "predictor-corrector", "neural-law", "laws-compared"}
     assert pages == names | others
+
+
+def test_a_table_of_the_benchmark_has_the_numbers_of_its_file():
+    path = ROOT / "benchmarks" / "benchmark.json"
+    record = json.loads(path.read_text())
+    (case,) = (x for x in record["cases"] if x["name"] == "mars-range-tracking")
+    made = tables.table('source = "benchmark.json"\ntable = "mars-range-tracking"')
+    heading, _, *rows = cells(made)
+    place = heading.index("95 % km")
+    assert [row[0] for row in rows] == [law["name"] for law in case["laws"]]
+    for row, law in zip(rows, case["laws"], strict=True):
+        found = law["statistics"]["miss_over_ground_percentile_95"]
+        mean, deviation = map(float, row[place].split(" ± "))
+        np.testing.assert_allclose(mean, found["value"] / 1000.0, rtol=5e-3)
+        spread = np.std(found["sets"], ddof=1) / 1000.0
+        np.testing.assert_allclose(deviation, spread, rtol=5e-2)
+
+
+def test_a_table_of_the_benchmark_needs_a_case_that_was_flown():
+    with pytest.raises(ValueError, match="table is 'moon': choose from all, mars-drag"):
+        tables.table('source = "benchmark.json"\ntable = "moon"')

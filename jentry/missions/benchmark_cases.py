@@ -45,7 +45,7 @@ CASES = {
         BenchmarkCase(
             "mars-range-tracking",
             "mars-range-tracking",
-            ("range-tracking", "predictor-corrector", "neural"),
+            ("range-tracking", "predictor-corrector", "terminal-point", "neural"),
             ("lift-to-drag-held",),
             runs=1000,
         ),
@@ -111,7 +111,7 @@ CASES = {
         BenchmarkCase(
             "apollo-10",
             "apollo-10",
-            ("predictor-corrector", "neural"),
+            ("predictor-corrector", "apollo-steered", "neural"),
             ("everything",),
             runs=50,
         ),
