@@ -41,8 +41,9 @@ def table(specification: str) -> str:
       `benchmark.json`, or `tuned` for the files of tuned gains. For the first, `rows` and
       `columns` are lists of tables whose keys are merged for each cell: `title`,
       `choice`, `dispersions`, `heading`, `show` (see `SHOWN`), `published`, `digits`,
-      `mission`, or `cells` for several numbers in one cell. For the next two, `table` is the name of the table in the
-      file. For `navigation.csv` and `neural_law.csv`, `part` is a part of the program;
+      `mission`, or `cells` for several numbers in one cell. For the next two, `table` is
+      the name of the table in the file. For `navigation.csv` and `neural_law.csv`, `part`
+      is a part of the program;
       tables of a part are put below each other, and so are those of the `ways` to a law.
       For `benchmark.json`, `table` is a case, or `all`.
 
