@@ -7,9 +7,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import ConstantBank, fly_compiled, with_leaf
+from worlds import WGS_84
 
 from jentry.campaign.results import output_names
-from jentry.flight import FixedStep, Outcome, Target, fly, misses
+from jentry.flight import (
+    CapturedAbove,
+    EscapedAbove,
+    FixedStep,
+    Outcome,
+    Target,
+    fly,
+    misses,
+)
 from jentry.missions import find_mission
 from jentry.missions.mars_aerocapture.scenario import entry
 from jentry.motion import OrbitTarget, orbit_of
@@ -109,3 +118,20 @@ def test_a_law_and_a_target_of_different_kinds_are_refused():
         ValueError, match="target is an OrbitTarget.*place on the ground"
     ):
         _ = orbiter.place
+
+
+@pytest.mark.parametrize(
+    ("velocity", "end"), [(4e3, CapturedAbove), (6e3, EscapedAbove)]
+)
+def test_over_an_ellipsoid_the_exit_is_at_the_geodetic_altitude(velocity, end):
+    """At the pole it is higher by the difference of the semi-axes."""
+    planet = entry().planet
+    shape = dataclasses.replace(WGS_84, equatorial_radius=planet.radius)
+    oblate = dataclasses.replace(planet, shape=shape)
+    state = dataclasses.replace(
+        entry().initial_state, latitude=jnp.asarray(0.5 * jnp.pi), velocity=velocity
+    )
+    margin = end(altitude=125 * km).margin(state, oblate)
+    flattened = float(planet.radius) * float(shape.flattening)
+    expected = 125 * km - float(state.altitude) - flattened
+    assert float(margin) == pytest.approx(expected, abs=1e-6)
