@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from helpers import bank_profile, free_scenario, mars_scenario, with_leaf
@@ -76,6 +77,22 @@ def test_a_part_that_its_class_refuses_is_refused_after_a_change(kind):
         check(changed)
     with pytest.raises(ValueError, match="low is 3"):
         fly(changed)
+
+
+def test_a_part_is_looked_at_within_a_traced_program():
+    """Its numbers are known there, and a comparison of them must not be traced."""
+
+    def check_traced(scenario):
+        def checked(mass):
+            check(with_leaf(scenario, lambda s: s.vehicle.mass, mass))
+            return mass
+
+        return jax.jit(checked)(900.0)
+
+    scenario = mars_scenario(Sampled(Band(bank_profile().cos_bank), 1.0))
+    assert check_traced(scenario) == 900.0
+    with pytest.raises(ValueError, match="low is 3"):
+        check_traced(with_leaf(scenario, lambda s: s.guidance.law.low, 3.0))
 
 
 def test_a_good_scenario_is_not_refused():

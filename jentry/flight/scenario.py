@@ -209,7 +209,9 @@ def _check_parts(scenario: Scenario) -> None:
             if "__check_init__" not in vars(kind):
                 continue
             try:
-                vars(kind)["__check_init__"](part)
+                # Numbers that are known are compared at once, even in a traced program.
+                with jax.ensure_compile_time_eval():
+                    vars(kind)["__check_init__"](part)
             except ValueError as error:
                 where = f"{address}, {kind.__name__}" if address else kind.__name__
                 raise ValueError(f"{where}: {error}") from None
