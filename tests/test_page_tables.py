@@ -185,7 +185,13 @@ def test_every_mission_has_a_page():
 
     names = {mission.name for mission in every_mission()}
     pages = {path.stem for path in ROOT.joinpath("docs", "missions").glob("*.md")}
-    others = {"index", "predictor-corrector", "neural-law", "laws-compared"}
+    others = {
+        "index",
+        "predictor-corrector",
+        "neural-law",
+        "laws-compared",
+        "benchmark",
+    }
     assert pages == names | others
 
 

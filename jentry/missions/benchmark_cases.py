@@ -118,7 +118,7 @@ CASES = {
         BenchmarkCase(
             "cav-h-glide",
             "cav-h-glide",
-            ("predictor-corrector", "undamped"),
+            ("predictor-corrector",),
             ("everything",),
             runs=50,
         ),
