@@ -97,7 +97,7 @@ CASES = {
         BenchmarkCase(
             "rlv",
             "rlv",
-            ("modulation", "predictor-corrector", "feedback-linearization"),
+            ("modulation", "predictor-corrector"),
             ("table-1",),
             runs=25,
         ),
@@ -118,7 +118,7 @@ CASES = {
         BenchmarkCase(
             "cav-h-glide",
             "cav-h-glide",
-            ("predictor-corrector",),
+            ("predictor-corrector", "undamped"),
             ("everything",),
             runs=50,
         ),
