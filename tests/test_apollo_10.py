@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from entry_vectors import axes, velocity_of
 from first_sets import populations
 from helpers import ConstantBank, fly_compiled, truths, with_leaf
 from pages import PAGES, assert_says
@@ -21,19 +22,6 @@ ROTATION = 7.292115e-5
 @computed_once
 def scenario():
     return MISSION.scenario()
-
-
-def axes(longitude, latitude):
-    """Up, east and north, in the frame of the Earth's axis."""
-    (sa, ca), (sb, cb) = ((np.sin(x), np.cos(x)) for x in (longitude, latitude))
-    up = np.array([cb * ca, cb * sa, sb])
-    return up, np.array([-sa, ca, 0.0]), np.array([-sb * ca, -sb * sa, cb])
-
-
-def velocity_of(frame, speed, path, heading):
-    up, east, north = frame
-    level = np.sin(heading) * east + np.cos(heading) * north
-    return speed * (np.sin(path) * up + np.cos(path) * level)
 
 
 def start():

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from entry_vectors import axes, velocity_of
 from first_sets import small_batches
 from helpers import ConstantBank, fly_compiled, truths, with_leaf
 from scipy.integrate import solve_ivp
@@ -35,19 +36,6 @@ def scenario():
 @functools.cache
 def nominal(world=None):
     return fly_compiled(MISSION.scenario(world=world), FixedStep(), 1.0)
-
-
-def axes(longitude, latitude):
-    """Up, east and north, in the frame of the axis of Mars."""
-    (sa, ca), (sb, cb) = ((np.sin(x), np.cos(x)) for x in (longitude, latitude))
-    up = np.array([cb * ca, cb * sa, sb])
-    return up, np.array([-sa, ca, 0.0]), np.array([-sb * ca, -sb * sa, cb])
-
-
-def velocity_of(frame, speed, path, heading):
-    up, east, north = frame
-    level = np.sin(heading) * east + np.cos(heading) * north
-    return speed * (np.sin(path) * up + np.cos(path) * level)
 
 
 def spin():
