@@ -73,13 +73,17 @@ _MUCH = jax.make_user_context(True)
 
 @functools.cache
 def little() -> dict:
-    """`LITTLE`, or nothing where another version of XLA does not know it."""
+    """What this version of XLA knows of `LITTLE`: JAX 0.11 always has fusion emitters."""
     lowered = jax.jit(lambda: 0.0).lower()
-    try:
-        lowered.compile(compiler_options=LITTLE)
-    except jax.errors.JaxRuntimeError:
-        return {}
-    return LITTLE
+
+    def knows(name: str) -> bool:
+        try:
+            lowered.compile(compiler_options={name: LITTLE[name]})
+        except jax.errors.JaxRuntimeError:
+            return False
+        return True
+
+    return {name: value for name, value in LITTLE.items() if knows(name)}
 
 
 def _with_little(*how, env_options_overrides=None, **options):
@@ -110,7 +114,7 @@ def optimize(much: bool) -> None:
     _MUCH.set_global(chosen is _get_compile_options)
     compiler.get_compile_options = chosen
     given = os.environ.get("XLA_FLAGS", "").split()
-    flags = [f"--{name}={str(value).lower()}" for name, value in LITTLE.items()]
+    flags = [f"--{name}={str(value).lower()}" for name, value in little().items()]
     kept = [flag for flag in given if flag not in flags]
     os.environ["XLA_FLAGS"] = " ".join(kept if much else kept + flags)
 
