@@ -1,16 +1,17 @@
-"""Array types, and fields that make every physical number a leaf."""
+"""Array types, fields that make every physical number a leaf, and their allowed values."""
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-from .units import TURN
+from .units import TURN, degree
 
 
 if TYPE_CHECKING:
@@ -133,3 +134,54 @@ def table(*, unit: str = "1", positive: bool = False, increasing: bool = False) 
     """
     metadata = _about(unit, positive, None) | {"increasing": increasing}
     return eqx.field(converter=as_float_array, metadata=metadata)
+
+
+def check_values(address: str, values: np.ndarray, metadata: Mapping) -> None:
+    """Refuse values of the leaf at an address that cannot be flown; see `check`.
+
+    Raises `ValueError` for a value that is not finite, or that its field does not allow.
+    """
+    flat = np.ravel(values)
+    refused = flat[~np.isfinite(flat)]
+    if refused.size:
+        raise ValueError(f"{address} is {refused[0]}: it must be a finite number")
+    least, largest = metadata.get("range") or (-np.inf, np.inf)
+    # A value at a bound passes in float32 as well.
+    slack = 1e-6 * max(
+        (abs(x) for x in (least, largest) if np.isfinite(x)), default=0.0
+    )
+    refused = flat[(flat < least - slack) | (flat > largest + slack)]
+    if metadata.get("positive"):
+        refused = np.append(refused, flat[flat <= 0.0])
+    if refused.size:
+        unit = metadata.get("unit", "1")
+        words = "" if unit == "1" else f" {unit}"
+        if unit == "rad":
+            words = f" rad, {refused[0] / degree:g} deg"
+        forgotten = ""
+        if unit == "rad" and least <= refused[0] * degree <= largest:
+            forgotten = f"; did you mean {refused[0]:g}deg?"
+        raise ValueError(
+            f"{address} is {refused[0]:g}{words}: it must be {allowed(metadata)}"
+            f"{forgotten}"
+        )
+    if metadata.get("increasing") and not np.all(np.diff(flat) > 0.0):
+        raise ValueError(f"{address} must increase from each value to the next")
+
+
+def allowed(metadata: Mapping) -> str:
+    """Text for the allowed values of a field; empty if any value is allowed."""
+    if metadata.get("positive"):
+        return "greater than zero"
+    least, largest = metadata.get("range") or (-np.inf, np.inf)
+    unit = metadata.get("unit", "1")
+    if unit == "rad":
+        least, largest, unit = least / degree, largest / degree, "deg"
+    unit = "" if unit == "1" else f" {unit}"
+    if np.isinf(least) and np.isinf(largest):
+        return ""
+    if np.isinf(largest):
+        return "zero or more" if least == 0.0 else f"{least:g}{unit} or more"
+    if np.isinf(least):
+        return f"{largest:g}{unit} or less"
+    return f"between {least:g} and {largest:g}{unit}"

@@ -21,9 +21,15 @@ from jentry.guidance import BankProfile
 from jentry.guidance.terminal_point import COLUMNS
 from jentry.missions.mars import drag_tracking, range_tracking
 from jentry.motion import EntryState, EquatorialDynamics
-from jentry.motion.index import AltitudeIndex
+from jentry.motion.index import AltitudeIndex, VelocityIndex
 from jentry.onboard import PolynomialProfile
-from jentry.planning import ReferenceFlight, open_loop, plan_terminal_point
+from jentry.planning import (
+    ReferenceFlight,
+    open_loop,
+    plan_drag_reference,
+    plan_range_over_altitude,
+    plan_terminal_point,
+)
 from jentry.units import foot, km, nautical_mile
 from jentry.world import (
     ConstantAerodynamics,
@@ -232,6 +238,81 @@ def test_plans_that_cannot_be_made_are_refused():
     )
     with pytest.raises(ValueError, match="ConstantWind, and a terminal-point"):
         plan_terminal_point(windy, END)
+
+
+VELOCITIES = np.array([6000.0, 3000.0, 1010.0, 1000.0, np.nan])
+HEIGHTS = np.array([60e3, 30e3, 16e3, 15e3, np.nan])
+
+
+def made_up_descent():
+    """A reference flight of four points and one after its end."""
+    flight = made_up_flight()
+    states = jax.tree.map(lambda x: jnp.repeat(x, 5), flight.states)
+    states = eqx.tree_at(
+        lambda s: (s.velocity, s.altitude),
+        states,
+        (jnp.asarray(VELOCITIES), jnp.asarray(HEIGHTS)),
+    )
+    return ReferenceFlight(flight.scenario, 0.1, 0.1 * jnp.arange(5), states, states)
+
+
+@pytest.mark.parametrize(
+    ("plan", "numbers", "message"),
+    [
+        (
+            plan_terminal_point,
+            (985.0,),
+            "end_velocity is 985 m/s: .* has 1000 m/s to 6",
+        ),
+        (plan_terminal_point, (np.nan,), "end_velocity is nan m/s: the reference"),
+        (
+            plan_terminal_point,
+            (4000.0, VelocityIndex(), 20.0),
+            "end_velocity is 4000 m/s: it must be below.* 3000 m/s",
+        ),
+        (plan_range_over_altitude, (985.0, 40e3), "end_velocity is 985 m/s"),
+        (
+            plan_range_over_altitude,
+            (1000.0, 13e3),
+            "start_altitude is 13 km: .* has 15",
+        ),
+        (plan_range_over_altitude, (1000.0, 62e3), "start_altitude is 62 km"),
+    ],
+)
+def test_numbers_beyond_the_planned_flight_are_refused(plan, numbers, message):
+    with pytest.raises(ValueError, match=message):
+        plan(made_up_descent(), *numbers)
+
+
+@pytest.mark.parametrize("bound", [2e3, np.nan], ids=["large", "nan"])
+def test_a_drag_that_the_planned_flight_does_not_have_is_refused(bound):
+    drags = 0.5 * 0.0158 * np.exp(-HEIGHTS / 9354.5) * VELOCITIES**2 / 115.0
+    largest = f"largest drag of the reference flight is {np.nanmax(drags):.6g} m/s2"
+    with pytest.raises(ValueError, match=f"start_drag is .*{largest}"):
+        plan_terminal_point(made_up_descent(), 1000.0, start_drag=bound)
+    message = largest if bound == 2e3 else "gate is nan m/s2: it must be zero or more"
+    with pytest.raises(ValueError, match=message):
+        plan_drag_reference(made_up_descent(), VelocityIndex(), bound)
+
+
+def test_a_table_needs_an_interval():
+    with pytest.raises(ValueError, match="intervals is 0: it must be 1 or more"):
+        plan_terminal_point(made_up_descent(), 1000.0, intervals=0)
+
+
+def test_what_a_flight_does_not_reach_is_nan_in_a_compiled_program():
+    """One step beyond the end is reached."""
+    flight, index = made_up_descent(), VelocityIndex()
+    reached = jax.jit(jax.vmap(lambda v: flight.reached(index, v, "v")))
+    asked = jnp.array([995.0, 985.0, 1000.0, 6005.0, 6015.0])
+    expected = [995.0, np.nan, 1000.0, 6005.0, np.nan]
+    np.testing.assert_array_equal(reached(asked), expected)
+    drags = jnp.array([1.0, 2.0, 3.0, 4.0, np.nan])
+    first = jax.jit(lambda bound: flight.first_above(drags, bound, "bound"))
+    for bound, velocity in ((1.5, 3000.0), (0.0, 6000.0), (4.0, np.nan)):
+        time, state = first(bound)
+        np.testing.assert_array_equal(state.velocity, velocity)
+        assert np.isnan(time) == np.isnan(velocity)
 
 
 def made_up_flight():

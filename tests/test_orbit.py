@@ -1,10 +1,15 @@
 """Orbits against vectors in numpy, and burns against textbook transfers."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jentry import find_mission
+from jentry.addresses import replace_leaves
+from jentry.flight import check
 from jentry.motion import EntryState, OrbitTarget, burns_to, orbit_of
 from jentry.units import degree, km
 from jentry.world import ConstantGravity, ExponentialAtmosphere, InverseSquareGravity
@@ -148,6 +153,20 @@ def test_a_circle_has_finite_derivatives():
     state = EntryState(500e3, 0.0, 0.0, speed, 0.0, 0.5 * np.pi)
     slopes = jax.jacfwd(lambda s: orbit_of(planet_of(*MARS), s))(state)
     assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(slopes))
+
+
+def test_a_target_whose_apoapsis_is_below_its_periapsis_is_refused():
+    with pytest.raises(ValueError, match="is 400 km and periapsis_altitude 2000 km"):
+        OrbitTarget(400e3, 2000e3)
+    circle = OrbitTarget(400e3, 400e3)
+    scenario = find_mission("mars-aerocapture").scenario()
+    moved = dataclasses.replace(scenario, target=circle)
+    check(moved)
+    moved = replace_leaves(moved, {"target.periapsis_altitude": 401e3})
+    with pytest.raises(
+        ValueError, match="target, OrbitTarget: apoapsis_altitude is 400"
+    ):
+        check(moved)
 
 
 def test_another_gravity_has_no_orbits():

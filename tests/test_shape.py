@@ -192,6 +192,26 @@ def test_density_speed_of_sound_and_wind_are_those_of_the_geodetic_altitude():
         )
 
 
+@pytest.mark.parametrize("radius", [6371.0, 3396.19e3, 6.371e9, 6378137 * 1.11])
+def test_an_ellipsoid_of_another_planet_is_refused(radius):
+    """Or one in other units: its altitudes would be thousands of kilometres."""
+    with pytest.raises(ValueError, match="radius of 6378.14 km: altitudes would be"):
+        planet(WGS_84, radius)
+    planet(Sphere(), radius)
+    # Saturn, whose mean radius is between the others; one bar (IAU 2015).
+    planet(Ellipsoid(60268e3, (60268.0 - 54364.0) / 60268.0), 58232e3)
+
+
+def test_geodetic_coordinates_in_degrees_are_refused():
+    at = lambda *numbers: from_geodetic(planet(WGS_84), GeodeticState(*numbers))
+    with pytest.raises(ValueError, match="geodetic.latitude is 45 rad.*mean 45deg"):
+        at(120e3, 0.0, 45.0, 7500.0, -0.02, 1.0)
+    with pytest.raises(ValueError, match="geodetic.heading is 80 rad"):
+        at(120e3, 0.0, 0.5, 7500.0, -0.02, 80.0)
+    with pytest.raises(ValueError, match="geodetic.altitude is nan"):
+        at(np.nan, 0.0, 0.5, 7500.0, -0.02, 1.0)
+
+
 def test_density_over_the_altitude_alone_is_refused():
     with pytest.raises(ValueError, match=r"is an Ellipsoid.*give this planet.*Sphere"):
         planet(WGS_84).density(jnp.asarray(1e3))

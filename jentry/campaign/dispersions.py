@@ -21,10 +21,10 @@ from ..addresses import (
     unit_of,
     with_leaves,
 )
-from ..fields import Scalar
+from ..fields import Scalar, check_values
 from ..flight.duplicate_numbers import require_both
 from ..flight.effect import require_felt
-from ..flight.scenario import Scenario, check_values, require_effect
+from ..flight.scenario import Scenario, require_effect
 from .distributions import AbstractDistribution, TruncatedNormal
 
 

@@ -7,12 +7,12 @@ from rich.table import Table
 from .._printed import in_words, sentence
 from ..addresses import field_metadata, leaves_by_address, unit_of
 from ..campaign.outputs import error_of, peak_of
-from ..fields import units_of
+from ..fields import allowed, units_of
 from ..flight.effect import unfelt
 from ..flight.flight import Flight, caveat_sentence
 from ..flight.lane import Instant
 from ..flight.miss import Misses, believed_misses, misses
-from ..flight.scenario import Scenario, allowed
+from ..flight.scenario import Scenario
 from ..flight.termination import Outcome, has_end
 from ..missions.mission import Mission
 from ..motion.constraints import AbstractPathConstraint

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 import equinox as eqx
 import jax
@@ -18,7 +18,14 @@ from ..addresses import (
     unit_of,
     with_leaves,
 )
-from ..fields import QUARTER, Scalar, optional_scalar, scalar, units_of
+from ..fields import (
+    QUARTER,
+    Scalar,
+    check_values,
+    optional_scalar,
+    scalar,
+    units_of,
+)
 from ..guidance.aim import Aim, OrbitOfScenario, TargetOfScenario, is_aim, told
 from ..guidance.lateral import HeadingCorridor
 from ..guidance.law import (
@@ -409,54 +416,3 @@ def require_effect(scenario: Scenario, address: str) -> None:
             f"{type(scenario.dynamics).__name__} holds it; take other dynamics, such as "
             "dynamics=EntryDynamics()"
         )
-
-
-def check_values(address: str, values: np.ndarray, metadata: Mapping) -> None:
-    """Refuse values of the leaf at an address that cannot be flown; see `check`.
-
-    Raises `ValueError` for a value that is not finite, or that its field does not allow.
-    """
-    flat = np.ravel(values)
-    refused = flat[~np.isfinite(flat)]
-    if refused.size:
-        raise ValueError(f"{address} is {refused[0]}: it must be a finite number")
-    least, largest = metadata.get("range") or (-np.inf, np.inf)
-    # A value at a bound passes in float32 as well.
-    slack = 1e-6 * max(
-        (abs(x) for x in (least, largest) if np.isfinite(x)), default=0.0
-    )
-    refused = flat[(flat < least - slack) | (flat > largest + slack)]
-    if metadata.get("positive"):
-        refused = np.append(refused, flat[flat <= 0.0])
-    if refused.size:
-        unit = metadata.get("unit", "1")
-        words = "" if unit == "1" else f" {unit}"
-        if unit == "rad":
-            words = f" rad, {refused[0] / degree:g} deg"
-        forgotten = ""
-        if unit == "rad" and least <= refused[0] * degree <= largest:
-            forgotten = f"; did you mean {refused[0]:g}deg?"
-        raise ValueError(
-            f"{address} is {refused[0]:g}{words}: it must be {allowed(metadata)}"
-            f"{forgotten}"
-        )
-    if metadata.get("increasing") and not np.all(np.diff(flat) > 0.0):
-        raise ValueError(f"{address} must increase from each value to the next")
-
-
-def allowed(metadata: Mapping) -> str:
-    """Text for the allowed values of a field; empty if any value is allowed."""
-    if metadata.get("positive"):
-        return "greater than zero"
-    least, largest = metadata.get("range") or (-np.inf, np.inf)
-    unit = metadata.get("unit", "1")
-    if unit == "rad":
-        least, largest, unit = least / degree, largest / degree, "deg"
-    unit = "" if unit == "1" else f" {unit}"
-    if np.isinf(least) and np.isinf(largest):
-        return ""
-    if np.isinf(largest):
-        return "zero or more" if least == 0.0 else f"{least:g}{unit} or more"
-    if np.isinf(least):
-        return f"{largest:g}{unit} or less"
-    return f"between {least:g} and {largest:g}{unit}"

@@ -1,10 +1,14 @@
 """Geodetic coordinates of a state over an ellipsoid, and the state that has them."""
 
+import dataclasses
+
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 
 from .._math import sincos
-from ..fields import QUARTER, Scalar, scalar
+from ..fields import QUARTER, Scalar, check_values, scalar
 from ..world.planet import Planet
 from ..world.shape import Sphere
 from .state import EntryState
@@ -51,11 +55,18 @@ def to_geodetic(planet: Planet, state: EntryState) -> GeodeticState:
 def from_geodetic(planet: Planet, geodetic: GeodeticState) -> EntryState:
     """The state with geodetic coordinates: the inverse of `to_geodetic`.
 
+    **Raises:** `ValueError` for a number that is not finite or beyond its range, such as a
+    latitude in degrees.
+
     start = from_geodetic(
         planet,
         GeodeticState(120e3, 0.0, 0.5, 7500.0, -1.5 * degree, 80.0 * degree),
     )
     """
+    for field in dataclasses.fields(geodetic):
+        value = getattr(geodetic, field.name)
+        if not isinstance(value, Tracer):
+            check_values(f"geodetic.{field.name}", np.asarray(value), field.metadata)
     altitude, latitude = geodetic.altitude, geodetic.latitude
     if not isinstance(planet.shape, Sphere):
         radius, latitude = planet.shape.geocentric(altitude, latitude)

@@ -4,10 +4,13 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 
 from .._math import safe_arccos, safe_sqrt, sincos
 from .._printed import as_text
 from ..fields import NOT_NEGATIVE, Flag, Scalar, optional_scalar, output, scalar
+from ..units import km
 from ..world.gravity import InverseSquareGravity
 from ..world.planet import Planet
 from .state import EntryState
@@ -72,6 +75,17 @@ class OrbitTarget(eqx.Module):
     """Desired inclination; None if there is none"""
 
     __str__ = as_text
+
+    def __check_init__(self):
+        apses = self.apoapsis_altitude, self.periapsis_altitude
+        if any(isinstance(x, Tracer) or np.ndim(x) for x in apses):
+            return
+        high, low = map(float, apses)
+        if high < low:
+            raise ValueError(
+                f"apoapsis_altitude is {high / km:g} km and periapsis_altitude "
+                f"{low / km:g} km: the apoapsis must not be below the periapsis"
+            )
 
     @property
     def origin(self) -> None:

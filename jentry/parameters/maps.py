@@ -12,8 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from .._printed import quantity_in_words
-from ..fields import as_float_array
-from ..flight.scenario import check_values
+from ..fields import as_float_array, check_values
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,8 +19,9 @@ from ..addresses import (
     replace_leaves,
     with_leaves,
 )
+from ..fields import check_values
 from ..flight.duplicate_numbers import require_both
-from ..flight.scenario import Scenario, check_values, require_effect
+from ..flight.scenario import Scenario, require_effect
 from .maps import AbstractMap, Between, Ranges, map_of
 
 

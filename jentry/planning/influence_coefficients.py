@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._integrate import runge_kutta
@@ -78,7 +79,9 @@ def plan_terminal_point(
     - `start_drag`: drag above which the table starts, m/s2; the velocity must fall there.
     - `intervals`: number of intervals of the table.
 
-    **Raises:** `ValueError` for a flight under another law, and for a wind.
+    **Raises:** `ValueError` for a flight under another law, for a wind, and for a velocity
+    or a drag that the flight does not reach. In a compiled program the coefficients are
+    then NaN.
     """
     scenario = flight.scenario
     law = scenario.guidance
@@ -86,7 +89,6 @@ def plan_terminal_point(
         raise ValueError(f"the flight is under {type(law).__name__}, not a BankProfile")
     planet, vehicle, origin = scenario.planet, scenario.vehicle, scenario.initial_state
     require_still_air(planet, "a terminal-point reference")
-    end_velocity = jnp.asarray(end_velocity, float)
     angle = law.angle_of_attack
     angle = vehicle.trim_angle_of_attack if angle is None else angle
     onboard = OnboardModel(planet, vehicle)
@@ -103,7 +105,11 @@ def plan_terminal_point(
         }
 
     drags = jax.vmap(lambda s: air_data(planet, vehicle, s, angle).drag)(flight.states)
-    start = jnp.asarray(flight.states.velocity)[jnp.argmax(drags > start_drag)]
+    _, state = flight.first_above(jnp.asarray(drags), start_drag, "start_drag")
+    start = state.velocity
+    end_velocity = _below(
+        start, flight.reached(VelocityIndex(), end_velocity, "end_velocity")
+    )
     flown = flight.tabulate(quantities, VelocityIndex(), intervals, start)
     return Reference(
         VelocityIndex(),
@@ -127,23 +133,37 @@ def plan_range_over_altitude(
     - `end_velocity`: velocity at which no range is left, m/s.
     - `start_altitude`: altitude at which the table starts, m.
     - `intervals`: number of intervals of the table.
+
+    **Raises:** `ValueError` for a velocity or an altitude that the flight does not reach.
+    In a compiled program the range is then NaN.
     """
     planet, origin = flight.scenario.planet, flight.scenario.initial_state
 
     def quantities(time: Scalar, state: EntryState) -> dict[str, Scalar]:
         return {"downrange": ground_track(planet, origin, state)[0]}
 
-    end_velocity = jnp.asarray(end_velocity, float)
+    end_velocity = flight.reached(VelocityIndex(), end_velocity, "end_velocity")
     after = flight.tabulate(quantities, VelocityIndex(), 1, end_velocity)
     at_end = after.profile("downrange")(end_velocity)
 
     def to_go(time: Scalar, state: EntryState) -> dict[str, Scalar]:
         return {"range_to_go": at_end - quantities(time, state)["downrange"]}
 
-    start = jnp.asarray(start_altitude, float)
+    start = flight.reached(AltitudeIndex(), start_altitude, "start_altitude")
     return flight.tabulate(to_go, AltitudeIndex(), intervals, start).profile(
         "range_to_go"
     )
+
+
+def _below(start: Scalar, end: Scalar) -> Scalar:
+    """The velocity at the end, m/s; it must be below that at the start of the table."""
+    below = end < start
+    if not isinstance(below, Tracer) and not below:
+        raise ValueError(
+            f"end_velocity is {float(end):g} m/s: it must be below the velocity where the "
+            f"drag first exceeds start_drag, {float(start):g} m/s"
+        )
+    return jnp.where(below, end, jnp.nan)
 
 
 def _with_coefficients(

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, PyTree
 
 from .._math import derivatives_along
 from .._newton import newton, solve
+from .._printed import quantity_in_words
 from .._setup import needs_float64
 from ..fields import Scalar
 from ..flight.closed_loop import start as begin, vector_field
@@ -207,10 +208,15 @@ class ReferenceFlight(eqx.Module):
         - `quantities`: function of time and state that returns numbers by name.
         - `index`: index that is monotonic from `first_value` on.
         - `intervals`: number of intervals between `first_value` and the end.
-        - `first_value`: first value of the index; None for its value at the start.
+        - `first_value`: first value of the index, which the flight has; None for its value
+          at the start.
         - `power`: 1 for even intervals, 2 for intervals that are short at first. See
           `QuinticTable`.
+
+        **Raises:** `ValueError` for a first value that the flight does not reach.
         """
+        if intervals < 1:
+            raise ValueError(f"intervals is {intervals}: it must be 1 or more")
         start, end = self._ends(index, first_value)
         nodes = grid(start, end, intervals, power)
         exact = self._exact(quantities, index, nodes, first_value)
@@ -238,6 +244,55 @@ class ReferenceFlight(eqx.Module):
             for name, values in exact.items()
         }
 
+    def reached(self, index: AbstractIndex, value: Scalar | float, name: str) -> Scalar:
+        """A value of an index, named for the error message, that the flight must reach.
+
+        It may lie one step of the flight beyond the first and the last state. In a compiled
+        program a value that is not reached becomes NaN.
+
+        **Raises:** `ValueError` if the flight does not reach it.
+        """
+        along, value = self._along(index), jnp.asarray(value, float)
+        last = jnp.sum(jnp.isfinite(along)) - 1
+        least, largest = jnp.nanmin(along), jnp.nanmax(along)
+        step = jnp.abs(along[last] - along[jnp.maximum(last - 1, 0)])
+        known = (value >= least - step) & (value <= largest + step)
+        if not isinstance(known, Tracer) and not known:
+            ends = (quantity_in_words(x, index.unit) for x in (least, largest))
+            raise ValueError(
+                f"{name} is {quantity_in_words(value, index.unit)}: the reference flight "
+                f"has {' to '.join(ends)}; choose a value within, or fly it on"
+            )
+        return jnp.where(known, value, jnp.nan)
+
+    def first_above(
+        self, values: Float[Array, " n"], bound: Scalar | float, name: str
+    ) -> tuple[Scalar, EntryState]:
+        """Time and state where the drag, m/s2, is first above a bound.
+
+        In a compiled program they are NaN if no drag is above it.
+
+        **Arguments:**
+
+        - `values`: drag of each state.
+        - `bound`: the drag to exceed, named for the error message by `name`.
+
+        **Raises:** `ValueError` if no drag is above it.
+        """
+        above = values > bound
+        found = jnp.any(above)
+        if not isinstance(found, Tracer) and not found:
+            largest = quantity_in_words(jnp.nanmax(values), "m/s2")
+            raise ValueError(
+                f"{name} is {quantity_in_words(bound, 'm/s2')}: the largest drag of the "
+                f"reference flight is {largest}; choose a smaller one"
+            )
+        first = jnp.where(found, jnp.argmax(above), values.size)
+        return jax.tree.map(
+            lambda x: x.at[first].get(mode="fill", fill_value=jnp.nan),
+            (self.times, self.states),
+        )
+
     def _along(self, index: AbstractIndex) -> Float[Array, " n"]:
         planet = self.scenario.planet
         values = jax.vmap(lambda *point: index.value(planet, *point))
@@ -248,8 +303,9 @@ class ReferenceFlight(eqx.Module):
     ) -> tuple[Scalar, Scalar]:
         along = self._along(index)
         last = jnp.sum(jnp.isfinite(along)) - 1
-        start = along[0] if first_value is None else jnp.asarray(first_value, float)
-        return start, along[last]
+        if first_value is None:
+            return along[0], along[last]
+        return self.reached(index, first_value, "first_value"), along[last]
 
     def _exact(
         self,
@@ -342,6 +398,9 @@ def plan_drag_reference(
     With a gate (m/s2) the table starts where the drag first exceeds the gate. For a table
     over energy that starts at the entry interface, `power=2` makes its error small there;
     see `ReferenceFlight.interpolation_error`.
+
+    **Raises:** `ValueError` for a flight under another law, and for a gate that its drag
+    does not exceed.
     """
     scenario = flight.scenario
     law = scenario.guidance
@@ -355,12 +414,12 @@ def plan_drag_reference(
     def drag(state):
         return air_data(planet, vehicle, state, angle).drag
 
+    if not gate >= 0.0:
+        raise ValueError(f"gate is {gate} m/s2: it must be zero or more")
     first_value = None
     if gate > 0.0:
         drags = jax.vmap(drag)(flight.states)
-        first = jnp.argmax(drags > gate)
-        state = jax.tree.map(lambda x: x[first], flight.states)
-        first_value = index.value(planet, flight.times[first], state)
+        first_value = index.value(planet, *flight.first_above(drags, gate, "gate"))
 
     def quantities(time, state):
         return {"drag": drag(state)}

@@ -3,13 +3,20 @@
 import dataclasses
 
 import equinox as eqx
+import numpy as np
+from jax.core import Tracer
 
 from .._printed import as_text
 from ..fields import Scalar, scalar
+from ..units import km
 from .atmosphere import AbstractAtmosphere
 from .gravity import AbstractGravity
 from .shape import Ellipsoid, GeodeticAtmosphere, GeodeticWind, Sphere
 from .wind import AbstractWind, StillAir
+
+
+_NEAR = 0.1
+"""Largest distance of the sphere from the ellipsoid, as a share of its radii"""
 
 
 class Planet(eqx.Module):
@@ -35,9 +42,24 @@ class Planet(eqx.Module):
     """Power of the velocity in the heat rate. If it is not 3, the unit of the coefficient
     changes accordingly"""
     shape: Sphere | Ellipsoid = eqx.field(default_factory=Sphere, kw_only=True)
-    """Surface from which the atmosphere is counted"""
+    """Surface from which the atmosphere is counted. The radius of the sphere must be within
+    a tenth of the radii of an ellipsoid"""
 
     __str__ = as_text
+
+    def __check_init__(self):
+        if isinstance(self.shape, Sphere):
+            return
+        radii = self.radius, self.shape.polar_radius, self.shape.equatorial_radius
+        if any(isinstance(x, Tracer) or np.ndim(x) for x in radii):
+            return
+        radius, polar, equatorial = map(float, radii)
+        if not (1.0 - _NEAR) * polar <= radius <= (1.0 + _NEAR) * equatorial:
+            raise ValueError(
+                f"radius is {radius / km:g} km and shape an Ellipsoid with an equatorial "
+                f"radius of {equatorial / km:g} km: altitudes would be counted from two "
+                "different planets; give both, in metres, those of one planet"
+            )
 
     def above(self, longitude: Scalar, latitude: Scalar) -> "Planet":
         """The planet with the atmosphere and the wind above a place (rad) everywhere.
