@@ -63,6 +63,9 @@ def _sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
 def sincos(angle: Scalar) -> tuple[Scalar, Scalar]:
     """Sine and cosine together, to 2e-15 for angles within a few thousand radians.
 
+    This holds where the compiler fuses a product and a sum into one operation, as XLA does
+    for processors that have it. Elsewhere the error is that of rounding the angle once:
+    6e-14 at a thousand radians.
     They take a tenth of the time of `jnp.sin` and `jnp.cos` in double precision on a CPU,
     which would take most of the time of the equations of motion. The derivative costs two
     products.

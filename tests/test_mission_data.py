@@ -1,14 +1,16 @@
 """Missions as TOML files, which other programs read."""
 
+import dataclasses
 import tomllib
 
 import numpy as np
 import pytest
 
 from jentry.addresses import leaves_by_address, unit_of
+from jentry.flight import Scenario
 from jentry.missions import ALL, find_mission
 from jentry.missions.choice import Choice
-from jentry.missions.data_file import PARTS, write_mission_data
+from jentry.missions.data_file import PARTS, mission_data, write_mission_data
 
 
 def written(tmp_path, mission, *choice):
@@ -48,6 +50,24 @@ def test_a_file_has_values_units_and_kinds_without_the_law(tmp_path):
     assert ends["altitude"]["kind"] == "AltitudeBelow"
     assert ends["altitude"]["outcome"] == "reached"
     assert "guidance" not in contents
+
+
+def test_a_file_has_all_of_a_scenario_but_the_law(tmp_path):
+    """What only concerns the computation and its outputs is no data either."""
+    outputs = {"located_peaks", "values_at_end", "step"}
+    fields = {field.name for field in dataclasses.fields(Scenario)}
+    assert set(PARTS) == fields - outputs - {"guidance"}
+    mission = find_mission("mars-drag-tracking")
+    scenario = dataclasses.replace(mission.scenario(), angle_of_attack_error=0.01)
+    path = tmp_path / "data.toml"
+    write_mission_data(path, mission, scenario=scenario)
+    contents = tomllib.loads(path.read_text())
+    # It flies in the plane of the equator, and not in three dimensions.
+    assert contents["dynamics"]["kind"] == "EquatorialDynamics"
+    assert "equator" in contents["dynamics"]["about"]
+    assert contents["angle_of_attack_error"] == 0.01
+    assert contents["units"] == {"angle_of_attack_error": "rad"}
+    assert "units" not in mission_data(mission)
 
 
 def test_dispersions_say_what_they_change(tmp_path):

@@ -29,7 +29,9 @@ PARTS = (
     "termination",
     "constraints",
     "attitude",
+    "dynamics",
     "accelerometers",
+    "angle_of_attack_error",
     "flow_sensors",
     "navigation",
 )
@@ -82,6 +84,11 @@ def mission_data(
         "written_by": f"jentry {version('jentry')}",
     }
     parts = {part: _described(getattr(scenario, part)) for part in PARTS}
+    units = {
+        name: unit
+        for name, unit in units_of(Scenario).items()
+        if parts.get(name) is not None
+    }
     tables, left_out = {}, {}
     for name in mission.dispersions:
         try:
@@ -91,7 +98,8 @@ def mission_data(
             }
         except (ValueError, AttributeError) as error:  # for another law or world
             left_out[name] = str(error)
-    found = named | parts | {"dispersions": tables, "dispersions_left_out": left_out}
+    found = named | {"units": units} | parts
+    found |= {"dispersions": tables, "dispersions_left_out": left_out}
     return {name: x for name, x in found.items() if x not in (None, "", [], {})}
 
 
