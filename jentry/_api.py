@@ -131,6 +131,7 @@ from .motion import (
     Response as Response,
     SecondOrderAttitude as SecondOrderAttitude,
     TimeIndex as TimeIndex,
+    VectorDynamics as VectorDynamics,
     VelocityIndex as VelocityIndex,
     energy as energy,
     from_geodetic as from_geodetic,

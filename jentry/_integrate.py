@@ -47,12 +47,20 @@ def runge_kutta_step(slope: Slope, x: Scalar, y: Y, step: Scalar | float) -> Y:
 
 
 def runge_kutta(
-    slope: Slope, start: Scalar | float, end: Scalar | float, y: Y, steps: int
+    slope: Slope,
+    start: Scalar | float,
+    end: Scalar | float,
+    y: Y,
+    steps: int,
+    after: Callable[[Y], Y] = lambda y: y,
 ) -> Y:
-    """y at the end, integrated from the start in a number of equal steps."""
+    """y at the end, integrated from the start in a number of equal steps.
+
+    `after` is applied to y after each step.
+    """
     step = (end - start) / steps
 
     def advance(y, index):
-        return runge_kutta_step(slope, start + step * index, y, step), None
+        return after(runge_kutta_step(slope, start + step * index, y, step)), None
 
     return lax.scan(advance, y, jnp.arange(steps, dtype=float))[0]

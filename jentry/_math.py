@@ -170,6 +170,25 @@ def safe_sqrt(x: Scalar) -> Scalar:
     return jnp.where(positive, jnp.sqrt(jnp.where(positive, x, 1.0)), 0.0)
 
 
+@jax.custom_jvp
+def root(x: Scalar) -> Scalar:
+    """Square root, whose derivative at zero is zero; NaN where x is negative.
+
+    It is the length of a vector whose square is x. In a program that is not differentiated
+    it is `jnp.sqrt` itself.
+    """
+    return jnp.sqrt(x)
+
+
+@root.defjvp
+def _root_jvp(primals, tangents):
+    (x,), (rate,) = primals, tangents
+    value = root(x)
+    zero = value == 0.0
+    slope = jnp.where(zero, 0.0, 0.5 / jnp.where(zero, 1.0, value))
+    return value, slope * rate
+
+
 def safe_arccos(x: Scalar) -> Scalar:
     """Arc cosine of x clipped to [-1, 1], with derivative zero outside; NaN for NaN."""
     inside = jnp.abs(x) < 1.0

@@ -79,7 +79,8 @@ def acceleration(
     distance = norm(position)
     over_air = velocity - np.tensordot(wind, np.array(local_axes(position)), 1)
     airspeed = norm(over_air)
-    ahead, up = over_air / airspeed, position / distance
+    # At rest in the air there is no force, in no direction.
+    ahead, up = over_air / np.maximum(airspeed, 1e-300), position / distance
     right = cross(ahead, up)
     force = -drag(airspeed) * ahead
     if lift is not None:

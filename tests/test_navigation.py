@@ -312,7 +312,7 @@ def test_a_law_knows_no_position_and_velocity_but_those_that_are_believed(name):
 
     def guided(state):
         lane = start(scenario, 1.0)
-        moving = dataclasses.replace(lane.moving, state=state)
+        moving = dataclasses.replace(lane.moving, motion=state)
         after = decide(scenario, dataclasses.replace(lane, moving=moving), None)
         told = command(scenario, lane.flown, after.moving, after.held)
         return told, after.moving.memory, after.held

@@ -25,6 +25,7 @@ from ..flight.sensing import command, sense
 from ..flight.solver import AbstractSolver
 from ..flight.termination import Outcome, has_end
 from ..guidance.law import AbstractSampledLaw, Tracked
+from ..motion.dynamics import require_angles
 from ..motion.index import AbstractIndex
 from ..motion.state import Controls
 from ..onboard.measurement import measure
@@ -61,6 +62,11 @@ def fly_points(
     """Fly a scenario and store points of the flight; see `linearize` for its errors."""
     if points < 1:
         raise ValueError(f"points is {points}: it must be 1 or more")
+    require_angles(
+        scenario.dynamics,
+        scenario.initial_state,
+        "the coordinates of a linearization are altitude, velocity and angles",
+    )
     navigation = scenario.navigation
     if isinstance(navigation, InertialNavigation) and navigation.filter is not None:
         raise ValueError(
@@ -140,7 +146,7 @@ def _flat(lane: Lane) -> Vector:
 def _coordinates(lanes: Lane) -> tuple[str, ...]:
     """Names of the numbers of stacked lanes, in the order of `_flat`."""
     _, moving, held = _carried(lanes)
-    named = {a.removeprefix("state."): x for a, x in leaves_by_address(moving).items()}
+    named = {a.removeprefix("motion."): x for a, x in leaves_by_address(moving).items()}
     named |= {f"held.{a}".rstrip("."): x for a, x in leaves_by_address(held).items()}
     found = ["time"]
     for name, leaf in named.items():

@@ -16,7 +16,6 @@ from .._printed import in_words
 from .._setup import needs_float64
 from ..addresses import (
     addresses_of,
-    field_metadata,
     leaves_by_address,
     replace_leaves,
     require_address,
@@ -26,7 +25,7 @@ from ..flight.cycle import Plan
 from ..flight.duplicate_numbers import require_both
 from ..flight.flight import Flight, fly, warn_of
 from ..flight.miss import Misses, believed_misses, misses, navigation_errors
-from ..flight.scenario import Scenario, checked, require_effect
+from ..flight.scenario import Scenario, checked, metadata_in, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
 from ..world.perturbed_atmosphere import without_zero_perturbations
@@ -322,7 +321,7 @@ def _check_runs(
     source: str,
 ) -> None:
     """Refuse values of a leaf, one per run, and name the first run with a wrong value."""
-    metadata = field_metadata(scenario, address)
+    metadata = metadata_in(scenario, address)
     whole = not jnp.issubdtype(leaf.dtype, jnp.inexact)
 
     def refused(few: np.ndarray) -> str | None:

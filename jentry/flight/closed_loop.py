@@ -49,7 +49,9 @@ def start(scenario: Scenario, step: float) -> Lane:
     first, _ = commanded(scenario.law, flown, measurement, memory, held)
     integrals = {n: jnp.zeros_like(flown) for n in integrals_of(scenario.constraints)}
     attitude = scenario.attitude.init(first)
-    moving = Moving(state, attitude, memory, integrals, navigated=known.navigated)
+    moving = Moving(
+        known.motion, attitude, memory, integrals, navigated=known.navigated
+    )
     point = path_point(scenario, flown, moving, held)
     aiding = scenario.navigation.begin(
         _actual(scenario, moving, point.controls), moving.navigated
@@ -161,7 +163,7 @@ def vector_field(scenario: Scenario, held: Any, aiding: Any = None):
             wish, off = wish.unless(off > 0.0), None
         controls = attitude.flown(moving.attitude, wish)
         planet, vehicle = scenario.planet, scenario.vehicle
-        rate = dynamics.rates(planet, vehicle, moving.state, controls)
+        rate = dynamics.motion_rates(planet, vehicle, moving.motion, controls)
         integrands = _integrands(scenario, moving, controls)
         turning = attitude.rate(moving.attitude, wish)
         navigated = _navigating(scenario, moving, controls, aiding)

@@ -236,6 +236,7 @@ def _fixed_cycle(
     def step(lane: Lane, _: None) -> tuple[Lane, None]:
         bracket = lane.bracket
         moving = solver.advance(field, lane.flown, bracket.trial, lane.moving)
+        moving = moving.renewed()
         flown = lane.flown + bracket.trial
         seen, refused = noted(scenario, lane, flown, moving)
 
@@ -341,7 +342,7 @@ def _adaptive_cycle(
     )
     assert solution.ts is not None
     after = solution.ts[0]
-    moving = jax.tree.map(lambda x: x[0], solution.ys)
+    moving = jax.tree.map(lambda x: x[0], solution.ys).renewed()
     done = solution.event_mask | (after >= scenario.termination.time_limit)
     good = (solution.result == diffrax.RESULTS.successful) | (
         solution.result == diffrax.RESULTS.event_occurred

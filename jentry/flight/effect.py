@@ -113,7 +113,8 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
     sampled_at = time if isinstance(scenario.law, AbstractSampledLaw) else None
     controls = Controls(0.1, 0.8, 0.6)
     integrals = {n: time for n in integrals_of(scenario.constraints)}
-    moving = Moving(state, None, None, integrals)
+    motion = scenario.dynamics.integrated(state)
+    moving = Moving(motion, None, None, integrals)
     sensors, angle = scenario.accelerometers, controls.angle_of_attack
     sensed = measure(
         planet,
@@ -126,7 +127,7 @@ def _motion_and_sensors(scenario: Scenario) -> Any:
     )
     return (
         state,
-        scenario.dynamics.rates(planet, vehicle, state, controls),
+        scenario.dynamics.motion_rates(planet, vehicle, motion, controls),
         constrained(scenario, moving, controls),
         scenario.termination.margins(time, state, state, planet),
         sensed.lift,

@@ -55,6 +55,10 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
     now = lane.state, lane.moving.believed, planet
     counting = conditions.counting(lane.flown, *now)
 
+    def margins_at(time, motion, navigated):
+        moving = dataclasses.replace(lane.moving, motion=motion, navigated=navigated)
+        return conditions.margins(time, moving.state, moving.believed, planet)
+
     def land(landing, _):
         """One Runge-Kutta step; its length follows from its first stage."""
         flown, start, ended_by, met = landing
@@ -68,11 +72,9 @@ def end_of_flight(scenario: Scenario, lane: Lane) -> End:
             slope = field(flown + length, y)
 
             margins, closing = jax.jvp(
-                lambda t, state, believed: conditions.margins(
-                    t, state, believed, planet
-                ),
-                (flown, start.state, start.believed),
-                (jnp.ones_like(flown), slope.state, slope.believed),
+                margins_at,
+                (flown, start.motion, start.navigated),
+                (jnp.ones_like(flown), slope.motion, slope.navigated),
             )
             seconds_left = jnp.where(margins <= 0.0, 0.0, jnp.abs(margins / closing))
             if counting is not None:

@@ -251,18 +251,18 @@ def _observe(scenario: Scenario, lane: Lane) -> History:
 def _observed(scenario: Scenario, lane: Lane) -> History:
     # Entries after the end are not states of a flight: evaluate the start in their place.
     flying, first = lane.on_schedule, first_moving(scenario)
-    state, navigated = select(
+    motion, navigated = select(
         flying,
-        (lane.state, lane.moving.navigated),
-        (first.state, first.navigated),
+        (lane.moving.motion, lane.moving.navigated),
+        (first.motion, first.navigated),
     )
-    moving = dataclasses.replace(lane.moving, state=state, navigated=navigated)
+    moving = dataclasses.replace(lane.moving, motion=motion, navigated=navigated)
     lane = dataclasses.replace(lane, moving=moving)
     wish, _ = command(scenario, lane.flown, lane.moving, lane.held)
     controls = scenario.attitude.flown(lane.moving.attitude, wish)
     seen = History(
         time=jnp.asarray(lane.flown),
-        states=state,
+        states=moving.state,
         controls=controls,
         commands=None if controls is wish else wish,
         constraints=constrained(scenario, lane.moving, controls),

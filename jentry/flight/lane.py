@@ -1,5 +1,6 @@
 """A flight in progress: all that the loop carries from one step to the next."""
 
+import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,6 +12,7 @@ from ..motion.constraints import (
     ConstraintValues,
 )
 from ..motion.state import EntryState
+from ..motion.vectors import VectorState
 from ..onboard.inertial import Navigated
 from ..world.tabulated import Excursion
 
@@ -33,7 +35,8 @@ class Bracket(eqx.Module):
 class Moving(eqx.Module):
     """Integrated quantities of a flight, or their time derivatives."""
 
-    state: EntryState
+    motion: EntryState | VectorState
+    """Position and velocity, in the coordinates that the dynamics integrates"""
     attitude: Any
     """State of the attitude; None if the vehicle follows commands at once"""
     memory: Any
@@ -46,6 +49,18 @@ class Moving(eqx.Module):
     this costs less, and stops the flight"""
     navigated: Navigated | None = None
     """State of the navigation; None if it is perfect"""
+
+    @property
+    def state(self) -> EntryState:
+        """Position and velocity as all but the dynamics read them."""
+        motion = self.motion
+        return motion if isinstance(motion, EntryState) else motion.entry_state
+
+    def renewed(self) -> "Moving":
+        """These quantities after a step: see `VectorState.renewed`."""
+        if isinstance(self.motion, EntryState):
+            return self
+        return dataclasses.replace(self, motion=self.motion.renewed())
 
     @property
     def believed(self) -> EntryState:

@@ -74,5 +74,8 @@ def fly_over(
         forwards = rates[0] * (end - first) > 0.0
         return jax.tree.map(lambda x: jnp.where(forwards, x, jnp.nan), rates)
 
-    time, moving = runge_kutta(slope, first, end, begin, steps)
+    def renewed(point: tuple[Scalar, Moving]) -> tuple[Scalar, Moving]:
+        return point[0], point[1].renewed()
+
+    time, moving = runge_kutta(slope, first, end, begin, steps, renewed)
     return IndexedEnd(time, moving.state, moving.memory)

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ from ..addresses import (
     with_leaves,
 )
 from ..fields import (
+    NOT_NEGATIVE,
     QUARTER,
     Scalar,
     check_values,
@@ -43,6 +44,7 @@ from ..motion.constraints import (
 from ..motion.dynamics import AbstractDynamics, EntryDynamics
 from ..motion.orbit import OrbitTarget
 from ..motion.quantities import from_ground_track, ground_track
+from ..motion.singularities import at_rest
 from ..motion.state import EntryState
 from ..onboard.flow_sensing import FlowSensors
 from ..onboard.measurement import (
@@ -204,8 +206,19 @@ def check(scenario: Scenario) -> None:
                 "which comes first, or with dtype=float32"
             )
         if not isinstance(leaf, Tracer):
-            check_values(address, np.asarray(leaf), field_metadata(scenario, address))
+            _check_leaf(scenario, address, np.asarray(leaf))
     _check_parts(scenario)
+
+
+def _check_leaf(scenario: Scenario, address: str, value: np.ndarray) -> None:
+    try:
+        check_values(address, value, metadata_in(scenario, address))
+    except ValueError as error:
+        if address != "initial_state.velocity" or np.any(value != 0.0):
+            raise
+        raise ValueError(
+            f"{error}; to start at rest take dynamics=VectorDynamics()"
+        ) from None
 
 
 def _check_parts(scenario: Scenario) -> None:
@@ -416,3 +429,15 @@ def require_effect(scenario: Scenario, address: str) -> None:
             f"{type(scenario.dynamics).__name__} holds it; take other dynamics, such as "
             "dynamics=EntryDynamics()"
         )
+
+
+def metadata_in(scenario: Scenario, address: str) -> Mapping:
+    """Metadata of the leaf at an address, with the values that this scenario can fly.
+
+    A flight may start at rest if its equations of motion are not singular there.
+    """
+    metadata = field_metadata(scenario, address)
+    singular_at_rest = at_rest in scenario.dynamics.singular_points
+    if address != "initial_state.velocity" or singular_at_rest:
+        return metadata
+    return {**metadata, "positive": False, "range": NOT_NEGATIVE}

@@ -133,7 +133,8 @@ def first_moving(scenario: Scenario) -> Moving:
     """State and navigation at the start, before there is a command."""
     state = scenario.initial_state
     navigated = scenario.navigation.start(scenario.planet, state)
-    return Moving(state, None, None, navigated=navigated)
+    motion = scenario.dynamics.integrated(state)
+    return Moving(motion, None, None, navigated=navigated)
 
 
 @eqx.filter_jit

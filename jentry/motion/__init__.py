@@ -36,6 +36,7 @@ from .dynamics import (
     AbstractDynamics as AbstractDynamics,
     EntryDynamics as EntryDynamics,
     EquatorialDynamics as EquatorialDynamics,
+    VectorDynamics as VectorDynamics,
     entry_dynamics as entry_dynamics,
     equatorial_dynamics as equatorial_dynamics,
     with_respect_to as with_respect_to,
@@ -72,3 +73,4 @@ from .quantities import (
     load_factor as load_factor,
 )
 from .state import Controls as Controls, EntryState as EntryState
+from .vectors import VectorState as VectorState, vector_rates as vector_rates

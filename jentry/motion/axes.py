@@ -1,5 +1,7 @@
 """Axes in which vectors are resolved: of a velocity, of a place, and of the planet."""
 
+import functools
+import operator
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -85,6 +87,24 @@ class LocalAxes(NamedTuple):
             z * self.cos_latitude - outward * self.sin_latitude,
             z * self.sin_latitude + outward * self.cos_latitude,
         )
+
+
+def dot(a: Components, b: Components) -> Scalar:
+    """Scalar product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def scaled(factor: Scalar, a: Components) -> Components:
+    """A vector times a number."""
+    return factor * a[0], factor * a[1], factor * a[2]
+
+
+def total(*vectors: Components) -> Components:
+    """Sum of vectors."""
+    x, y, z = (
+        functools.reduce(operator.add, each) for each in zip(*vectors, strict=True)
+    )
+    return x, y, z
 
 
 def cross(a: Components, b: Components) -> Components:

@@ -3,7 +3,7 @@
 import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
 import jax
@@ -23,7 +23,12 @@ from .singularities import (
     step_is_too_long,
 )
 from .state import Controls, EntryState
+from .vectors import VectorState, vector_rates
 
+
+Motion = EntryState | VectorState
+"""Position and velocity in the coordinates in which a flight integrates them, or their time
+derivative"""
 
 Y = TypeVar("Y", bound=PyTree)
 
@@ -52,6 +57,16 @@ class AbstractDynamics(eqx.Module):
     ) -> EntryState:
         """Time derivative of the state."""
 
+    def integrated(self, state: EntryState) -> Motion:
+        """What a flight integrates, in a state: the state itself by default."""
+        return state
+
+    def motion_rates(
+        self, planet: Planet, vehicle: Vehicle, motion: Any, controls: Controls
+    ) -> Motion:
+        """Time derivative of what a flight integrates: `rates` by default."""
+        return self.rates(planet, vehicle, motion, controls)
+
     @property
     def has_crossrange(self) -> bool:
         """Whether a flight can leave the great circle on which it starts."""
@@ -74,6 +89,37 @@ class EntryDynamics(AbstractDynamics):
         self, planet: Planet, vehicle: Vehicle, state: EntryState, controls: Controls
     ) -> EntryState:
         return entry_dynamics(planet, vehicle, state, controls)
+
+
+class VectorDynamics(AbstractDynamics):
+    """Three-dimensional entry over a rotating planet, without singular points.
+
+    The motion is that of `EntryDynamics`, integrated as vectors of position and velocity:
+    see `vector_rates`. A flight may pass over a pole, through the vertical and through
+    rest, and may start there. Laws, ends, constraints and results read an `EntryState`,
+    which is computed from the vectors. A flight takes longer than with `EntryDynamics`.
+
+    At a pole the longitude, and in the vertical the heading, are those of the step before.
+    A wind towards east or north has no direction at a pole, and jumps there.
+    """
+
+    singular_points = ()
+
+    def rates(
+        self, planet: Planet, vehicle: Vehicle, state: EntryState, controls: Controls
+    ) -> EntryState:
+        motion = VectorState.of(state)
+        rates = vector_rates(planet, vehicle, motion, controls)
+        _, rate = jax.jvp(lambda m: m.entry_state, (motion,), (rates,))
+        return rate
+
+    def integrated(self, state: EntryState) -> Motion:
+        return VectorState.of(state)
+
+    def motion_rates(
+        self, planet: Planet, vehicle: Vehicle, motion: Any, controls: Controls
+    ) -> Motion:
+        return vector_rates(planet, vehicle, motion, controls)
 
 
 class EquatorialDynamics(AbstractDynamics):
@@ -195,6 +241,18 @@ def equatorial_dynamics(
         + ground_rate,
         heading=none,
     )
+
+
+def require_angles(dynamics: AbstractDynamics, state: EntryState, what: str) -> None:
+    """Refuse dynamics that integrate something else than an `EntryState`.
+
+    `what` says what is done with the angles, for the message of the `ValueError`.
+    """
+    if not isinstance(dynamics.integrated(state), EntryState):
+        raise ValueError(
+            f"dynamics is {type(dynamics).__name__}, and {what}: take "
+            "dynamics=EntryDynamics()"
+        )
 
 
 def with_respect_to(

@@ -1,9 +1,8 @@
 """Aerodynamic forces on the vehicle."""
 
 import equinox as eqx
-import jax.numpy as jnp
 
-from .._math import sincos
+from .._math import root, sincos
 from ..fields import Scalar
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
@@ -55,16 +54,25 @@ def speed_over_air(wind: AbstractWind, state: EntryState) -> Scalar:
     if isinstance(wind, StillAir):
         return state.velocity
     east, north, up = velocity_over_air(wind, state)
-    return jnp.sqrt(east * east + north * north + up * up)
+    return root(east * east + north * north + up * up)
 
 
 def air_data(
-    planet: Planet, vehicle: Vehicle, state: EntryState, angle_of_attack: Scalar
+    planet: Planet,
+    vehicle: Vehicle,
+    state: EntryState,
+    angle_of_attack: Scalar,
+    airspeed: Scalar | None = None,
 ) -> AirData:
-    """Flow and specific forces at an angle of attack (rad)."""
+    """Flow and specific forces at an angle of attack (rad).
+
+    `airspeed` is the speed relative to the air, m/s, if it is known already; None for that
+    of the state.
+    """
     here = planet.above(state.longitude, state.latitude)
     density = here.density(state.altitude)
-    airspeed = speed_over_air(wind_at(planet, state), state)
+    if airspeed is None:
+        airspeed = speed_over_air(wind_at(planet, state), state)
     mach = airspeed / here.atmosphere.speed_of_sound(state.altitude)
     dynamic_pressure = 0.5 * density * airspeed * airspeed
     lift, drag = vehicle.coefficients(angle_of_attack, mach, airspeed)

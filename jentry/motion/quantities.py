@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 
 from .._interpolation import clamp
-from .._math import sincos
+from .._math import root, sincos
 from ..fields import Scalar
 from ..units import standard_gravity
 from ..world.planet import Planet
@@ -21,7 +21,7 @@ def energy(planet: Planet, state: EntryState) -> Scalar:
 
 def load_factor(air: AirData) -> Scalar:
     """Total aerodynamic acceleration in units of 9.80665 m/s2."""
-    return jnp.sqrt(air.lift * air.lift + air.drag * air.drag) / standard_gravity
+    return root(air.lift * air.lift + air.drag * air.drag) / standard_gravity
 
 
 def convective_heat_rate(

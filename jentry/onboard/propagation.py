@@ -14,7 +14,12 @@ from .._batching import side_by_side, where_due
 from .._integrate import runge_kutta, runge_kutta_step
 from .._newton import by_jvp, newton
 from ..fields import Count, Flag, Scalar
-from ..motion.dynamics import AbstractDynamics, EntryDynamics, with_respect_to
+from ..motion.dynamics import (
+    AbstractDynamics,
+    EntryDynamics,
+    require_angles,
+    with_respect_to,
+)
 from ..motion.state import Controls, EntryState
 from .estimation import AbstractFactors, Factors
 from .model import OnboardModel
@@ -125,13 +130,14 @@ def propagate(
     - `step`: s.
     - `steps`: largest number of steps; rounded up to a multiple of eight.
     - `factors`: factors on the lift and the drag of the model; none by default.
-    - `dynamics`: equations of motion, such as those of the scenario.
+    - `dynamics`: equations of motion that integrate altitude and angles.
     - `integrand`: further quantities to integrate over the time, from zero.
 
-    **Raises:** `ValueError` without an end, or for a step or a number of steps that is
-    not positive.
+    **Raises:** `ValueError` without an end, for a step or a number of steps that is not
+    positive, and for `VectorDynamics`.
     """
     _require_steps(steps)
+    require_angles(dynamics, state, "a prediction integrates altitude and angles")
     if not ends:
         raise ValueError("ends is empty: a prediction needs an end to go to")
     if isinstance(step, int | float) and not 0.0 < step < math.inf:
@@ -238,9 +244,11 @@ def propagate_over(
     - `end`: value of the index at the end.
     - `steps`: number of steps.
 
-    **Raises:** `ValueError` for a number of steps that is not positive.
+    **Raises:** `ValueError` for a number of steps that is not positive, and for
+    `VectorDynamics`.
     """
     _require_steps(steps)
+    require_angles(dynamics, state, "a prediction integrates altitude and angles")
     flow = _flow(model, command, factors, dynamics, integrand)
     over = with_respect_to(flow, lambda moving: index(moving.state))
     start = _start(state, lambda _: command, integrand)

@@ -1,5 +1,6 @@
 """Plans a reference: solves a bank profile for its end point, and tabulates its flight."""
 
+import dataclasses
 from collections.abc import Callable, Mapping
 
 import equinox as eqx
@@ -320,9 +321,19 @@ class ReferenceFlight(eqx.Module):
         field = vector_field(self.scenario, None)
         memory = no_memory(self.scenario, self.interval)
 
+        def integrated(state):
+            return Moving(self.scenario.dynamics.integrated(state), None, memory)
+
         def flow(point):
             time, state = point
-            return jnp.ones_like(time), field(time, Moving(state, None, memory)).state
+            moving = integrated(state)
+            rates = field(time, moving)
+            _, rate = jax.jvp(
+                lambda motion: dataclasses.replace(moving, motion=motion).state,
+                (moving.motion,),
+                (rates.motion,),
+            )
+            return jnp.ones_like(time), rate
 
         def index_at(point):
             return index.value(planet, *point)
@@ -331,7 +342,7 @@ class ReferenceFlight(eqx.Module):
 
         def after(point, duration):
             time, state = point
-            moving = solver.advance(field, time, duration, Moving(state, None, memory))
+            moving = solver.advance(field, time, duration, integrated(state))
             return time + duration, moving.state
 
         along = self._along(index)
