@@ -94,7 +94,7 @@ def dot(a: Components, b: Components) -> Scalar:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def scaled(factor: Scalar, a: Components) -> Components:
+def scaled(factor: Scalar | float, a: Components) -> Components:
     """A vector times a number."""
     return factor * a[0], factor * a[1], factor * a[2]
 
