@@ -6,13 +6,29 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from helpers import mars_planet, mars_vehicle, truths
+from external_cases import NOWHERE
+from helpers import ConstantBank, fly_compiled, mars_planet, mars_vehicle, truths
 from jax.flatten_util import ravel_pytree
 from scipy.integrate import solve_ivp
 
-from jentry.motion import Controls, EntryState, energy, entry_dynamics, with_respect_to
+from jentry.flight import FixedStep, Scenario, Termination
+from jentry.motion import (
+    Controls,
+    EntryState,
+    VectorDynamics,
+    energy,
+    entry_dynamics,
+    with_respect_to,
+)
 from jentry.units import degree, foot, km, slug
-from jentry.world import ConstantWind, USStandardAtmosphere1976
+from jentry.world import (
+    ConstantAerodynamics,
+    ConstantWind,
+    InverseSquareGravity,
+    Planet,
+    USStandardAtmosphere1976,
+    Vehicle,
+)
 
 
 WIND = (60.0, -35.0, 4.0)
@@ -71,42 +87,32 @@ def test_dynamics_equal_those_of_vectors(rotation_rate, wind, key):
 
 
 def drop_of_a_sphere(rotation_rate):
-    """NESC case 4 or 5 with the twin: the state after 30 s, in feet.
-
-    Vertical fall from rest is a singular point of speed and angles, so that the entry
-    dynamics cannot fly it: the twin does, over the package's atmosphere.
-    """
-    radius, mass, area = 20902255.199 * foot, 1.0 * slug, 0.1963495 * foot**2
-    density = jax.jit(USStandardAtmosphere1976().density)
-
-    def rate(time, y):
-        position, velocity = y[:3], y[3:]
-        altitude = np.linalg.norm(position) - radius
-        factor = 0.5 * float(density(altitude)) * area * 0.1 / mass
-        # At rest there is no direction of flight, and no drag either.
-        moving = velocity if np.any(velocity) else np.array([-1e-30, 0.0, 0.0])
-        change = cartesian.acceleration(
-            position,
-            moving,
-            gravitational_parameter=14076443110000000 * foot**3,
-            rotation_rate=rotation_rate,
-            wind=(0.0, 0.0, 0.0),
-            drag=lambda airspeed: factor * airspeed**2,
-            lift=None,
-            bank_angle=0.0,
-        )
-        return np.concatenate([velocity, change])
-
-    start = np.array([radius + 30_000 * foot, 0.0, 0.0, 0.0, 0.0, 0.0])
-    end = solve_ivp(rate, (0.0, 30.0), start, method="DOP853", rtol=1e-10, atol=1e-9).y[
-        :, -1
-    ]
-    east, _, up = cartesian.local_axes(end[:3])
+    """NESC case 4 or 5: the state after 30 s, in feet."""
+    area = 0.1963495 * foot**2
+    vehicle = Vehicle(1.0 * slug, area, aerodynamics=ConstantAerodynamics(0.0, 0.1))
+    planet = Planet(
+        20902255.199 * foot,
+        gravity=InverseSquareGravity(14076443110000000 * foot**3),
+        atmosphere=USStandardAtmosphere1976(),
+        rotation_rate=rotation_rate,
+    )
+    scenario = Scenario(
+        planet,
+        vehicle,
+        EntryState(30_000 * foot, 0.0, 0.0, 0.0, -90 * degree, 90 * degree),
+        ConstantBank(),
+        Termination({}, 30.0),
+        NOWHERE,
+        dynamics=VectorDynamics(),
+    )
+    # RK4 with 0.1 s on a fall whose drag changes within some 10 s.
+    end = fly_compiled(scenario, FixedStep(0.1)).state
+    level = end.velocity * np.cos(end.flight_path_angle)
     return {
-        "altitude_ft": (np.linalg.norm(end[:3]) - radius) / foot,
-        "longitude_deg": np.arctan2(end[1], end[0]) / degree,
-        "east_ft_s": end[3:] @ east / foot,
-        "down_ft_s": -(end[3:] @ up) / foot,
+        "altitude_ft": end.altitude / foot,
+        "longitude_deg": end.longitude / degree,
+        "east_ft_s": level * np.sin(end.heading) / foot,
+        "down_ft_s": -end.velocity * np.sin(end.flight_path_angle) / foot,
     }
 
 
