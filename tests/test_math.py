@@ -10,6 +10,7 @@ from jentry._math import (
     arcsin,
     derivatives_along,
     horner,
+    root,
     safe_arccos,
     safe_sqrt,
     sincos,
@@ -132,3 +133,22 @@ def test_derivatives_along_a_flow():
     np.testing.assert_allclose(y, sine, rtol=1e-15)
     np.testing.assert_allclose(first, cosine * rate, rtol=1e-15)
     np.testing.assert_allclose(second, -sine * rate**2 - cosine * sine, rtol=1e-15)
+
+
+def test_root_of_zero_has_no_slope_in_any_mode():
+    """Also in a loop, where reverse mode linearizes what is already linearized."""
+
+    def looped(x):
+        body = lambda y, _: (root(y * y) + y**3, None)
+        return jax.lax.scan(body, x, None, length=2)[0]
+
+    modes = jax.jacfwd, jax.jacrev
+    for function in (lambda x: root(x * x) + x**3, looped):
+        for first in modes:
+            assert jax.jit(first(function))(0.0) == 0.0
+            for second in modes:
+                assert jax.jit(second(first(function)))(0.0) == 0.0
+    assert jnp.isnan(root(jnp.asarray(-1.0)))
+    assert jnp.isnan(jax.grad(root)(-1.0))
+    np.testing.assert_allclose(jax.grad(root)(4.0), 0.25)
+    np.testing.assert_allclose(jax.grad(jax.grad(root))(4.0), -1.0 / 32.0)

@@ -46,7 +46,8 @@ _MESSAGES = {
     Outcome.BEGAN_BEYOND_END: "began where an end condition was met already",
     Outcome.SINGULAR: (
         "stopped where its steps were too long for the equations of motion, which are "
-        "singular over the poles, in vertical flight and at rest"
+        "singular over the poles, in vertical flight and at rest; take "
+        "dynamics=VectorDynamics() to fly on"
     ),
     Outcome.NOT_A_BANK: (
         "stopped where its law commanded a cosine and a sine of the bank whose squares do "
