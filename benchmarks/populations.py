@@ -14,6 +14,8 @@ there.
     python benchmarks/populations.py apollo-10
     python benchmarks/populations.py cav-h-glide
     python benchmarks/populations.py msl
+    python benchmarks/populations.py mars-aerocapture
+    python benchmarks/populations.py neptune-aerocapture
 
 `populations.csv` beside this file has each statistic of each set: `--save` writes it
 again. Its columns are mission, law with case and worlds, dispersions, heading, date, the
@@ -69,8 +71,12 @@ def within(limit: float) -> Callable[[np.ndarray], float]:
     return lambda magnitudes: 100.0 * np.mean(magnitudes <= limit)
 
 
-def deviation(variable: str) -> Callable[..., float]:
-    return lambda results: float(np.std(results[variable].values, ddof=1) / km)
+def deviation(variable: str, size: float = km) -> Callable[..., float]:
+    return lambda results: float(np.std(results[variable].values, ddof=1) / size)
+
+
+def mean(variable: str, size: float) -> Callable[..., float]:
+    return lambda results: float(np.mean(results[variable].values) / size)
 
 
 VELOCITY, ANGLE = "velocity_error", "flight_path_angle_error"
@@ -98,6 +104,16 @@ _PEAKS = (
     Column("dynamic pressure, maximum, kPa", PRESSURE, 1e3, np.max),
 )
 """Of a mission with these limits"""
+
+_APOAPSIS, _INCLINATION = "apoapsis_error", "inclination_error"
+_INCREMENT = "velocity_increment"
+_ORBIT = (
+    Column("velocity increment, mean, m/s", _INCREMENT, 1.0, np.mean),
+    Column("velocity increment, maximum, m/s", _INCREMENT, 1.0, np.max),
+    Column("load factor, mean", "peak_load_factor", 1.0, np.mean),
+    Column("load factor, maximum", "peak_load_factor", 1.0, np.max),
+)
+"""Of a mission whose target is an orbit"""
 
 COLUMNS = {
     "cav-h": (
@@ -145,6 +161,8 @@ COLUMNS = {
         Column("Mach number at the end, median", "end_mach", 1.0, np.median),
         Column("time of the flight, median, s", "end_time", 1.0, np.median),
     ),
+    "mars-aerocapture": _ORBIT,
+    "neptune-aerocapture": _ORBIT,
 }
 
 
@@ -243,7 +261,20 @@ MORE = {
 }
 """Columns of one flight of a mission beside those of its mission"""
 
+_OF_AN_ORBIT = {
+    "velocity increment, std, m/s": deviation(_INCREMENT, 1.0),
+    "apoapsis error, mean, km": mean(_APOAPSIS, km),
+    "apoapsis error, std, km": deviation(_APOAPSIS),
+    "lost, %": lost,
+}
+
 OTHERS = {
+    "mars-aerocapture": {
+        **_OF_AN_ORBIT,
+        "inclination error, mean, deg": mean(_INCLINATION, degree),
+        "inclination error, std, deg": deviation(_INCLINATION, degree),
+    },
+    "neptune-aerocapture": _OF_AN_ORBIT,
     "cav-h": {
         "velocity error, std, m/s": lambda results: float(
             np.std(results[VELOCITY].values, ddof=1)
@@ -403,6 +434,8 @@ ROWS = {
         ("terminal-point world fitted-air", "everything"),
         ("predictor-corrector", "everything"),
     ),
+    "mars-aerocapture": (("predictor-corrector", "everything"),),
+    "neptune-aerocapture": (("predictor-corrector", "everything"),),
     "mars-drag-tracking": tuple(
         (choice, "lift-to-drag-held")
         for choice in (
@@ -450,6 +483,8 @@ RUNS = {
     "apollo-10": 50,
     "cav-h-glide": 50,
     "msl": 100,
+    "mars-aerocapture": 100,
+    "neptune-aerocapture": 100,
 }
 """In a set"""
 

@@ -9,6 +9,7 @@ again and compare.
 """
 
 import argparse
+import dataclasses
 from collections.abc import Callable
 
 import equinox as eqx
@@ -16,15 +17,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from records import FOLDER, PUBLISHED, Cell, save
+from scipy.optimize import bisect
 
 import jentry
 from jentry.cli.overrides import apply_values, in_si, read_overrides
-from jentry.flight import fly, misses
+from jentry.flight import (
+    AltitudeAbove,
+    AltitudeBelow,
+    Outcome,
+    Termination,
+    fly,
+    misses,
+)
+from jentry.guidance import BankProfile
 from jentry.missions import find_mission
 from jentry.missions.x_33.cases import TABLE_1, TABLE_2
+from jentry.motion import orbit_of
+from jentry.onboard import PolynomialProfile
+from jentry.planning.aerocapture_corridor import STEEPEST, capture_corridor
 from jentry.planning.bezier_curve import k2_polynomial, velocity_map
 from jentry.planning.flight_problem import best_flight
 from jentry.units import degree, km, nautical_mile
+from jentry.world import ZonalGravity
 
 
 def mars_nominal() -> list[Cell]:
@@ -203,6 +217,114 @@ def cav_h_fit() -> list[Cell]:
     return cells
 
 
+def _cells_of_corridor(row: str, limits, published=(None, None)) -> list[Cell]:
+    """Both limits of an entry corridor and its width, deg."""
+    shallow, steep = (float(x) / degree for x in limits)
+    wide = None if None in published else round(published[0] - published[1], 4)
+    return [
+        Cell(row, "shallow limit, deg", shallow, 4, published[0]),
+        Cell(row, "steep limit, deg", steep, 4, published[1]),
+        Cell(row, "width, deg", shallow - steep, 4, wide),
+    ]
+
+
+AMAT_LIMITS = -12.7393, -13.7081
+"""Overshoot and undershoot limit, deg: tests/test_girija2020.py of AMAT"""
+
+AMAT_J2 = 3411.0e-6
+"""AMAT/planet.py"""
+
+
+def corridor_as_in_amat() -> list[float]:
+    """Limits of the entry corridor over Neptune by the definition of AMAT, rad.
+
+    It has J2, and an apoapsis of the velocity relative to the planet, as if that were
+    inertial (AMAT/vehicle.py, `hitsTargetApoapsis`). Otherwise it is `capture_corridor`.
+    """
+    start = find_mission("neptune-aerocapture").scenario()
+    planet, target = start.planet, start.target
+    still = dataclasses.replace(planet, rotation_rate=jnp.zeros(()))
+    gravity = ZonalGravity(
+        planet.gravity.gravitational_parameter, planet.radius, {"j2": AMAT_J2}
+    )
+    ends = {
+        "exit": AltitudeAbove(start.termination.conditions["captured"].altitude),
+        "ground": AltitudeBelow(0.0, outcome=Outcome.CRASHED),
+    }
+    goal = planet.radius + target.apoapsis_altitude
+
+    @eqx.filter_jit
+    def braked_too_much(path, cos_bank):
+        state = dataclasses.replace(start.initial_state, flight_path_angle=path)
+        scenario = dataclasses.replace(
+            start,
+            planet=dataclasses.replace(planet, gravity=gravity),
+            initial_state=state,
+            guidance=BankProfile(PolynomialProfile(cos_bank[None])),
+            termination=Termination(ends, time_limit=start.termination.time_limit),
+        )
+        end = fly(scenario).state
+        return goal * orbit_of(still, end).inverse_apoapsis_radius - 1.0
+
+    return [
+        bisect(
+            lambda path, cosine=cosine: float(
+                braked_too_much(jnp.asarray(path), jnp.asarray(cosine))
+            ),
+            STEEPEST,
+            -9.0 * degree,
+            xtol=1e-9,
+        )
+        for cosine in (-1.0, 1.0)
+    ]
+
+
+def neptune_corridor() -> list[Cell]:
+    """Entry corridor over Neptune by the definition of AMAT, and by our own."""
+    ours = capture_corridor(find_mission("neptune-aerocapture").scenario())
+    amat = "as AMAT: J2, apoapsis of the relative velocity"
+    return [
+        *_cells_of_corridor(amat, corridor_as_in_amat(), AMAT_LIMITS),
+        *_cells_of_corridor("`jentry corridor neptune-aerocapture`", ours),
+    ]
+
+
+def _cells_of_floor(name: str, case: str | None) -> list[Cell]:
+    """Least velocity increment to the target orbit of a mission, and that of its law."""
+    mission = find_mission(name)
+    scenario = mission.scenario(case=case)
+    best = best_flight(scenario, mission.problem())
+    guided = eqx.filter_jit(fly)(scenario)
+    cells = []
+    for row, flight, flown in (
+        ("best flight", best.flight, best.scenario),
+        ("law", guided, scenario),
+    ):
+        increment = float(misses(flown, flight).velocity_increment)
+        orbit = orbit_of(flown.planet, flight.state)
+        cells += [
+            Cell(row, "velocity increment, m/s", increment, 1),
+            Cell(row, "periapsis, km", float(orbit.periapsis_altitude) / km, 1),
+        ]
+    return cells
+
+
+def mars_capture_corridor() -> list[Cell]:
+    """Entry corridor of the Mars orbiter."""
+    ours = capture_corridor(find_mission("mars-aerocapture").scenario())
+    return _cells_of_corridor("`jentry corridor mars-aerocapture`", ours)
+
+
+def mars_capture_floor() -> list[Cell]:
+    """Least velocity increment over Mars in the case `free-plane`."""
+    return _cells_of_floor("mars-aerocapture", "free-plane")
+
+
+def neptune_capture_floor() -> list[Cell]:
+    """Least velocity increment over Neptune."""
+    return _cells_of_floor("neptune-aerocapture", None)
+
+
 TABLES: dict[str, Callable[[], list[Cell]]] = {
     "mars nominal": mars_nominal,
     "sx-2 cases": sx_2_cases,
@@ -210,6 +332,10 @@ TABLES: dict[str, Callable[[], list[Cell]]] = {
     "rlv drag error": rlv_drag_error,
     "cav-h fit": cav_h_fit,
     "shuttle": shuttle,
+    "mars aerocapture corridor": mars_capture_corridor,
+    "mars aerocapture floor": mars_capture_floor,
+    "neptune aerocapture corridor": neptune_corridor,
+    "neptune aerocapture floor": neptune_capture_floor,
 }
 
 

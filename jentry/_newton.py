@@ -48,9 +48,10 @@ def newton(
 
     The number of steps is fixed, and no step leaves the bounds: a search for a zero beyond
     a bound ends at the bound. If the function is not finite, or its slope is zero, x does
-    not change. The derivative of the result is that of the steps. From a zero that is not
-    differentiated, `stop_gradient(x)`, one step has the first derivative of the implicit
-    function, and two steps have the first three.
+    not change; with `falls`, a slope of zero is no hindrance. The derivative of the result
+    is that of the steps. From a zero that is not differentiated, `stop_gradient(x)`, one
+    step has the first derivative of the implicit function, and two steps have the first
+    three.
 
     **Arguments:**
 
@@ -61,7 +62,8 @@ def newton(
     - `largest_step`: bound on each step of each unknown.
     - `falls`: the function of one unknown is known to fall from a positive value at the
       lower bound to a negative one at the upper bound. The bounds then close in on the
-      zero, and a step that would leave them goes to the middle between them.
+      zero. A step that would leave them, or that begins where the slope is zero, goes to
+      the middle between them.
     - `unroll`: unroll the steps instead of compiling a loop.
     - `nan_where_lost`: x becomes NaN, and remains so, where otherwise it would not change.
       This is for an inner loop, which then carries only x.
@@ -89,8 +91,11 @@ def newton(
             step = _within(step, -largest_step, largest_step)
         moved = x + step
         if falls:
+            # Its sign says where the zero is, even where the function is flat.
+            flat = finite & ~usable & (value != 0.0)
+            at, usable = jnp.where(flat, value, at), usable | flat
             low, high = jnp.where(at > 0.0, x, low), jnp.where(at < 0.0, x, high)
-            inside = (moved >= low) & (moved <= high)
+            inside = (moved >= low) & (moved <= high) & ~flat
             moved = jnp.where(inside, moved, 0.5 * (low + high))
         moved = _within(moved, lower, upper)
         step = moved - x

@@ -109,6 +109,22 @@ def test_a_bracket_closes_in_where_newton_alone_runs_away():
         newton(function, one(5.0), 4, falls=True)
 
 
+def test_a_bracket_closes_in_from_where_the_function_is_flat():
+    """Its sign says where the zero is. From 7 the middles are 1, -2, and -1/2."""
+    function = by_jvp(lambda x: jnp.where(jnp.abs(x) < 1.0, -x, -jnp.sign(x)))
+    bracket = {"lower": -5.0, "upper": 9.0, "falls": True}
+    for steps, expected in ((1, 1.0), (2, -2.0), (3, -0.5), (4, 0.0)):
+        found = newton(function, one(7.0), steps, **bracket)
+        assert float(found.x) == expected and bool(found.known)
+    # A zero is one, flat or not, and so is a bound.
+    flat = by_jvp(lambda x: 0.0 * x)
+    assert float(newton(flat, one(7.0), 3, **bracket).x) == 7.0
+    above = by_jvp(lambda x: 1.0 + 0.0 * x)
+    assert float(newton(above, one(9.0), 3, **bracket).x) == 9.0
+    lost = newton(by_jvp(lambda x: jnp.log(x - 8.0)), one(7.0), 3, **bracket)
+    assert float(lost.x) == 7.0 and not bool(lost.known)
+
+
 def test_derivatives_are_those_of_the_implicit_function():
     """Of the cube root, from where it is not differentiated: three orders in two steps."""
 

@@ -15,6 +15,7 @@ from .._warnings import ResultWarning
 from . import (
     benchmark as benchmark,
     compare as compare,
+    corridor as corridor,
     fly as fly,
     footprint as footprint,
     inspect_runs as inspect_runs,

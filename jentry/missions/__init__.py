@@ -12,6 +12,7 @@ from .mars.range_tracking import MISSION as RANGE_TRACKING
 from .mars_aerocapture import MISSION as MARS_AEROCAPTURE
 from .mission import Mission as Mission, PublishedValue as PublishedValue
 from .msl import MISSION as MSL
+from .neptune_aerocapture import MISSION as NEPTUNE_AEROCAPTURE
 from .own import (
     is_file,
     mission_in_file,
@@ -39,6 +40,7 @@ ALL = {
         CAV_H_GLIDE,
         MSL,
         MARS_AEROCAPTURE,
+        NEPTUNE_AEROCAPTURE,
     )
 }
 """Every mission of jentry by its name."""

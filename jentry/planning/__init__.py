@@ -3,6 +3,7 @@
 from .aerocapture_corridor import (
     CaptureCorridor as CaptureCorridor,
     capture_corridor as capture_corridor,
+    limiting_flights as limiting_flights,
 )
 from .bezier_curve import (
     k2_polynomial as k2_polynomial,

@@ -8,9 +8,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from .._programs import cached
 from .._setup import needs_float64
 from ..fields import Flag, Scalar
-from ..flight.flight import fly
+from ..flight.flight import Flight, fly
 from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
 from ..guidance.open_loop import BankProfile
@@ -23,6 +24,12 @@ _FLOWN = 17
 """Number of flights that divide an interval at once"""
 _ROUNDS = 8
 """Number of divisions of the interval, each by 16"""
+
+STEEPEST, SHALLOWEST = -20.0 * degree, -5.0 * degree
+"""Flight-path angles between which limits are searched unless others are given, rad"""
+
+_COS_BANK = {"shallow": -1.0, "steep": 1.0}
+"""Cosine of the constant bank of the flight at each limit"""
 
 
 class CaptureCorridor(NamedTuple):
@@ -44,8 +51,8 @@ class CaptureCorridor(NamedTuple):
 @needs_float64
 def capture_corridor(
     scenario: Scenario,
-    steepest: float = -20.0 * degree,
-    shallowest: float = -5.0 * degree,
+    steepest: float = STEEPEST,
+    shallowest: float = SHALLOWEST,
     solver: AbstractSolver = FixedStep(),
 ) -> CaptureCorridor:
     """Entry corridor of the vehicle of a scenario, whose target is an orbit.
@@ -74,9 +81,8 @@ def capture_corridor(
         )
     scenario = checked(scenario)
     found = {}
-    for name, cosine in (("shallow", -1.0), ("steep", 1.0)):
-        law = BankProfile(PolynomialProfile(jnp.full(1, cosine)))
-        flown = dataclasses.replace(scenario, guidance=law)
+    for name, cosine in _COS_BANK.items():
+        flown = _banked(scenario, cosine)
         low, high = jnp.asarray(steepest), jnp.asarray(shallowest)
         for _ in range(_ROUNDS):
             angles = jnp.linspace(low, high, _FLOWN)
@@ -94,6 +100,39 @@ def capture_corridor(
     return CaptureCorridor(**found)
 
 
+@needs_float64
+def limiting_flights(
+    scenario: Scenario,
+    corridor: CaptureCorridor,
+    solver: AbstractSolver = FixedStep(),
+    history: float | None = None,
+) -> dict[str, Flight]:
+    """The flights at the limits of an entry corridor, by the names of its two angles.
+
+    **Arguments:**
+
+    - `corridor`: that of the scenario, by `capture_corridor` with the same solver.
+    - `history`: interval of the histories, s; none if not given.
+    """
+    flights = {}
+    for name, cosine in _COS_BANK.items():
+        flown = _from_angle(_banked(scenario, cosine), getattr(corridor, name))
+        flights[name] = cached(fly)(flown, solver, history)
+    return flights
+
+
+def _banked(scenario: Scenario, cosine: float) -> Scenario:
+    """The scenario with a constant bank, by its cosine, in place of its law."""
+    law = BankProfile(PolynomialProfile(jnp.full(1, cosine)))
+    return dataclasses.replace(scenario, guidance=law)
+
+
+def _from_angle(scenario: Scenario, angle: Scalar) -> Scenario:
+    """The scenario with another flight-path angle at its start."""
+    start = dataclasses.replace(scenario.initial_state, flight_path_angle=angle)
+    return dataclasses.replace(scenario, initial_state=start)
+
+
 @eqx.filter_jit
 def _too_low(
     scenario: Scenario, angles: Float[Array, " n"], solver: AbstractSolver
@@ -104,8 +143,7 @@ def _too_low(
     goal = planet.radius + target.apoapsis_altitude
 
     def too_low(angle: Scalar) -> Flag:
-        start = dataclasses.replace(scenario.initial_state, flight_path_angle=angle)
-        flight = fly(dataclasses.replace(scenario, initial_state=start), solver)
+        flight = fly(_from_angle(scenario, angle), solver)
         return goal * orbit_of(planet, flight.state).inverse_apoapsis_radius > 1.0
 
     return jax.vmap(too_low)(angles)

@@ -1,32 +1,15 @@
 """The mission Mars aerocapture: its law and its dispersions."""
 
-from ...motion.index import TimeIndex
-from ...planning.flight_constraints import Constraint
-from ...planning.flight_problem import AtEnd, FlightProblem, FreeControl
-from ...units import degree, km
+from ...planning.flight_problem import FlightProblem
+from ..aerocapture import highest_periapsis
 from ..mission import Mission
 from .dispersions import air_and_vehicle, entry_errors, everything
 from .scenario import APOAPSIS, free_plane, guided
 
 
 def least_increment() -> FlightProblem:
-    """The highest periapsis at the apoapsis of the target, with a free bank to one side.
-
-    The one burn that is left is then the smallest. It is the floor for laws in the case
-    `free-plane`. The velocity increment itself has a corner where the apoapsis is met,
-    which a search by gradients does not pass. Nodes and start are our own.
-    """
-    return FlightProblem(
-        objective=AtEnd("periapsis_altitude"),
-        bank=FreeControl(60.0 * degree, 0.0, 180.0 * degree),
-        constraints={
-            "apoapsis": Constraint(
-                AtEnd("apoapsis_altitude"), equals=APOAPSIS, scale=1000.0 * km
-            )
-        },
-        nodes=12,
-        index=TimeIndex(),
-    )
+    """The highest periapsis at the apoapsis of the target, for the case `free-plane`."""
+    return highest_periapsis(APOAPSIS)
 
 
 MISSION = Mission(

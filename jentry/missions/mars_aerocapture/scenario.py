@@ -17,13 +17,6 @@ import jax.numpy as jnp
 
 from ..._math import sincos
 from ...flight.scenario import Scenario
-from ...flight.termination import (
-    AltitudeBelow,
-    CapturedAbove,
-    EscapedAbove,
-    Outcome,
-    Termination,
-)
 from ...guidance.aerocapture import AerocaptureGuidance
 from ...guidance.inclination import InclinationCorridor
 from ...guidance.lateral import FixedSide
@@ -39,6 +32,7 @@ from ...world.gravity import InverseSquareGravity
 from ...world.planet import Planet
 from ...world.tabulated_atmosphere import TabulatedAtmosphere
 from ...world.vehicle import Vehicle
+from ..aerocapture import ends
 
 
 ANGLE_OF_ATTACK = -27.5 * degree
@@ -116,14 +110,7 @@ def entry() -> Scenario:
             heading=38.04 * degree,
         ),
         guidance=BankProfile(PolynomialProfile(jnp.ones(1))),
-        termination=Termination(
-            {
-                "captured": CapturedAbove(altitude=EXIT_ALTITUDE),
-                "escaped": EscapedAbove(altitude=EXIT_ALTITUDE),
-                "ground": AltitudeBelow(altitude=0.0, outcome=Outcome.CRASHED),
-            },
-            time_limit=1500.0,
-        ),
+        termination=ends(EXIT_ALTITUDE, time_limit=1500.0),
         target=target_orbit(),
         constraints={
             "load_factor": LoadFactor(),

@@ -1,0 +1,171 @@
+"""The Neptune orbiter: its corridor beside AMAT and scipy, and its law."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+from helpers import fly_compiled
+from pages import assert_same, benchmark, published
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+from scipy.optimize import bisect
+
+from jentry._computed_once import computed_once
+from jentry.flight import Outcome, misses
+from jentry.missions import find_mission
+from jentry.missions.neptune_aerocapture.scenario import _AIR
+from jentry.motion import orbit_of
+from jentry.planning import capture_corridor
+from jentry.units import degree, km
+
+
+RADIUS, SPIN, MU, J2 = 24622e3, 1.083385e-4, 6.8365299e15, 3411e-6
+"""AMAT/planet.py"""
+BALLISTIC, LIFT_TO_DRAG, VELOCITY, TOP, APOAPSIS = 200.0, 0.4, 28e3, 1000e3, 400e6
+"""Example 11 of AMAT"""
+AMAT_LIMITS = -12.7393, -13.7081
+"""tests/test_girija2020.py of AMAT, deg: lift down, lift up"""
+
+AIR = CubicSpline(10e3 * np.arange(len(_AIR)), np.log(_AIR))
+
+
+@computed_once
+def mission():
+    return find_mission("neptune-aerocapture")
+
+
+@computed_once
+def scenario():
+    return mission().scenario()
+
+
+def braked_too_much(path, lift, *, j2, inertial, prograde=1.0):
+    """Reciprocal of the apoapsis radius over that of the target, less 1, of a flight in
+    the equator: r, V and gamma, by the equations of Vinh."""
+
+    def slope(_, y):
+        r, v, gamma = y
+        drag = 0.5 * np.exp(AIR(min(r - RADIUS, 1010e3))) * v * v / BALLISTIC
+        pull = MU / r**2 * (1.0 + 1.5 * j2 * (RADIUS / r) ** 2) - SPIN**2 * r
+        turn = (lift * LIFT_TO_DRAG * drag - pull * np.cos(gamma)) / v
+        turn += v / r * np.cos(gamma) + 2.0 * SPIN * prograde
+        return [v * np.sin(gamma), -drag - pull * np.sin(gamma), turn]
+
+    def left(_, y):
+        return y[0] - RADIUS - TOP - 1e3
+
+    def fallen(_, y):
+        return y[0] - RADIUS
+
+    left.terminal = fallen.terminal = True
+    start = [RADIUS + TOP, VELOCITY, path]
+    tolerances = {"rtol": 1e-9, "atol": [1e-2, 1e-5, 1e-11]}
+    ends = solve_ivp(slope, (0.0, 4000.0), start, events=(left, fallen), **tolerances)
+    r, v, gamma = ends.y[:, -1]
+    level = v * np.cos(gamma) + (SPIN * r * prograde if inertial else 0.0)
+    energy = 0.5 * (level**2 + (v * np.sin(gamma)) ** 2) - MU / r
+    momentum = r * level
+    eccentricity = np.sqrt(1.0 + 2.0 * energy * (momentum / MU) ** 2)
+    return (1.0 - eccentricity) * MU / momentum**2 * (RADIUS + APOAPSIS) - 1.0
+
+
+def limit(lift, start, **how):
+    """Flight-path angle, deg, near which the search begins."""
+    ends = (start - 0.05) * degree, (start + 0.05) * degree
+    angle = bisect(lambda x: braked_too_much(x, lift, **how), *ends, xtol=1e-7)
+    return angle / degree
+
+
+def test_the_limits_that_amat_prints_come_out_of_its_definition():
+    """So the frame of its entry is that of its equations, and towards east."""
+    for lift, printed in zip((-1.0, 1.0), AMAT_LIMITS, strict=True):
+        found = limit(lift, printed, j2=J2, inertial=False)
+        # A table every 10 km in place of 5 km; the print has four decimals.
+        assert found == pytest.approx(printed, abs=3e-4)
+
+
+def test_the_case_is_that_of_amat():
+    start, vehicle = scenario().initial_state, scenario().vehicle
+    assert float(start.altitude) == TOP and float(start.velocity) == VELOCITY
+    assert float(start.heading) == pytest.approx(90 * degree)
+    assert float(start.flight_path_angle) == pytest.approx(-13.85 * degree)
+    lift, drag = (
+        float(getattr(vehicle.aerodynamics, f"{name}_coefficient"))
+        for name in ("lift", "drag")
+    )
+    ballistic = float(vehicle.mass) / (drag * float(vehicle.reference_area))
+    assert ballistic == pytest.approx(BALLISTIC)
+    assert lift / drag == pytest.approx(LIFT_TO_DRAG)
+    planet, target = scenario().planet, scenario().target
+    assert float(planet.radius) == RADIUS and float(planet.rotation_rate) == SPIN
+    assert float(planet.gravity.gravitational_parameter) == MU
+    assert float(target.apoapsis_altitude) == APOAPSIS
+    # Eastwards with a planet that turns eastwards: prograde, in the equator.
+    orbit = orbit_of(planet, start)
+    assert float(orbit.inclination) == 0.0 and not bool(orbit.is_bound)
+
+
+def test_dispersions_are_those_of_amat():
+    table = mission().dispersion_table()
+    spreads = {n: float(d.distribution.moments()[1]) for n, d in table.items()}
+    assert spreads == pytest.approx(
+        {"flight_path_angle": 0.11 * degree, "density": 0.1, "lift": 0.013 / 0.40}
+    )
+
+
+@pytest.mark.slow
+def test_the_corridor_is_that_of_bisection_in_scipy():
+    found = capture_corridor(scenario())
+    for name, lift in (("shallow", -1.0), ("steep", 1.0)):
+        angle = float(getattr(found, name)) / degree
+        theirs = limit(lift, angle, j2=0.0, inertial=True)
+        # Steps of 1 s, and another cubic of the table.
+        assert angle == pytest.approx(theirs, abs=5e-4)
+    # Without the table of `published.csv`, which is this one.
+    saved = published("neptune aerocapture corridor")
+    row = "`jentry corridor neptune-aerocapture`"
+    for name, value in (("shallow", found.shallow), ("steep", found.steep)):
+        assert_same(saved[row, f"{name} limit, deg"], value / degree)
+
+
+@pytest.mark.slow
+def test_westwards_the_corridor_is_another_one():
+    """Retrograde: a heading of 270 degrees, where Coriolis pushes down."""
+    west = eqx.tree_at(lambda s: s.initial_state.heading, scenario(), 270 * degree)
+    found = capture_corridor(west)
+    for name, lift in (("shallow", -1.0), ("steep", 1.0)):
+        angle = float(getattr(found, name)) / degree
+        theirs = limit(lift, angle, j2=0.0, inertial=True, prograde=-1.0)
+        assert angle == pytest.approx(theirs, abs=5e-4)
+
+
+@pytest.mark.slow
+def test_flights_of_our_own_have_the_limits_of_amat():
+    saved = published("neptune aerocapture corridor")
+    row = "as AMAT: J2, apoapsis of the relative velocity"
+    found = benchmark("published").corridor_as_in_amat()
+    names = "shallow limit, deg", "steep limit, deg"
+    for name, angle, printed in zip(names, found, AMAT_LIMITS, strict=True):
+        assert angle / degree == pytest.approx(printed, abs=3e-4)
+        assert_same(saved[row, name], angle / degree)
+        assert saved[row, name].published == printed
+
+
+@pytest.mark.slow
+def test_the_nominal_flight_is_captured_near_its_apoapsis():
+    flight = fly_compiled(scenario())
+    assert flight.outcome == Outcome.REACHED
+    missed = misses(scenario(), flight)
+    # A prediction has steps of 4 s; 1 m/s at the exit is 700 km of apoapsis.
+    assert abs(float(missed.apoapsis)) < 300 * km
+    assert float(missed.velocity_increment) < 100.0
+    assert float(flight.state.altitude) == pytest.approx(1001 * km, abs=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wait", [150.0, 1500.0])
+def test_a_switch_that_is_planned_after_the_exit_is_found_again(wait):
+    """From where a later switch changes nothing, since the flight has ended before."""
+    late = eqx.tree_at(lambda s: s.guidance.latest_switch, scenario(), 2.0 * wait)
+    flight = fly_compiled(late)
+    assert flight.outcome == Outcome.REACHED
+    assert abs(float(misses(late, flight).apoapsis)) < 300 * km
