@@ -220,6 +220,7 @@ ARRIVE = {
     "linearize": RUN | {"over", "points", "out", "faster-than"},
     "optimize": RUN | FREE | {"maximize", "minimize"},
     "footprint": RUN | FREE | {"directions"},
+    "corridor": (RUN - {"law"}) | {"steepest", "shallowest", "out", "json"},
     "train": {
         "law",
         "imitate",

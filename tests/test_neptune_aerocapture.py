@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import bisect
 
 from jentry._computed_once import computed_once
-from jentry.flight import Outcome, misses
+from jentry.flight import FixedStep, Outcome, misses
 from jentry.missions import find_mission
 from jentry.missions.neptune_aerocapture.scenario import _AIR
 from jentry.motion import orbit_of
@@ -136,6 +136,17 @@ def test_westwards_the_corridor_is_another_one():
         angle = float(getattr(found, name)) / degree
         theirs = limit(lift, angle, j2=0.0, inertial=True, prograde=-1.0)
         assert angle == pytest.approx(theirs, abs=5e-4)
+
+
+@pytest.mark.slow
+def test_a_flight_that_stops_in_the_air_is_refused():
+    """With steps of 4 s a steep one stops at the speed of the entry, on a hyperbola."""
+    with pytest.raises(ValueError, match="from -20 deg stopped where its steps were"):
+        capture_corridor(scenario(), solver=FixedStep(4.0))
+    end = scenario().termination.conditions["escaped"].altitude
+    high = eqx.tree_at(lambda s: s.initial_state.altitude, scenario(), end)
+    with pytest.raises(ValueError, match="from -20 deg began where an end condition"):
+        capture_corridor(high, solver=FixedStep(4.0))
 
 
 @pytest.mark.slow

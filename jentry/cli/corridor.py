@@ -16,7 +16,6 @@ from .options import (
     app,
     chosen_scenario,
     folder_of_results,
-    note_step,
     set_up,
 )
 
@@ -59,10 +58,8 @@ def command(
         mission, (None, case, world), config, set_, law_flies=False
     )
     solver = FixedStep(step)
-    if not json:
-        note_step(scenario, solver, 1.0)
     found = capture_corridor(scenario, *limits, solver)
-    flights = limiting_flights(scenario, found, solver, history=1.0)
+    flights = limiting_flights(scenario, found, solver)
     folder = folder_of_results(out, f"{chosen.name}-corridor")
     numbers = as_json(chosen, overrides.choice, scenario, found, flights)
     # Written before anything is printed: whoever reads the output may close it.

@@ -52,6 +52,7 @@ def print_corridor(
     row("time", [flight.time for flight in flights.values()], "s", 2)
     lowest = [_lowest_altitude(flight) for flight in flights.values()]
     row("lowest altitude", lowest, "m", 3)
+    row("apoapsis altitude", _apoapsides(scenario, flights), "m", 1)
     for name, constraint in scenario.constraints.items():
         unit = constraint.shown_unit or constraint.unit
         peaks = [flight.peaks[name] for flight in flights.values()]
@@ -105,12 +106,12 @@ def as_json(
                 "outcome": Outcome(int(flight.outcome)).name.lower(),
                 "time": _finite(flight.time),
                 "lowest_altitude": _finite(_lowest_altitude(flight)),
-                "apoapsis_altitude": _finite(
-                    orbit_of(scenario.planet, flight.state).apoapsis_altitude
-                ),
+                "apoapsis_altitude": _finite(apoapsis),
                 **{peak_of(n): _finite(peak) for n, peak in flight.peaks.items()},
             }
-            for name, flight in flights.items()
+            for (name, flight), apoapsis in zip(
+                flights.items(), _apoapsides(scenario, flights), strict=True
+            )
         },
     }
     return json.dumps(contents, indent=2, allow_nan=False) + "\n"
@@ -128,13 +129,19 @@ def write_corridor(
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "corridor.json"
     write_whole(file, numbers.encode())
-    figure = draw_corridor(corridor, flights, f"{mission.title}: {_flown(choice)}")
+    figure = draw_corridor(corridor, flights, f"{mission.name}: {_flown(choice)}")
     return [file, *save_figures({"corridor": figure}, folder / "figures")]
 
 
 def _flown(choice: Choice) -> str:
     """The choice with a constant bank in place of its law."""
     return str(dataclasses.replace(choice, law="constant bank"))
+
+
+def _apoapsides(scenario: Scenario, flights: dict[str, Flight]) -> list[float]:
+    """Altitudes of the apoapsides of the orbits after the flights, m."""
+    orbits = (orbit_of(scenario.planet, flight.state) for flight in flights.values())
+    return [float(orbit.apoapsis_altitude) for orbit in orbits]
 
 
 def _lowest_altitude(flight: Flight) -> float:

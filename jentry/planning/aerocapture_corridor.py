@@ -6,14 +6,16 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float, Integer
 
 from .._programs import cached
 from .._setup import needs_float64
 from ..fields import Flag, Scalar
+from ..flight.cycle import Plan
 from ..flight.flight import Flight, fly
 from ..flight.scenario import Scenario, checked
 from ..flight.solver import AbstractSolver, FixedStep
+from ..flight.termination import Outcome
 from ..guidance.open_loop import BankProfile
 from ..motion.orbit import OrbitTarget, orbit_of
 from ..onboard.profiles import PolynomialProfile
@@ -66,7 +68,8 @@ def capture_corridor(
     - `steepest`, `shallowest`: flight-path angles between which to search, rad.
 
     **Raises:** `ValueError` if the target is a place, if the angles are in the wrong order,
-    and if a limit does not lie between them.
+    if a limit does not lie between them, and if a flight stops before it has left the air,
+    for example at its start or since steps are too long.
     """
     if not isinstance(scenario.target, OrbitTarget):
         raise ValueError(
@@ -87,12 +90,13 @@ def capture_corridor(
         for _ in range(_ROUNDS):
             angles = jnp.linspace(low, high, _FLOWN)
             # The steeper a flight, the more it is braked.
-            steep = _too_low(flown, angles, solver)
+            steep, outcomes = _too_low(flown, angles, solver)
+            _require_left(angles, steep, outcomes, cosine)
             if not (bool(steep[0]) and not bool(steep[-1])):
                 raise ValueError(
-                    f"with the lift {'down' if cosine < 0 else 'up'}wards, the apoapsis "
-                    f"of the target is not between {steepest / degree:g} and "
-                    f"{shallowest / degree:g} deg: give other angles"
+                    f"with the lift {_lift(cosine)}, the apoapsis of the target is not "
+                    f"between {steepest / degree:g} and {shallowest / degree:g} deg: give "
+                    "other angles"
                 )
             first = jnp.argmin(steep)
             low, high = angles[first - 1], angles[first]
@@ -102,22 +106,21 @@ def capture_corridor(
 
 @needs_float64
 def limiting_flights(
-    scenario: Scenario,
-    corridor: CaptureCorridor,
-    solver: AbstractSolver = FixedStep(),
-    history: float | None = None,
+    scenario: Scenario, corridor: CaptureCorridor, solver: AbstractSolver = FixedStep()
 ) -> dict[str, Flight]:
     """The flights at the limits of an entry corridor, by the names of its two angles.
+
+    They have a history of each step.
 
     **Arguments:**
 
     - `corridor`: that of the scenario, by `capture_corridor` with the same solver.
-    - `history`: interval of the histories, s; none if not given.
     """
     flights = {}
     for name, cosine in _COS_BANK.items():
         flown = _from_angle(_banked(scenario, cosine), getattr(corridor, name))
-        flights[name] = cached(fly)(flown, solver, history)
+        step = Plan.of(flown, solver, None).step
+        flights[name] = cached(fly)(flown, solver, step)
     return flights
 
 
@@ -133,17 +136,47 @@ def _from_angle(scenario: Scenario, angle: Scalar) -> Scenario:
     return dataclasses.replace(scenario, initial_state=start)
 
 
+def _lift(cosine: float) -> str:
+    return f"{'up' if cosine > 0.0 else 'down'}wards"
+
+
+def _require_left(
+    angles: Float[Array, " n"],
+    too_low: Bool[Array, " n"],
+    outcomes: Integer[Array, " n"],
+    cosine: float,
+) -> None:
+    """Refuse flights whose apoapsis is not known, since they stopped before the exit.
+
+    In the air it only falls: one that is too low is known to be.
+    """
+    left = (outcomes == Outcome.REACHED) | (outcomes == Outcome.SKIPPED_OUT)
+    unknown = ~too_low & ~left
+    if bool(jnp.any(unknown)):
+        which = int(jnp.argmax(unknown))
+        angle = float(angles[which]) / degree
+        raise ValueError(
+            f"with the lift {_lift(cosine)}, the flight from {angle:g} deg "
+            f"{Outcome(int(outcomes[which])).message}, and its apoapsis is not known: take "
+            "a smaller step, other angles, or another start"
+        )
+
+
 @eqx.filter_jit
 def _too_low(
     scenario: Scenario, angles: Float[Array, " n"], solver: AbstractSolver
 ) -> Any:
-    """Whether flights from these angles have an apoapsis below that of the target."""
+    """Whether flights from these angles have an apoapsis below that of the target.
+
+    Also their outcomes.
+    """
     planet, target = scenario.planet, scenario.target
     assert isinstance(target, OrbitTarget)
     goal = planet.radius + target.apoapsis_altitude
 
-    def too_low(angle: Scalar) -> Flag:
+    def too_low(angle: Scalar) -> tuple[Flag, Integer[Array, ""]]:
         flight = fly(_from_angle(scenario, angle), solver)
-        return goal * orbit_of(planet, flight.state).inverse_apoapsis_radius > 1.0
+        inverse = orbit_of(planet, flight.state).inverse_apoapsis_radius
+        return goal * inverse > 1.0, flight.outcome
 
     return jax.vmap(too_low)(angles)
