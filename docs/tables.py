@@ -181,7 +181,10 @@ def of_published(table: str) -> tuple[list[str], Rows, str]:
     heading, rows, caption = _of_records(
         records.PUBLISHED, table, f'python benchmarks/published.py "{table}"'
     )
-    return heading, rows, f"In brackets: the paper. {caption}"
+    cells = records.load(records.PUBLISHED)[table].cells
+    if any(cell.published is not None for cell in cells):
+        caption = f"In brackets: the paper. {caption}"
+    return heading, rows, caption
 
 
 def of_timings(table: str) -> tuple[list[str], Rows, str]:

@@ -92,7 +92,7 @@ def newton(
         moved = x + step
         if falls:
             # Its sign says where the zero is, even where the function is flat.
-            flat = finite & ~usable & (value != 0.0)
+            flat = finite & (_determinant(slope) == 0.0) & (value != 0.0)
             at, usable = jnp.where(flat, value, at), usable | flat
             low, high = jnp.where(at > 0.0, x, low), jnp.where(at < 0.0, x, high)
             inside = (moved >= low) & (moved <= high) & ~flat

@@ -47,7 +47,7 @@ def test_every_option_of_corridor_arrives(command, monkeypatch, tmp_path):
         ((MISSION, "--steepest", "-17km"), "--steepest -17km: "),
         ((MISSION, "--shallowest", "-17"), "did you mean -17deg?"),
         ((MISSION, "--shallowest", "-30deg"), "steepest < shallowest < 0"),
-        (("msl",), "target is a place"),
+        (("cheap",), "target is a place"),
         ((MISSION, "--set", "vehicle.mas=9"), "nearest: vehicle.mass"),
     ],
 )

@@ -32,6 +32,7 @@ LAWS = {
     "cav-h-glide": "predictor-corrector",
     "msl": "terminal-point",
     "mars-aerocapture": "predictor-corrector",
+    "neptune-aerocapture": "predictor-corrector",
 }
 """The law of each mission whose kernel is flown"""
 

@@ -17,7 +17,9 @@ def test_every_case_of_the_truths_is_compared():
     assert set(ZHOU) == here | {"dispersions", "table_3", "fit", "polynomial"}
 
 
-@pytest.mark.parametrize("name", ["apollo-10", "cav-h-glide", "msl"])
+@pytest.mark.parametrize(
+    "name", ["apollo-10", "cav-h-glide", "msl", "neptune-aerocapture"]
+)
 def test_what_is_tuned_by_default_has_a_size_to_move_by(name):
     mission = ALL[name]
     scenario = mission.scenario()

@@ -4,7 +4,7 @@ import equinox as eqx
 import numpy as np
 import pytest
 from helpers import fly_compiled
-from pages import assert_same, benchmark, published
+from pages import ROOT, assert_same, benchmark, published
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import bisect
@@ -150,7 +150,8 @@ def test_a_flight_that_stops_in_the_air_is_refused():
 
 
 @pytest.mark.slow
-def test_flights_of_our_own_have_the_limits_of_amat():
+def test_flights_of_our_own_have_the_limits_of_amat(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
     saved = published("neptune aerocapture corridor")
     row = "as AMAT: J2, apoapsis of the relative velocity"
     found = benchmark("published").corridor_as_in_amat()

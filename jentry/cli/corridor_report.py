@@ -2,19 +2,23 @@
 
 import dataclasses
 import json
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .._files import write_whole
 from .._printed import in_words
 from ..campaign.outputs import peak_of
+from ..fields import units_of
 from ..flight.flight import Flight, caveat_sentence
 from ..flight.scenario import Scenario
 from ..flight.termination import Outcome
 from ..missions.choice import Choice
 from ..missions.mission import Mission
 from ..motion.orbit import orbit_of
+from ..motion.state import EntryState
 from ..planning.aerocapture_corridor import CaptureCorridor
 from ..plots import save_figures
 from ..plots.aerocapture_corridor import LIFT, draw_corridor
@@ -22,10 +26,15 @@ from ..units import at_edge, degree, parse_quantity
 from .tables import new_console, new_table, print_under
 
 
+_ANGLE, _ALTITUDE = (
+    units_of(EntryState)[name] for name in ("flight_path_angle", "altitude")
+)
+
+
 def angle(option: str, text: str) -> float:
     """A flight-path angle of the command line, rad. Raises `ValueError` with the option."""
     try:
-        return parse_quantity(text, "rad")
+        return parse_quantity(text, _ANGLE)
     except ValueError as error:
         raise ValueError(f"{option} {text}: {error}") from None
 
@@ -41,18 +50,23 @@ def print_corridor(
     console = new_console()
     table = new_table("", *(f"{name} limit" for name in flights), "unit")
 
-    def row(words: str, values: list[float], unit: str, digits: int) -> None:
-        shown, shown_unit = at_edge(values, unit)
+    def row(words: str, values: Iterable[Any], unit: str, digits: int) -> None:
+        shown, shown_unit = at_edge([float(x) for x in values], unit)
         table.add_row(words, *(f"{x:z.{digits}f}" for x in shown), shown_unit)
 
     table.add_row("lift", *(LIFT[name] for name in flights), "")
-    row("flight-path angle", [getattr(corridor, n) for n in flights], "rad", 5)
+    row("flight-path angle", [getattr(corridor, n) for n in flights], _ANGLE, 5)
     ends = [Outcome(int(flight.outcome)).message for flight in flights.values()]
     table.add_row("end", *ends, "")
-    row("time", [flight.time for flight in flights.values()], "s", 2)
+    row(
+        "time",
+        [flight.time for flight in flights.values()],
+        units_of(Flight)["time"],
+        2,
+    )
     lowest = [_lowest_altitude(flight) for flight in flights.values()]
-    row("lowest altitude", lowest, "m", 3)
-    row("apoapsis altitude", _apoapsides(scenario, flights), "m", 1)
+    row("lowest altitude", lowest, _ALTITUDE, 3)
+    row("apoapsis altitude", _apoapsides(scenario, flights), _ALTITUDE, 1)
     for name, constraint in scenario.constraints.items():
         unit = constraint.shown_unit or constraint.unit
         peaks = [flight.peaks[name] for flight in flights.values()]
@@ -96,7 +110,7 @@ def as_json(
         "mission": mission.name,
         "case": choice.case,
         "worlds": list(choice.worlds),
-        "unit": "rad",
+        "unit": _ANGLE,
         "shallow": float(corridor.shallow),
         "steep": float(corridor.steep),
         "width": float(corridor.width),
@@ -151,6 +165,6 @@ def _lowest_altitude(flight: Flight) -> float:
     return min(history, float(flight.state.altitude))
 
 
-def _finite(number) -> float | None:
+def _finite(number: Any) -> float | None:
     value = float(number)
     return value if np.isfinite(value) else None

@@ -174,7 +174,7 @@ def _too_low(
     assert isinstance(target, OrbitTarget)
     goal = planet.radius + target.apoapsis_altitude
 
-    def too_low(angle: Scalar) -> tuple[Flag, Integer[Array, ""]]:
+    def too_low(angle: Scalar) -> tuple[Flag, Any]:
         flight = fly(_from_angle(scenario, angle), solver)
         inverse = orbit_of(planet, flight.state).inverse_apoapsis_radius
         return goal * inverse > 1.0, flight.outcome
