@@ -138,6 +138,8 @@ def test_a_law_that_cannot_be_is_refused():
     model = law().model
     with pytest.raises(ValueError, match="corrections is 0"):
         AerocaptureGuidance(model, corrections=0)
+    with pytest.raises(ValueError, match="200 steps of 0.0 s: both must be positive"):
+        AerocaptureGuidance(model, step=0.0)
     with pytest.raises(ValueError, match="first_bank is 130 deg and exit_bank 120 deg"):
         AerocaptureGuidance(model, first_bank=130 * degree)
     with pytest.raises(ValueError, match="orbit that is the target of its scenario"):

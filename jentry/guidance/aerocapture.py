@@ -36,7 +36,7 @@ from ..onboard.estimation import (
 )
 from ..onboard.measurement import Measurement, measure
 from ..onboard.model import OnboardModel, require_sphere
-from ..onboard.propagation import Prediction, propagate
+from ..onboard.propagation import Prediction, propagate, require_corrections
 from ..units import degree, km
 from .aim import OrbitOfScenario, known_orbit
 from .cycle import FixedCycle
@@ -121,13 +121,7 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
     """Largest number of steps in a prediction"""
 
     def __check_init__(self):
-        if self.corrections < 1:
-            raise ValueError(f"corrections is {self.corrections}: it must be 1 or more")
-        if not 0.0 < self.step < math.inf or self.steps < 1:
-            raise ValueError(
-                f"a prediction has {self.steps} steps of {self.step} s: both must be "
-                "positive"
-            )
+        require_corrections(self.corrections, self.step, self.steps)
         for larger in ("exit_bank", "largest_bank"):
             _require_order(self, "first_bank", larger)
 

@@ -43,7 +43,13 @@ from ..onboard.longitudinal import along_equator
 from ..onboard.measurement import Measurement, measure
 from ..onboard.model import OnboardModel, require_sphere, require_still_air
 from ..onboard.profiles import AbstractProfile
-from ..onboard.propagation import Command, Prediction, SampledCommand, propagate
+from ..onboard.propagation import (
+    Command,
+    Prediction,
+    SampledCommand,
+    propagate,
+    require_corrections,
+)
 from ..onboard.turning import BankTurning
 from ..onboard.wind_estimation import WindEstimate, WindEstimator
 from ..world.wind import StillAir
@@ -189,13 +195,7 @@ class PredictorCorrector(AbstractSampledLaw[tuple[()], Corrected]):
     """Largest number of steps in a prediction"""
 
     def __check_init__(self):
-        if self.corrections < 1:
-            raise ValueError(f"corrections is {self.corrections}: it must be 1 or more")
-        if not 0.0 < self.step < math.inf or self.steps < 1:
-            raise ValueError(
-                f"a prediction has {self.steps} steps of {self.step} s: both must be "
-                "positive"
-            )
+        require_corrections(self.corrections, self.step, self.steps)
         if self.network is not None:
             self._check_network(self.network)
         if self.wind is not None and not self.in_space:

@@ -269,6 +269,24 @@ def propagate_over(
     return Prediction(moving.time, moving.state, moving.integrals, ended_by)
 
 
+def require_corrections(corrections: int, step: float, steps: int) -> None:
+    """Look at the counts of a law that corrects its decision by predictions.
+
+    **Arguments:**
+
+    - `corrections`: corrections in one guidance cycle.
+    - `step`, `steps`: length, s, and largest number of steps in a prediction.
+
+    **Raises:** `ValueError` for a number that is not positive.
+    """
+    if corrections < 1:
+        raise ValueError(f"corrections is {corrections}: it must be 1 or more")
+    if not 0.0 < step < math.inf or steps < 1:
+        raise ValueError(
+            f"a prediction has {steps} steps of {step} s: both must be positive"
+        )
+
+
 def _flow(
     model: OnboardModel,
     command: Command,
