@@ -7,14 +7,17 @@ from first_sets import assert_first_runs, fly_few, populations
 from helpers import truths
 from pages import PAGES, assert_says, published
 
+from jentry.addresses import replace_leaves
 from jentry.campaign.campaign import drawn_inputs
 from jentry.missions import find_mission
 from jentry.motion import EntryState, OrbitTarget, burns_to, orbit_of
+from jentry.planning import capture_corridor
 from jentry.units import degree, km
 
 
 MARS, NEPTUNE = "mars-aerocapture", "neptune-aerocapture"
 FLOWN = "predictor-corrector", "everything"
+PATH = "initial_state.flight_path_angle"
 AMAT = truths("amat_neptune.csv")
 RADIUS, MU = 24622e3, 6.8365299e15
 
@@ -69,7 +72,7 @@ def drawn(mission, run):
 
 def test_the_flight_far_from_its_apoapsis_over_mars():
     run = drawn(MARS, 1371)
-    path = run["initial_state.flight_path_angle"] / degree
+    path = run[PATH] / degree
     assert_says("It enters at -10.90 degrees into air", path)
     assert_says(
         "that is denser by 39 %, with 8 % less lift and 5 % more drag",
@@ -81,7 +84,7 @@ def test_the_flight_far_from_its_apoapsis_over_mars():
 
 def test_the_flights_far_from_their_apoapsis_over_neptune():
     one, other = (drawn(NEPTUNE, run) for run in (372, 1371))
-    paths = [run["initial_state.flight_path_angle"] / degree for run in (one, other)]
+    paths = [run[PATH] / degree for run in (one, other)]
     assert_says("They enter at -14.31 and -14.21 degrees", *paths)
     dense = [100.0 * (run["planet.density_scale"] - 1.0) for run in (one, other)]
     assert_says("air that is denser by 14 and 12 %", *dense)
@@ -145,6 +148,19 @@ def test_what_is_said_of_the_corridors():
     assert cells[amat, names[1]].value > -13.85 > steep
     carried = 1.083385e-4 * (RADIUS + 1001e3) / km
     assert_says("the rotation adds up to 2.8 km/s", carried)
+
+
+@pytest.mark.slow
+def test_the_flights_far_from_their_apoapsis_are_at_their_steep_limits():
+    margins = []
+    for mission, run in ((MARS, 1371), (NEPTUNE, 372), (NEPTUNE, 1371)):
+        inputs = drawn(mission, run)
+        scenario = replace_leaves(find_mission(mission).scenario(), inputs)
+        steep = float(capture_corridor(scenario).steep)
+        margins.append((inputs[PATH] - steep) / degree)
+    assert_says("It is 0.02 degrees from the steep limit", margins[0])
+    assert "Both are steeper than the steep limit of their own corridor" in PAGES
+    assert max(margins[1:]) < 0.0
 
 
 @pytest.mark.slow
