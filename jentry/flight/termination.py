@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from .._math import sincos
 from ..fields import QUARTER, Scalar, scalar
 from ..motion.orbit import orbit_of
 from ..motion.quantities import arc_to, direction_to, energy
@@ -209,8 +210,15 @@ class EnergyBelow(AbstractEndCondition):
         return energy(planet, state) - self.energy
 
 
+def _climb_rate(state: EntryState) -> Scalar:
+    """Rate of the altitude, m/s. It passes zero smoothly in a flight through rest, where
+    the flight-path angle jumps."""
+    sine, _ = sincos(state.flight_path_angle)
+    return state.velocity * sine
+
+
 class Apoapsis(AbstractEndCondition):
-    """Ends a flight at a highest point: where the flight-path angle falls through zero.
+    """Ends a flight at a highest point: where its climb rate falls through zero.
 
     A flight that begins in descent first has to climb.
     """
@@ -220,11 +228,11 @@ class Apoapsis(AbstractEndCondition):
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
     def margin(self, state: EntryState, planet: Planet) -> Scalar:
-        return state.flight_path_angle
+        return _climb_rate(state)
 
 
 class Periapsis(AbstractEndCondition):
-    """Ends a flight at a lowest point: where the flight-path angle rises through zero.
+    """Ends a flight at a lowest point: where its climb rate rises through zero.
 
     A skip begins there. A flight that begins in a climb first has to descend.
     """
@@ -234,7 +242,7 @@ class Periapsis(AbstractEndCondition):
     outcome: Outcome = eqx.field(default=Outcome.REACHED, static=True)
 
     def margin(self, state: EntryState, planet: Planet) -> Scalar:
-        return -state.flight_path_angle
+        return -_climb_rate(state)
 
 
 class Crossing(AbstractEndCondition):

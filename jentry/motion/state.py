@@ -19,7 +19,8 @@ class EntryState(eqx.Module):
     Conventions of the whole package: altitude above the sphere; longitude positive east;
     velocity relative to the rotating planet; flight-path angle positive up; heading
     clockwise from north, so that 90 degrees is east. These coordinates are singular in
-    vertical flight, over the poles and at rest: `Outcome.SINGULAR`.
+    vertical flight, over the poles and at rest: `Outcome.SINGULAR`. `VectorDynamics` flies
+    through these points.
     """
 
     altitude: Scalar = scalar(unit="m", range=ABOVE_GROUND)
