@@ -201,13 +201,93 @@ def test_a_place_to_the_right_is_a_positive_number():
         state_at(**{**MIDDLE, "latitude": 0.5 * degree, "heading": math.pi / 2})
     )
     assert read["range to the right"] > 0.0
-    name = "sine of the course to the right of the plane of origin and aim"
-    assert read[name] == pytest.approx(0.0, abs=1e-12)
+    assert read[COURSE] == pytest.approx(0.0, abs=1e-12)
     south = read_at(
         state_at(**{**MIDDLE, "latitude": 0.5 * degree, "heading": 0.6 * math.pi})
     )
-    assert south[name] > 0.1
+    assert south[COURSE] > 0.1
     assert read["range to the right, over the distance to go"] > 0.0
+
+
+COURSE = "sine of the course to the right of the plane of origin and aim"
+
+ORIGIN = {"longitude": 0.3, "latitude": -0.4, "heading": 0.9}
+
+
+def direction(longitude, latitude):
+    """Unit vector from the centre of the planet, and those to the east and the north."""
+    east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
+    out = np.array([np.cos(longitude), np.sin(longitude), 0.0]) * np.cos(latitude)
+    out[2] = np.sin(latitude)
+    return out, east, np.cross(out, east)
+
+
+def course(origin, angle, across, state):
+    """Component of the level course along the normal of the plane of origin and aim, over
+    the sine of the downrange, by vectors; the crossrange of the aim is to the left."""
+    up, east, north = direction(origin["longitude"], origin["latitude"])
+    ahead = np.sin(origin["heading"]) * east + np.cos(origin["heading"]) * north
+    aim = np.cos(angle) * up + np.sin(angle) * ahead
+    aim = np.cos(across) * aim + np.sin(across) * np.cross(up, ahead)
+    _, east, north = direction(state["longitude"], state["latitude"])
+    level = np.sin(state["heading"]) * east + np.cos(state["heading"]) * north
+    return -np.cross(up, aim) @ level / np.sin(angle)
+
+
+@jax.jit
+def read_course(origin, angle, across, state):
+    law, start = law_of(), entry().initial_state
+    origin, state = (dataclasses.replace(start, **x) for x in (origin, state))
+    aim = dataclasses.replace(
+        aim_of(law),
+        origin=origin,
+        downrange=angle * law.model.planet.radius,
+        crossrange=across * law.model.planet.radius,
+    )
+    read = inputs_of(law.model, aim, sensed(state), jnp.asarray(0.0))
+    return read[INPUTS.index(COURSE)]
+
+
+def as_arrays(numbers):
+    return {name: jnp.asarray(x) for name, x in numbers.items()}
+
+
+@pytest.mark.parametrize("angle, across", [(0.37, 8e-4), (1.2, -0.01), (2.9, 0.0)])
+def test_the_course_is_that_from_the_plane_of_origin_and_aim(angle, across):
+    state = {"longitude": 0.8, "latitude": 0.2, "heading": 2.1}
+    found = read_course(
+        as_arrays(ORIGIN), jnp.asarray(angle), jnp.asarray(across), as_arrays(state)
+    )
+    expected = course(ORIGIN, angle, across, state)
+    assert float(found) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("moved", [{}, {"latitude": 0.0, "heading": math.pi / 2}])
+def test_the_course_is_regular_at_the_antipode_and_without_a_downrange(moved):
+    """There it is that from the plane of the origin's course, also for an aim aside."""
+    origin = ORIGIN | moved
+    state = as_arrays({"longitude": 0.8, "latitude": 0.2, "heading": 2.1})
+    expected = course(origin, 1.0, 0.0, state)  # no crossrange: the same at any angle
+    slopes = jax.jit(jax.jacfwd(jax.jacrev(read_course, (0, 1, 2, 3)), (0, 1, 2, 3)))
+    for angle in (0.0, math.pi):
+        for across in (0.0, 8e-4):
+            numbers = jnp.asarray(angle), jnp.asarray(across)
+            found = read_course(as_arrays(origin), *numbers, state)
+            there = math.cos(across) * expected
+            assert float(found) == pytest.approx(there, abs=1e-12)
+            if angle == 0.0:  # the other inputs are over the downrange
+                continue
+            second = slopes(as_arrays(origin), *numbers, state)
+            assert all(np.all(np.isfinite(x)) for x in jax.tree.leaves(second))
+
+
+def test_the_course_is_bounded_beside_the_antipode():
+    """The plane turns by less than half a right angle for an aim that is aside."""
+    state = as_arrays({"longitude": 0.8, "latitude": 0.2, "heading": 2.1})
+    angles = math.pi + np.concatenate([-np.logspace(-9, -1), np.logspace(-9, -1)])
+    many = jax.vmap(read_course, (None, 0, None, None))
+    found = many(as_arrays(ORIGIN), jnp.asarray(angles), jnp.asarray(0.01), state)
+    assert np.max(np.abs(found)) < math.sqrt(2.0)
 
 
 def test_a_cycle_turns_as_fast_as_the_vehicle_can():

@@ -19,7 +19,11 @@ from jaxtyping import Array, Float
 
 from .._math import sincos
 from ..fields import Scalar, scalar
-from ..motion.quantities import direction_to, from_ground_track
+from ..motion.quantities import (
+    course_in_axes,
+    direction_to,
+    from_ground_track,
+)
 from ..motion.state import Controls, EntryState
 from ..onboard.measurement import Measurement, measure
 from ..onboard.model import OnboardModel, require_sphere
@@ -32,6 +36,8 @@ from .law import AbstractSampledLaw, begun, commanded, decided
 
 
 PURPOSE = "signed bank from measurements, to a target"
+ANGLE_PURPOSE = "signed bank and angle of attack from measurements, to a target"
+"""Purposes of the networks, as their model cards state them"""
 
 INPUTS = (
     "velocity",
@@ -55,7 +61,8 @@ INPUTS = (
 """Inputs of the network, dimensionless. Ranges are over the downrange of the aim from its
 origin, the altitude over that of the origin, velocities over that of the origin, and
 accelerations over the square of that velocity by that downrange. Lift is its magnitude. The
-last one is a sine for an aim without crossrange; it is not for one at the antipode"""
+last one is a sine for an aim without crossrange, and the only one that an aim without
+downrange has"""
 
 ANGLE_INPUT = "angle of attack, from the middle of its range"
 """Further input of a law that commands the angle of attack: what is measured, over half the
@@ -84,6 +91,9 @@ _LEAST_FORCE = 1e-3
 """Smoothing of a specific force, in the unit of accelerations: above the air its logarithm
 is constant"""
 
+_LEAST_SINE = 1e-8
+"""Smoothing of the sine of a downrange"""
+
 _LEAST_SQUARE = 0.1
 """Smoothing of the difference of squared velocities, as a share of that of the aim"""
 
@@ -102,9 +112,7 @@ def inputs_of(
     acceleration = speed * speed / length
     place = from_ground_track(planet, aim.origin, aim.downrange, aim.crossrange)
     ahead, right, up = direction_to(*place, state)
-    # The level course, times the normal of the plane through the origin and the aim.
-    _, aside, above = direction_to(aim.origin.longitude, aim.origin.latitude, state)
-    course = (aside * up - above * right) / jnp.sin(length / planet.radius)
+    course = _course(planet, aim, state)
     ahead = planet.radius * jnp.arctan2(ahead, up) / length
     right = planet.radius * jnp.arcsin(right) / length
     to_go = _smooth(ahead, _NEAR)
@@ -159,9 +167,31 @@ def _periapsis(planet: Planet, state: EntryState) -> Scalar:
     return latus / (1.0 + eccentricity)
 
 
+def _course(planet: Planet, aim: Aim, state: EntryState) -> Scalar:
+    """Course to the right of the plane of origin and aim: its last input.
+
+    It is the component of the level course along the cross product of the directions of
+    origin and aim, over the sine s of the angle of downrange. For an aim without crossrange
+    s cancels out. With a sine c of crossrange the plane is turned from that of the origin's
+    course by an angle whose tangent is c / s. Near the antipode s is smaller than c. There
+    the plane turns back, and at the antipode it is that of the origin's course.
+    """
+    ahead, left = course_in_axes(aim.origin, state)
+    along = jnp.sin(aim.downrange / planet.radius)
+    across, cosine = sincos(aim.crossrange / planet.radius)
+    scale = jnp.hypot(along, _LEAST_SINE)
+    turned = across * along / (scale**8 + across**8) ** 0.25
+    return turned * ahead - cosine * left
+
+
 def input_names(with_angle: bool) -> tuple[str, ...]:
     """Names of the inputs of a law, with a commanded angle of attack or without."""
     return (*INPUTS, ANGLE_INPUT) if with_angle else INPUTS
+
+
+def purpose_of(with_angle: bool) -> str:
+    """Purpose of a network, with a commanded angle of attack or without."""
+    return ANGLE_PURPOSE if with_angle else PURPOSE
 
 
 def _smooth(x: Scalar, width: Scalar | float) -> Scalar:

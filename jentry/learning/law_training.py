@@ -13,7 +13,7 @@ from ..campaign.campaign import drawn_inputs
 from ..campaign.dispersions import Dispersion, key_of
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver, FixedStep
-from ..guidance.neural_law import PURPOSE, input_names
+from ..guidance.neural_law import input_names, purpose_of
 from ..onboard.recurrent_network import RecurrentNetwork, save_recurrent_network
 from .flight_residuals import Residuals, ground_miss, neural_law_of
 from .imitation import imitated
@@ -160,7 +160,7 @@ def train_law(
     last = [part.course[-1] for part in parts]
     best = trained.course[trained.best]
     about = {
-        "purpose": PURPOSE,
+        "purpose": purpose_of(training.with_angle),
         "seed": seed,
         "begins with an imitation": imitate,
         "begins with another training": earlier is not None,

@@ -290,7 +290,7 @@ def train_range_network(
             return features(law.model, state, angle, factors, number)
 
         square = jnp.asarray(state.velocity**2 - end[0] ** 2)
-        turn = jnp.asarray(full_turn(number, state.velocity / end[0]))
+        turn = jax.vmap(full_turn)(number, state.velocity / end[0])
         return jax.vmap(one)(state, factors, number), square, turn
 
     given = samples.states, samples.factors, samples.numbers
@@ -302,7 +302,7 @@ def train_range_network(
             along,
             OUTPUT,
             ranges,
-            lambda outputs, chosen: range_of(square[chosen], outputs),
+            lambda outputs, chosen: jax.vmap(range_of)(square[chosen], outputs),
             jnp.log(0.5 * square / ranges),
         )
     }
@@ -312,7 +312,9 @@ def train_range_network(
             ACROSS,
             OUTPUT_ACROSS,
             across,
-            lambda outputs, chosen: across_of(ranges[chosen], turn[chosen], outputs),
+            lambda outputs, chosen: jax.vmap(across_of)(
+                ranges[chosen], turn[chosen], outputs
+            ),
             jnp.log(across / (ranges * turn)),
         )
     keys = {n: jax.random.fold_in(key, i) if i else key for i, n in enumerate(lessons)}

@@ -103,16 +103,42 @@ def ground_track(
     origin on the equator with heading east they are longitude and latitude times the
     radius.
     """
-    x, y, z = _direction(state.longitude - origin.longitude, state.latitude)
+    place = _direction(state.longitude - origin.longitude, state.latitude)
+    ahead, left, up = _in_axes_of(origin, *place)
+    downrange = planet.radius * jnp.arctan2(ahead, up)
+    crossrange = planet.radius * jnp.arcsin(left)
+    return downrange, crossrange
+
+
+def course_in_axes(origin: EntryState, state: EntryState) -> tuple[Scalar, Scalar]:
+    """Unit vector along the course over the ground, in axes of an origin.
+
+    Its components are ahead, along the heading of the origin, and to the left, normal to
+    the great circle of that heading.
+    """
+    sin_between, cos_between = sincos(state.longitude - origin.longitude)
+    sin_latitude, cos_latitude = sincos(state.latitude)
+    east, north = sincos(state.heading)
+    x = -east * sin_between - north * sin_latitude * cos_between
+    y = east * cos_between - north * sin_latitude * sin_between
+    ahead, left, _ = _in_axes_of(origin, x, y, north * cos_latitude)
+    return ahead, left
+
+
+def _in_axes_of(
+    origin: EntryState, x: Scalar, y: Scalar, z: Scalar
+) -> tuple[Scalar, Scalar, Scalar]:
+    """A vector in axes of an origin: ahead, along its heading, to the left, and up.
+
+    The axis x points from the centre of the planet to the equator at the longitude of the
+    origin, and z to the north pole.
+    """
     sin_latitude, cos_latitude = sincos(origin.latitude)
     sin_heading, cos_heading = sincos(origin.heading)
     up = x * cos_latitude + z * sin_latitude
     north = z * cos_latitude - x * sin_latitude
     ahead = y * sin_heading + north * cos_heading
-    left = north * sin_heading - y * cos_heading
-    downrange = planet.radius * jnp.arctan2(ahead, up)
-    crossrange = planet.radius * jnp.arcsin(left)
-    return downrange, crossrange
+    return ahead, north * sin_heading - y * cos_heading, up
 
 
 def from_ground_track(

@@ -70,7 +70,7 @@ def with_network(network: RecurrentNetwork) -> Scenario:
 
 def neural() -> Scenario:
     """A recurrent network that commands bank and angle of attack, trained in waves."""
-    return with_network(law_network(FOLDER))
+    return with_network(law_network(FOLDER, with_angle=True))
 
 
 def residuals(scenario: Scenario, flight: Flight) -> tuple[Scalar, ...]:
