@@ -6,6 +6,7 @@
     python benchmarks/neural_law.py policy --seeds 0 1 2 --save
     python benchmarks/neural_law.py cost --save
     python benchmarks/neural_law.py tail --save
+    python benchmarks/neural_law.py segments --save
 
 All begin with the same random weights, and fly in the hard air of the mission. `through`
 trains through the flight, with exact derivatives, as `jentry train` does. `imitation`
@@ -20,7 +21,9 @@ are tried.
 
 `cost` is the number of flights a second, over that of the predictor-corrector, each with
 the step of its scenario. `tail` flies 100 000 flights of the law that comes with the
-package.
+package. `segments` compares derivatives of whole flights with those through segments, with
+a learned value at their ends, in a short training with Adam. Its flights with derivatives
+are counted; through segments each has a second one without, from which the value learns.
 
 `neural_law.csv` beside this file has what is saved.
 """
@@ -40,7 +43,13 @@ import records
 import jentry
 from jentry.campaign.campaign import drawn_inputs
 from jentry.flight import Outcome
-from jentry.learning import imitated, robust_mean
+from jentry.learning import (
+    AdamSteps,
+    Segments,
+    imitated,
+    robust_mean,
+    train_neural_law,
+)
 from jentry.learning.flight_residuals import (
     distances,
     flown,
@@ -204,6 +213,51 @@ def tail(runs: int = 100_000) -> list[records.Cell]:
     return [records.Cell(row, heading, x, digits) for heading, x, digits in named]
 
 
+SEGMENTS = {
+    "whole flights": None,
+    "segments of 60 cycles": Segments(60),
+    "segments of 20 cycles": Segments(20),
+    "segments of 5 cycles": Segments(5),
+}
+STEPS, STEP_FLIGHTS = 120, 64
+"""Of the trainings through segments, and of that through whole flights beside them"""
+
+
+def segments(seeds: list[int]) -> list[records.Cell]:
+    """Median and 95 % of the distance after equal numbers of flights with derivatives."""
+    cells = []
+    for seed in seeds:
+        task = Task(seed)
+        for name, cut in SEGMENTS.items():
+            began = time.perf_counter()
+            trained = train_neural_law(
+                task.start,
+                task.training.dispersions,
+                jax.random.key(4000 + seed),
+                residuals=task.training.residuals,
+                methods=[AdamSteps(robust_mean, STEPS, STEP_FLIGHTS)],
+                solver=task.training.solver,
+                held_out=512,
+                judge_every=STEPS * STEP_FLIGHTS // 4,
+                segments=cut,
+                report=lambda judged: print(judged.flights, judged.distances[:2]),
+            )
+            took = time.perf_counter() - began
+            row = f"{name}, seed {seed}"
+            course = {j.flights: j.distances for j in trained.course}
+            for share in (4, 2, 1):
+                flights = STEPS * STEP_FLIGHTS // share
+                off = course[flights]
+                cells += [
+                    records.Cell(
+                        row, f"median after {flights} flights, km", off[0], -1
+                    ),
+                    records.Cell(row, f"95 % after {flights}, km", off[1], -1),
+                ]
+            print(row, f"{took:.0f} s", [f"{c.value:.3g}" for c in cells[-6:]])
+    return cells
+
+
 def _shown(course: list[tuple[int, list[float]]]) -> list[tuple[int, list[float]]]:
     """Three places of a course that are saved: an eighth, a third, and the end."""
     total = course[-1][0]
@@ -224,14 +278,15 @@ OTHERS = {"cost": cost, "tail": tail}
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=[*WAYS, *OTHERS])
+    parser.add_argument("part", choices=[*WAYS, *OTHERS, "segments"])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--out", type=Path, default=Path("results/neural-law"))
     parser.add_argument("--save", action="store_true", help=f"to {SAVED.name}")
     options = parser.parse_args()
     jentry.setup()
-    if options.part in OTHERS:
-        cells = OTHERS[options.part]()
+    if options.part in OTHERS or options.part == "segments":
+        given = [options.seeds] if options.part == "segments" else []
+        cells = {**OTHERS, "segments": segments}[options.part](*given)
         if options.save:
             records.save(SAVED, options.part, cells)
         return

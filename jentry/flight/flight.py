@@ -137,7 +137,7 @@ def fly(
         flight = fly(scenario)
         gradient = jax.grad(lambda s: fly(s).state.altitude)(scenario)
     """
-    scenario = settled(without_zero_perturbations(checked(scenario)))
+    scenario = ready(scenario)
     plan = Plan.of(scenario, solver, history)
     lane = start(scenario, plan.step)
     if history is None:
@@ -150,20 +150,30 @@ def fly(
         )
         lanes = plan.kept(scenario, lanes)
         kept = lax.map(lambda lane: _observe(scenario, lane), lanes)
+    flight = landed(scenario, lane, kept)
+    warn_of(flight.caveats, flight.beyond_tables)
+    return flight
+
+
+def ready(scenario: Scenario) -> Scenario:
+    """The scenario that the loop flies: checked, and with its random air drawn."""
+    return settled(without_zero_perturbations(checked(scenario)))
+
+
+def landed(scenario: Scenario, lane: Lane, history: History | None = None) -> Flight:
+    """The flight whose loop stopped at a lane, moved to its end."""
     end = end_of_flight(scenario, lane)
-    told = caveats(scenario, end.lane)
-    distances = {n: beyond.distance for n, beyond in end.lane.noted.beyond.items()}
-    warn_of(told, distances)
+    noted = end.lane.noted
     return Flight(
         time=end.lane.flown,
         state=end.lane.state,
         outcome=end.outcome,
         ended_by=end.ended_by,
-        peaks=end.lane.noted.peaks,
-        at_peaks=end.lane.noted.at_peaks,
-        caveats=told,
-        history=kept,
-        beyond_tables=distances,
+        peaks=noted.peaks,
+        at_peaks=noted.at_peaks,
+        caveats=caveats(scenario, end.lane),
+        history=history,
+        beyond_tables={n: beyond.distance for n, beyond in noted.beyond.items()},
         navigated=_navigated(end.lane.moving),
         knowledge=knowledge(scenario, end.lane),
         at_end=_at_end(scenario, end.lane),

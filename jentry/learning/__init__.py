@@ -9,6 +9,7 @@ from .neural_law import (
     train_neural_law as train_neural_law,
 )
 from .recorded_law import Recording as Recording, record_inputs as record_inputs
+from .segment_value import Segments as Segments
 from .training_record import Judged as Judged
 from .velocity_network import train_predictor as train_predictor
 from .velocity_samples import fly_samples as fly_samples

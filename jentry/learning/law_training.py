@@ -19,6 +19,7 @@ from .flight_residuals import Residuals, ground_miss, neural_law_of
 from .imitation import imitated
 from .neural_law import METHODS, TrainedLaw, train_neural_law
 from .recorded_law import Recording, record_inputs
+from .segment_value import Segments
 from .training_record import PERCENTILES, Judged
 from .weight_steps import AbstractMethod
 
@@ -54,6 +55,8 @@ class LawTraining:
     """Sizes of its hidden layers"""
     with_angle: bool = False
     """Whether the network commands the angle of attack too"""
+    segments: Segments | None = None
+    """Segments of the flights, as in `train_neural_law`; None for whole flights"""
     before: "LawTraining | None" = None
     """Training with whose network this one begins, such as one in a simpler world; None to
     begin with random weights. The teacher is that of the first training"""
@@ -154,6 +157,7 @@ def train_law(
         solver=training.solver,
         history=training.history,
         store=folder / COURSE_FILE,
+        segments=training.segments,
         report=lambda judged: report(training, judged),
     )
     parts = [part for part in (earlier, trained) if part is not None]
@@ -164,6 +168,7 @@ def train_law(
         "seed": seed,
         "begins with an imitation": imitate,
         "begins with another training": earlier is not None,
+        "guidance cycles of a segment": training.segments and training.segments.cycles,
         "dispersed": list(training.dispersions),
         "flights with derivatives": sum(j.flights for j in last),
         "flights left out": sum(j.left_out for j in last),

@@ -33,6 +33,7 @@ from ..tuning.batch_gradients import Simulation
 from ..tuning.losses import power_mean
 from ..tuning.record import told
 from .flight_residuals import (
+    Flown,
     Residuals,
     Weights,
     curved,
@@ -44,7 +45,9 @@ from .flight_residuals import (
     weights_of,
     with_weights,
 )
+from .flight_segments import flown_in_segments, noisy_samples
 from .recorded_law import record_inputs
+from .segment_value import Learner, Segments
 from .training_record import PERCENTILES, Judged, Progress, TrainingFile, best_of
 from .weight_steps import (
     AbstractMethod,
@@ -115,6 +118,7 @@ def train_neural_law(
     history: float | None = None,
     store: Path | str | None = None,
     labels: Mapping[str, Any] | None = None,
+    segments: Segments | None = None,
     report: Callable[[Judged], None] = lambda judged: None,
 ) -> TrainedLaw:
     """Train the network of a `NeuralLaw` with exact derivatives of dispersed flights.
@@ -142,11 +146,14 @@ def train_neural_law(
     - `solver`, `history`: as for `fly`.
     - `store`: file from which the same call resumes, with the same bits.
     - `labels`: further values that must be the same for a training to resume.
+    - `segments`: cuts of each flight, through which it is differentiated; None for
+        derivatives of whole flights. With segments each flight of a step has a second one,
+        from which a value learns. It needs no derivatives, and is not counted.
     - `report`: function that is called with each judgement.
 
     **Raises:** `ValueError` for a scenario with another law, for methods and widths of
-    different numbers, for a file of another training, and if no flight of a step has finite
-    derivatives, or none of the trained law an end.
+    different numbers, for segments with a history, for a file of another training, and if
+    no flight of a step has finite derivatives, or none of the trained law an end.
     """
     widths = [1.0] * len(methods) if widths is None else list(widths)
     if not methods or len(widths) != len(methods):
@@ -163,6 +170,11 @@ def train_neural_law(
         )
     if patience is not None and patience < 1:
         raise ValueError(f"patience is {patience}: it must be at least 1, or None")
+    if segments is not None and history is not None:
+        raise ValueError(
+            f"history is {history} s and segments are given: a value knows the end of a "
+            "flight and not its history; leave one of them out, and see `Flight.peaks`"
+        )
     scenario = _with_ranges(scenario, _EVERYWHERE)
     check(scenario)
     check_dispersions(scenario, dispersions)
@@ -183,8 +195,11 @@ def train_neural_law(
             "own code": own_code(residuals, *(m.statistic for m in methods)),
             "labels": {n: str(x) for n, x in (labels or {}).items()},
         }
+        if segments is not None:
+            asked["segments"] = told(segments)
         file = TrainingFile(Path(store), asked)
-    training = _Training(scenario, simulation, [*tables, dispersions], key, held_out)
+    tables = [*tables, dispersions]
+    training = _Training(scenario, simulation, tables, key, held_out, segments)
     progress = None if file is None else file.read()
     if progress is None:
         start = weights_of(scenario)
@@ -257,19 +272,22 @@ def _is_spent(progress: Progress, patience: int | None, judged_by: float) -> boo
 class _Training:
     """Flies the steps and the judgements of a training."""
 
-    def __init__(self, scenario, simulation, tables, key, held_out):
+    def __init__(self, scenario, simulation, tables, key, held_out, segments=None):
         self._scenario, self._simulation = scenario, simulation
         self._tables, self._key, self._held_out = tables, key, held_out
+        self._segments: Segments | None = segments
 
     def advance(self, progress: Progress, method: AbstractMethod) -> None:
         """Take the next step of a method."""
         step, place = progress.step, progress.method
         runs = step * method.flights + np.arange(method.flights)
-        flights = flown_with_derivatives(
-            with_weights(self._scenario, progress.weights),
-            self._simulation,
-            self._drawn(place, f"steps of {place}", runs),
-        )
+        now = with_weights(self._scenario, progress.weights)
+        inputs = self._drawn(place, f"steps of {place}", runs)
+        if self._segments is None:
+            flights = flown_with_derivatives(now, self._simulation, inputs)
+        else:
+            others = self._drawn(place, f"value of {place}", runs)
+            flights = self._in_segments(progress, now, inputs, others)
         found = curved(flights, method.statistic, method.needs_matrix, method.large)
         trial: list[dict[str, np.ndarray]] = []
 
@@ -292,6 +310,32 @@ class _Training:
         progress.left_out += int(np.sum(~flights.finite))
         progress.clipped += found.clipped
         progress.loss = found.loss
+
+    def _in_segments(
+        self,
+        progress: Progress,
+        scenario: Scenario,
+        inputs: dict[str, Any],
+        others: dict[str, Any],
+    ) -> Flown:
+        """Flights with derivatives through segments, by a value that first learns from
+        other flights of the same weights."""
+        segments, simulation = self._segments, self._simulation
+        assert segments is not None
+        key = jax.random.fold_in(self._key, zlib.crc32(b"value"))
+        noise, first, more = jax.random.split(
+            jax.random.fold_in(key, progress.flights), 3
+        )
+        samples = noisy_samples(scenario, simulation, segments, others, noise)
+        if progress.value:
+            learner = Learner.of_arrays(segments, progress.value)
+        else:
+            learner = Learner.begun(segments, samples, first)
+        learner = learner.taught(segments, samples, more)
+        progress.value = learner.as_arrays()
+        return flown_in_segments(
+            scenario, simulation, segments.cycles, learner.value, inputs
+        )
 
     def judged(self, progress: Progress) -> Judged:
         there = with_weights(self._scenario, progress.weights)

@@ -290,7 +290,7 @@ def train_range_network(
             return features(law.model, state, angle, factors, number)
 
         square = jnp.asarray(state.velocity**2 - end[0] ** 2)
-        turn = jax.vmap(full_turn)(number, state.velocity / end[0])
+        turn = jnp.asarray(jax.vmap(full_turn)(number, state.velocity / end[0]))
         return jax.vmap(one)(state, factors, number), square, turn
 
     given = samples.states, samples.factors, samples.numbers

@@ -81,6 +81,8 @@ class Progress:
     clipped: int = 0
     seconds: float = 0.0
     loss: float = np.nan
+    value: State = dataclasses.field(default_factory=dict)
+    """Arrays of the value of a training through segments; empty without them"""
 
 
 _ARRAYS = "weights", "best"
@@ -108,6 +110,7 @@ class TrainingFile:
         course = [dataclasses.asdict(judged) for judged in progress.course]
         arrays = {n: np.asarray(getattr(progress, n)) for n in (*_NUMBERS, *_ARRAYS)}
         arrays |= {f"state/{n}": x for n, x in progress.state.items()}
+        arrays |= {f"value/{n}": x for n, x in progress.value.items()}
         arrays["course"] = np.array(json.dumps(course))
         write_with_description(self.path, arrays, self.description, _KIND)
 
@@ -126,4 +129,5 @@ class TrainingFile:
         ]
         numbers: dict[str, Any] = {n: arrays[n].item() for n in _NUMBERS}
         numbers |= {n: arrays[n] for n in _ARRAYS}
-        return Progress(state=part_of(arrays, "state"), course=course, **numbers)
+        state, value = (part_of(arrays, name) for name in ("state", "value"))
+        return Progress(state=state, course=course, value=value, **numbers)
