@@ -351,6 +351,10 @@ ROWS = {
         ("neural world hard-air", "hard-air"),
         ("neural world hard-air", "hard-air-wider"),
         ("predictor-corrector world hard-air", "hard-air-wider"),
+        *(
+            (f"{law} world fitted-air world hard-air", "hard-air-without-scale-height")
+            for law in ("predictor-corrector", "neural")
+        ),
         ("predictor-corrector world aided world hard-air", "hard-air-and-knowledge"),
         ("neural world aided world hard-air", "hard-air-and-knowledge"),
         ("range-tracking world inertial", "lift-to-drag-held-and-knowledge"),
@@ -464,6 +468,13 @@ HARD_AIR = {
 }
 """Headings of flights in hard air beside those of their mission"""
 
+
+def beyond_training(results) -> float:
+    """Share of the flights of a neural law with a decision beyond its training, %"""
+    shares = results["decisions_beyond_training"].values
+    return 100.0 * float(np.mean(shares > 0.0))
+
+
 BEYOND = {
     ("apollo-10", "predictor-corrector"),
     ("apollo-10", "apollo"),
@@ -535,6 +546,8 @@ def statistics_of(mission: str, choice: str) -> dict[str, Callable[..., float]]:
     """By heading; each takes the results of a set."""
     columns = COLUMNS[mission] + MORE.get((mission, choice), ())
     others = dict(HARD_AIR) if "hard-air" in choice else {}
+    if "hard-air" in choice and choice.startswith("neural"):
+        others["beyond the ranges of the training, %"] = beyond_training
     if (mission, choice) in BEYOND:
         others["beyond a limit, %"] = beyond_limits(mission)
     return {c.heading: c.of for c in columns} | OTHERS[mission] | others

@@ -22,9 +22,9 @@ SOLVER = FixedStep(2.0)
 ANGLES = AngleOfAttackLimits(-5.0 * degree, 25.0 * degree, 2.0 * degree)
 
 
-def network_of(seed=0, memory=3, hidden=(4,), size=1.0, angle=False):
+def network_of(seed=0, memory=3, hidden=(4,), size=1.0, angle=False, flow=False):
     """Random weights, normalised by samples about what occurs."""
-    samples = {name: np.array([-2.0, 2.0]) for name in input_names(angle)}
+    samples = {name: np.array([-2.0, 2.0]) for name in input_names(angle, flow)}
     network = RecurrentNetwork.untrained(
         samples, memory, hidden, 1 + angle, jax.random.key(seed)
     )
@@ -37,7 +37,8 @@ def network_of(seed=0, memory=3, hidden=(4,), size=1.0, angle=False):
 def law_of(network=None, **options):
     start = entry()
     if network is None:
-        network = network_of(angle="angles" in options)
+        flow = options.get("reads_flow", False)
+        network = network_of(angle="angles" in options, flow=flow)
     return NeuralLaw(
         network=network,
         model=OnboardModel(start.planet, start.vehicle),

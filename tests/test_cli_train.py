@@ -1,11 +1,13 @@
 """`jentry train`: networks of a mission."""
 
 import dataclasses
+import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import cheap
 import pytest
-from commands import Arrived, assert_refused
+from commands import Arrived, assert_refused, intercepted
 
 from jentry.missions import ALL
 
@@ -60,6 +62,52 @@ def test_every_option_of_the_training_of_a_law_arrives(command, monkeypatch):
     }
     given = {"training": "its training", "folder": Path("there"), "seed": 11}
     assert seen == given | {"imitate": True, "card": made}
+
+
+def test_the_seeds_of_the_training_of_a_law_arrive(command, monkeypatch):
+    seen = intercepted(monkeypatch, "jentry.learning.law_seeds", "train_law_of_seeds")
+    trainings = {"neural": lambda: "its training"}
+    able = dataclasses.replace(cheap.MISSION, law_trainings=trainings)
+    monkeypatch.setitem(ALL, "cheap", able)
+    words = ("--law", "neural", "--seed", 11, "--seed", 3, "--out", "there")
+    with pytest.raises(Arrived):
+        command("train", "cheap", *words)
+    assert seen["given"] == ("its training", [11, 3], Path("there"))
+    made = "jentry train cheap --law neural --seed 11 --seed 3"
+    assert seen["card"]["command"] == made and seen["imitate"] is False
+    assert_refused(
+        command("train", "cav-h", "--seed", 1, "--seed", 2),
+        "there are 2 seeds: networks that predict have one",
+    )
+    assert_refused(
+        command("train", "cav-h", "--law", "neural", "--seed", 1, "--seed", 1),
+        "seeds is [1, 1]: give at least one seed, and each once",
+    )
+    assert_refused(
+        command("train", "cav-h", "--seed", 2**63), "the seed is 9223372036854775808"
+    )
+
+
+def test_the_laws_of_seeds_are_printed_with_their_spread(capsys):
+    from jentry.cli.training_report import print_seeds
+    from jentry.learning import SeedsOfLaw
+    from jentry.learning.training_record import HeldOut
+
+    choosing = {
+        4: HeldOut((1.0, 2.0, 3.125, 4.0), 0),
+        9: HeldOut((1.5, 2.5, 2.25, 4.5), 0),
+        2: HeldOut((1.5, 2.5, 8.75, 4.5), 7),
+    }
+    final = HeldOut((1.0, 2.0, 2.5, 5.0), 1)
+    laws = SeedsOfLaw({}, choosing, 9, final)
+    training = SimpleNamespace(judged_by=99.0)
+    print_seeds(cheap.MISSION, "neural", training, laws)  # type: ignore[arg-type]
+    printed = capsys.readouterr().out
+    for row in ("seed 4 1 2 3.125 4 0", "seed 2 1.5 2.5 8.75 4.5 7"):
+        assert row in " ".join(re.findall(r"[\w.]+", printed))
+    assert "others seed 9 1 2 2.5 5 1" in " ".join(re.findall(r"[\w.]+", printed))
+    assert "best of 3 seeds by 99 %: seed 9; 99 % is from 2.25 to 8.75" in printed
+    assert "median 3.125" in printed
 
 
 def test_the_training_of_a_law_is_refused_by_name(command):

@@ -17,7 +17,7 @@ from jentry.campaign import disperse, draw, monte_carlo
 from jentry.flight import FixedStep, Outcome, misses
 from jentry.missions import find_mission
 from jentry.missions.msl import laws
-from jentry.missions.msl.worlds import density_and_temperature
+from jentry.missions.npcg_toolbox import mars_density_and_temperature
 from jentry.units import degree, km
 
 
@@ -127,7 +127,9 @@ def test_the_fitted_air_is_that_of_the_toolbox(altitude):
     )
     density = air["pressure_Pa"] / (air["gas_constant_J_kg_K"] * temperature)
     density *= np.exp(-air["inverse_scale_height_1_m"] * altitude)
-    assert density_and_temperature(altitude) == pytest.approx((density, temperature))
+    assert mars_density_and_temperature(altitude) == pytest.approx(
+        (density, temperature)
+    )
     planet = MISSION.scenario(world="fitted-air").planet
     found = float(planet.density(jnp.asarray(altitude)))
     assert found == pytest.approx(density, rel=1e-6)

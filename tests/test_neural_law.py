@@ -20,7 +20,7 @@ from neural_laws import (
     network_of,
     scenario_of,
 )
-from winds_on_board import STATE, WINDS, air_velocity
+from winds_on_board import STATE, WINDS, air_velocity, sensed as sensed_in
 
 from jentry.flight import misses
 from jentry.flight.scenario import check
@@ -32,6 +32,7 @@ from jentry.guidance.neural_law import (
 )
 from jentry.missions.mars.drag_tracking import entry
 from jentry.onboard import (
+    FlowSensors,
     Measurement,
     PolynomialProfile,
     RecurrentNetwork,
@@ -100,6 +101,50 @@ def test_the_drag_of_the_model_is_that_in_its_wind(wind):
     assert read["ln of the sensed drag, over that of the model"] == 0.0
     still = 0.5 * density * float(STATE.velocity) ** 2 / 115.0
     assert abs(drag / still - 1.0) > 1e-3
+
+
+BLOWN = {"head": (-50.0, 0.0), "side": (0.0, -50.0)}
+"""Wind along the heading and to its right, m/s"""
+
+
+@pytest.mark.parametrize("wind", BLOWN)
+def test_a_law_reads_the_wind_from_the_flow(wind):
+    """Behind its other inputs, over a hundredth of the velocity of the origin."""
+    law = law_of(reads_flow=True, angles=ANGLES)
+    sensors = FlowSensors(least_dynamic_pressure=0.0)
+    law = dataclasses.replace(law, aim=aim_of(law))
+    read = law.reads(sensed_in(WINDS[wind], sensors), jnp.asarray(0.2))
+    expected = [1.0, *(x / 67.5 for x in BLOWN[wind])]
+    np.testing.assert_allclose(read[-3:], expected, atol=1e-12)
+    plain = dataclasses.replace(law_of(angles=ANGLES), aim=law.aim)
+    others = plain.reads(sensed_in(WINDS[wind]), jnp.asarray(0.2))
+    np.testing.assert_array_equal(read[:-3], others)
+    thin = FlowSensors(least_dynamic_pressure=1e9)
+    unseen = law.reads(sensed_in(WINDS[wind], thin), jnp.asarray(0.2))
+    np.testing.assert_array_equal(unseen[-3:], 0.0)
+
+
+def test_a_law_that_reads_the_flow_needs_sensors_and_a_network_for_them():
+    with pytest.raises(ValueError, match="give the scenario flow_sensors, such as"):
+        flown(law_of(reads_flow=True))
+    with pytest.raises(ValueError, match="it lacks 'whether the flow is sensed'"):
+        law_of(network_of(), reads_flow=True)
+    with pytest.raises(ValueError, match="the law has no 'whether the flow is sensed'"):
+        law_of(network_of(flow=True))
+
+
+@pytest.mark.slow
+def test_the_flow_changes_the_flight_where_it_is_sensed():
+    law = law_of(reads_flow=True, network=network_of(flow=True, size=20.0))
+    ends = []
+    for pressure in (850.0, 1e9):
+        scenario = dataclasses.replace(
+            scenario_of(law), flow_sensors=FlowSensors(least_dynamic_pressure=pressure)
+        )
+        flight = fly_compiled(scenario, SOLVER, None)
+        assert np.isfinite(float(flight.state.longitude))
+        ends.append(float(flight.state.longitude))
+    assert abs(ends[0] - ends[1]) > 1e-5
 
 
 ENTRY = {

@@ -37,7 +37,7 @@ from jentry.learning.flight_residuals import (
     weights_of,
     with_weights,
 )
-from jentry.learning.training_record import best_of
+from jentry.learning.training_record import HeldOut, best_of
 from jentry.onboard import (
     PolynomialProfile,
 )
@@ -274,7 +274,7 @@ def test_the_best_weights_are_those_of_the_percentile(monkeypatch, percentile, b
     given = iter(judged)
 
     def on_held_out(self, scenario, purpose):
-        return {"distances": next(given), "without_end": 0}
+        return HeldOut(next(given), 0)
 
     training = training_of_laws._Training
     monkeypatch.setattr(training, "on_held_out", on_held_out)

@@ -1,7 +1,9 @@
 """`jentry train`: train the networks of a mission."""
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -36,7 +38,13 @@ def command(
             help="Folder for the networks; results/MISSION-networks if not given."
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of flights and weights.")] = 0,
+    seed: Annotated[
+        list[int] | None,
+        typer.Option(
+            help="Seed of flights and weights; 0 if not given. With --law repeatable: "
+            "each seed is trained, and the best is taken."
+        ),
+    ] = None,
     flights: Annotated[
         int | None,
         typer.Option(help=f"Flights from the entry; {_FLIGHTS} if not given."),
@@ -60,7 +68,9 @@ def command(
     from ..missions import ALL, find_mission
 
     chosen = find_mission(mission)
-    key_of(seed)
+    seeds = seed or [0]
+    for each in seeds:
+        key_of(each)
     folder = folder_of_results(out, f"{chosen.name}-networks")
     given = {"flights": flights, "again": again, "iterations": iterations}
     if law is not None:
@@ -70,8 +80,16 @@ def command(
                     f"--{name} is for networks that predict: leave it out with --law, "
                     "whose mission states the flights and the steps"
                 )
-        _train_law(chosen, law, seed, folder, imitate)
+        if len(seeds) == 1:
+            _train_law(chosen, law, seeds[0], folder, imitate)
+        else:
+            _train_seeds(chosen, law, seeds, folder, imitate)
         return
+    if len(seeds) > 1:
+        raise ValueError(
+            f"there are {len(seeds)} seeds: networks that predict have one; leave out the "
+            "others, or give --law"
+        )
     if imitate:
         raise ValueError("--imitate is for a law: give it with --law, or leave it out")
     if chosen.train is None:
@@ -98,7 +116,7 @@ def command(
             typer.echo(line, err=True)
             look()
 
-        cards = chosen.train(folder, seed, **numbers, report=report)
+        cards = chosen.train(folder, seeds[0], **numbers, report=report)
     from .training_report import print_cards
 
     print_cards(chosen, cards)
@@ -109,29 +127,55 @@ def _train_law(
     mission: "Mission", law: str, seed: int, folder: Path, imitate: bool
 ) -> None:
     from ..learning.law_training import train_law
-    from .training_report import judged_line, print_trained_law
+    from .training_report import print_trained_law
 
     training = mission.law_training(law)
-    words = ["jentry", "train", mission.name, "--law", law, "--seed", str(seed)]
-    card = {
-        "mission": mission.name,
-        "law": law,
-        "command": " ".join(words + ["--imitate"] * imitate),
-    }
+    card = _card(mission, law, [seed], imitate)
+    with _reporting() as calls:
+        trained = train_law(training, seed, folder, imitate=imitate, card=card, **calls)
+    print_trained_law(mission, law, training, trained)
+    typer.echo(f"network: {folder}")
+
+
+def _train_seeds(
+    mission: "Mission", law: str, seeds: list[int], folder: Path, imitate: bool
+) -> None:
+    from ..learning.law_seeds import train_law_of_seeds
+    from .training_report import print_seeds
+
+    training = mission.law_training(law)
+    card = _card(mission, law, seeds, imitate)
+    with _reporting() as calls:
+        trained = train_law_of_seeds(
+            training, seeds, folder, imitate=imitate, card=card, **calls
+        )
+    print_seeds(mission, law, training, trained)
+    typer.echo(f"network: {folder}")
+
+
+def _card(
+    mission: "Mission", law: str, seeds: list[int], imitate: bool
+) -> dict[str, Any]:
+    """Entries of a model card: mission, law, and the command that trains it."""
+    words = ["jentry", "train", mission.name, "--law", law]
+    for seed in seeds:
+        words += ["--seed", str(seed)]
+    command = " ".join(words + ["--imitate"] * imitate)
+    return {"mission": mission.name, "law": law, "command": command}
+
+
+@contextlib.contextmanager
+def _reporting() -> Iterator[dict[str, Any]]:
+    """Functions that print the progress of a training; an interruption ends it well."""
+    from .training_report import judged_line
+
     with rounding_off("the same command goes on from here") as look:
 
         def say(line: str) -> None:
             typer.echo(line, err=True)
             look()
 
-        trained = train_law(
-            training,
-            seed,
-            folder,
-            imitate=imitate,
-            card=card,
-            say=say,
-            report=lambda training, judged: say(judged_line(training, judged)),
-        )
-    print_trained_law(mission, law, training, trained)
-    typer.echo(f"network: {folder}")
+        def report(training: Any, judged: Any) -> None:
+            say(judged_line(training, judged))
+
+        yield {"say": say, "report": report}

@@ -3,6 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from ..learning.law_seeds import SeedsOfLaw
 from ..learning.law_training import LawTraining
 from ..learning.neural_law import TrainedLaw
 from ..learning.training_record import PERCENTILES, Judged
@@ -56,6 +59,30 @@ def judged_line(training: LawTraining, judged: Judged) -> str:
         f"{name} {judged.method + 1}, {judged.step} of {method.steps} steps, "
         f"{judged.flights} flights, {judged.seconds:.0f} s: distance {off}"
         + (f"; {judged.without_end} without an end" if judged.without_end else "")
+    )
+
+
+def print_seeds(
+    mission: Mission, law: str, training: LawTraining, trained: SeedsOfLaw
+) -> None:
+    """Print the errors of the law of each seed, their spread, and those of the best."""
+    table = new_table("flights", *(f"{p:g} %" for p in PERCENTILES), "without an end")
+    rows = {f"seed {seed}": x for seed, x in trained.choosing.items()}
+    rows[f"others, seed {trained.best}"] = trained.final
+    for name, held_out in rows.items():
+        numbers = (f"{d:.4g}" for d in held_out.distances)
+        table.add_row(name, *numbers, str(held_out.without_end))
+    console = new_console()
+    print_under(console, f"{mission.name}, {law}: distance on held-out flights", table)
+    place = PERCENTILES.index(training.judged_by)
+    all_seeds = [x.distances[place] for x in trained.choosing.values()]
+    console.print(
+        f"best of {len(all_seeds)} seeds by {training.judged_by:g} %: seed {trained.best}; "
+        f"{training.judged_by:g} % is from {min(all_seeds):.4g} to {max(all_seeds):.4g}, "
+        f"median {np.median(all_seeds):.4g}"
+    )
+    console.print(
+        "all seeds flew the same flights, which chose the best; the others chose nothing"
     )
 
 

@@ -68,6 +68,18 @@ ANGLE_INPUT = "angle of attack, from the middle of its range"
 """Further input of a law that commands the angle of attack: what is measured, over half the
 range"""
 
+FLOW_INPUTS = (
+    "whether the flow is sensed",
+    "sensed wind from behind",
+    "sensed wind to the right",
+)
+"""Further inputs of a law that reads the flow. The wind is the velocity over the ground
+minus that over the air, along the level course and normal to it, over `_WIND` of the
+velocity of the origin of the aim. Where the flow is not sensed all three are zero"""
+
+_WIND = 0.01
+"""Share of the velocity of the origin at which an input of the wind is one"""
+
 _NEAR = 0.003
 """Length, as a share of the downrange of the aim, by which the distance to go is smoothed:
 closer, a logarithm of it would only show noise"""
@@ -184,9 +196,35 @@ def _course(planet: Planet, aim: Aim, state: EntryState) -> Scalar:
     return turned * ahead - cosine * left
 
 
-def input_names(with_angle: bool) -> tuple[str, ...]:
-    """Names of the inputs of a law, with a commanded angle of attack or without."""
-    return (*INPUTS, ANGLE_INPUT) if with_angle else INPUTS
+def flow_inputs_of(aim: Aim, measurement: Measurement) -> Float[Array, " inputs"]:
+    """Inputs of the flow, in the order of `FLOW_INPUTS`.
+
+    **Raises:** `ValueError` for a measurement without flow sensors.
+    """
+    air, state = measurement.air_velocity, measurement.state
+    if air is None:
+        raise ValueError(
+            "the neural law reads the flow, and nothing senses it: give the scenario "
+            "flow_sensors, such as FlowSensors(), or leave reads_flow at False"
+        )
+    _, level = sincos(state.flight_path_angle)
+    east, north = sincos(state.heading)
+    speed = state.velocity * level
+    along = speed - (air.east * east + air.north * north)
+    right = air.north * east - air.east * north
+    unit = _WIND * aim.origin.velocity
+    wind = jnp.stack([along, right]) / unit
+    sensed = jnp.where(air.is_sensed, 1.0, 0.0)
+    return jnp.append(sensed, jnp.where(air.is_sensed, wind, 0.0))
+
+
+def input_names(with_angle: bool, with_flow: bool = False) -> tuple[str, ...]:
+    """Names of the inputs of a law that commands the angle of attack or reads the flow."""
+    return (
+        *INPUTS,
+        *((ANGLE_INPUT,) if with_angle else ()),
+        *(FLOW_INPUTS if with_flow else ()),
+    )
 
 
 def purpose_of(with_angle: bool) -> str:
@@ -297,9 +335,12 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
     """Limits of the angle of attack; None for a network that commands the bank alone"""
     corrects: bool = eqx.field(default=False, static=True)
     """Whether the network corrects the command of the law beside"""
+    reads_flow: bool = eqx.field(default=False, static=True)
+    """Whether the network reads the `FLOW_INPUTS` too, for which the scenario needs flow
+    sensors"""
 
     def __check_init__(self):
-        names = input_names(self.angles is not None)
+        names = input_names(self.angles is not None, self.reads_flow)
         outputs, commands = 1, "the bank"
         if self.angles is not None:
             outputs, commands = 2, "bank and angle of attack"
@@ -381,10 +422,13 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
 
     def reads(self, measurement: Measurement, bank: Scalar) -> Float[Array, " inputs"]:
         """Inputs of the network, with its bank before this decision (rad)."""
-        read = inputs_of(self.model, known(self.aim), measurement, bank)
-        if self.angles is None:
-            return read
-        return jnp.append(read, self.angles.share(measurement.angle_of_attack))
+        aim = known(self.aim)
+        read = inputs_of(self.model, aim, measurement, bank)
+        if self.angles is not None:
+            read = jnp.append(read, self.angles.share(measurement.angle_of_attack))
+        if self.reads_flow:
+            read = jnp.append(read, flow_inputs_of(aim, measurement))
+        return read
 
     def turned(self, bank: Scalar, output: Scalar) -> Scalar:
         """Bank (rad) after one cycle from a bank (rad), by the output of the network."""

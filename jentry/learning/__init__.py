@@ -1,6 +1,10 @@
 """Floor 8: trains networks on simulated flights, and laws through them."""
 
 from .imitation import imitated as imitated
+from .law_seeds import (
+    SeedsOfLaw as SeedsOfLaw,
+    train_law_of_seeds as train_law_of_seeds,
+)
 from .law_training import LawTraining as LawTraining, train_law as train_law
 from .neural_law import (
     TrainedLaw as TrainedLaw,

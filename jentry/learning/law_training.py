@@ -55,6 +55,9 @@ class LawTraining:
     """Sizes of its hidden layers"""
     with_angle: bool = False
     """Whether the network commands the angle of attack too"""
+    with_flow: bool = False
+    """Whether the network reads the flow too, as `NeuralLaw.reads_flow`; the scenario of
+    the teacher needs flow sensors as well"""
     segments: Segments | None = None
     """Segments of the flights, as in `train_neural_law`; None for whole flights"""
     before: "LawTraining | None" = None
@@ -66,7 +69,7 @@ class LawTraining:
     """Number of steps of an imitation of them, if there is one"""
 
     def __post_init__(self):
-        for name in ("memory", "hidden", "with_angle"):
+        for name in ("memory", "hidden", "with_angle", "with_flow"):
             mine, before = getattr(self, name), getattr(self.before, name, None)
             if self.before is not None and mine != before:
                 raise ValueError(
@@ -206,7 +209,7 @@ def random_law(
         return training.with_network(network)
 
     # What the law reads does not depend on its network.
-    names = input_names(training.with_angle)
+    names = input_names(training.with_angle, training.with_flow)
     reader = neural_law_of(scenario(dict.fromkeys(names, np.zeros(1))))
     recording = record_inputs(training.teacher, reader, runs, training.solver)
     read = recording.inputs[np.all(np.isfinite(recording.inputs), axis=-1)]

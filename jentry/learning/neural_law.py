@@ -48,7 +48,14 @@ from .flight_residuals import (
 from .flight_segments import flown_in_segments, noisy_samples
 from .recorded_law import record_inputs
 from .segment_value import Learner, Segments
-from .training_record import PERCENTILES, Judged, Progress, TrainingFile, best_of
+from .training_record import (
+    PERCENTILES,
+    HeldOut,
+    Judged,
+    Progress,
+    TrainingFile,
+    best_of,
+)
 from .weight_steps import (
     AbstractMethod,
     AdamSteps,
@@ -239,13 +246,23 @@ def train_neural_law(
     assert best is not None
     trained = training.with_ranges(with_weights(scenario, progress.best))
     final = training.on_held_out(trained, "final")
-    if final["without_end"] == held_out:
+    if final.without_end == held_out:
         raise ValueError(
             f"none of {held_out} flights of the trained law has an end: train with "
             "smaller dispersions first, or start with other weights"
         )
-    of_best = dataclasses.replace(progress.course[best], **final)
+    of_best = dataclasses.replace(progress.course[best], **final._asdict())
     return TrainedLaw(trained, progress.course, best, of_best)
+
+
+def distances_of(
+    scenario: Scenario, simulation: Simulation, inputs: dict[str, Any]
+) -> HeldOut:
+    """Percentiles of the distance of flights, and the number of those without an end."""
+    residuals, finite = flown(scenario, simulation, inputs)
+    off = distances(residuals[finite]) if np.any(finite) else np.array([np.inf])
+    percentiles = tuple(float(x) for x in np.percentile(off, PERCENTILES))
+    return HeldOut(percentiles, int(np.sum(~finite)))
 
 
 def _with_ranges(scenario: Scenario, ranges: np.ndarray) -> Scenario:
@@ -347,18 +364,13 @@ class _Training:
             loss=progress.loss,
             left_out=progress.left_out,
             clipped=progress.clipped,
-            **self.on_held_out(there, "judgement"),
+            **self.on_held_out(there, "judgement")._asdict(),
         )
 
-    def on_held_out(self, scenario: Scenario, purpose: str) -> dict[str, Any]:
-        """Percentiles of the distance, and the number of flights without an end."""
+    def on_held_out(self, scenario: Scenario, purpose: str) -> HeldOut:
+        """Distances of flights that no step uses, for a purpose."""
         inputs = self._drawn(-1, purpose, np.arange(self._held_out))
-        residuals, finite = flown(scenario, self._simulation, inputs)
-        off = distances(residuals[finite]) if np.any(finite) else np.array([np.inf])
-        return {
-            "distances": tuple(float(x) for x in np.percentile(off, PERCENTILES)),
-            "without_end": int(np.sum(~finite)),
-        }
+        return distances_of(scenario, self._simulation, inputs)
 
     def with_ranges(self, scenario: Scenario) -> Scenario:
         """The scenario with the ranges of the inputs on the flights of its law."""

@@ -4,7 +4,7 @@ import dataclasses
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,15 @@ _KIND = "jentry law training 2"
 
 PERCENTILES = 50.0, 95.0, 99.0, 99.9
 """Percentiles of the distance in a judgement"""
+
+
+class HeldOut(NamedTuple):
+    """Distances of flights that no step uses."""
+
+    distances: tuple[float, ...]
+    """`PERCENTILES` of the distance"""
+    without_end: int
+    """Number of flights without an end"""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Common parts of the missions of the NPCG Toolbox: Earth, entry, dispersions, bank.
+"""Common parts of the missions of the NPCG Toolbox: Earth, air, entry, dispersions, bank.
 
 The Earth is that of the examples `Earth_Apollo10` and `Earth_CAVH` of the NPCG Toolbox of
 Iowa State University (Y. Lee, D. Y. Lee, B. Wie, 2024), which calls the air "Hicks 2009".
@@ -19,7 +19,9 @@ from ..motion.state import EntryState
 from ..units import degree, km
 from ..world.atmosphere import ExponentialAtmosphere
 from ..world.gravity import InverseSquareGravity
+from ..world.perturbed_atmosphere import PerturbedAtmosphere
 from ..world.planet import Planet
+from ..world.tabulated_atmosphere import TabulatedAtmosphere
 from ..world.us_standard_atmosphere import USStandardAtmosphere1976
 
 
@@ -100,6 +102,40 @@ def through_us_1976(scenario: Scenario) -> Scenario:
     """US Standard Atmosphere 1976; the onboard model has the exponential atmosphere."""
     return eqx.tree_at(
         lambda s: s.planet.atmosphere, scenario, USStandardAtmosphere1976()
+    )
+
+
+def mars_density_and_temperature(altitude):
+    """Density (kg/m3) and temperature (K) of the air of Mars, at altitudes in m.
+
+    The example `ex_Mars_robotic` has these fits. It names AAS 18-485 as its source, which
+    we have not read.
+    """
+    h = altitude
+    temperature = 1.4e-13 * h**3 - 8.85e-9 * h**2 - 1.245e-3 * h + 205.3645
+    surface = 559.351005946503 / (188.95110711075 * temperature)
+    return surface * jnp.exp(-0.000105 * h), temperature
+
+
+def through_fitted_mars_air(scenario: Scenario) -> Scenario:
+    """The fitted air of Mars; the onboard model has the exponential one.
+
+    The fit is tabulated each kilometre, which changes its density by less than 1e-6.
+    """
+    altitudes = jnp.arange(-8.0 * km, 136.0 * km, km)
+    densities, temperatures = mars_density_and_temperature(altitudes)
+    air = TabulatedAtmosphere(
+        altitudes,
+        densities,
+        temperatures,
+        gas_constant=188.95110711075,
+        heat_capacity_ratio=1.29,
+    )
+    perturbed = isinstance(scenario.planet.atmosphere, PerturbedAtmosphere)
+    return eqx.tree_at(
+        lambda s: s.planet.atmosphere.undisturbed if perturbed else s.planet.atmosphere,
+        scenario,
+        air,
     )
 
 

@@ -71,6 +71,11 @@ def hard_air_errors() -> dict[str, Dispersion]:
     }
 
 
+def without_scale_height() -> dict[str, Dispersion]:
+    """Errors in hard air but for the scale height, for air that has none."""
+    return {n: d for n, d in hard_air_errors().items() if n != "scale height"}
+
+
 def without_noise() -> dict[str, Dispersion]:
     """Errors in hard air but for the noise of samples, for laws without guidance cycles."""
     noisy = "noise", "noise seed"

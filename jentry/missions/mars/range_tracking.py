@@ -27,6 +27,7 @@ from ...planning.reference_flight import ReferenceFlight, open_loop, plan_drag_r
 from ...units import degree, km
 from ..inertial import Errors, Inertial, Sensors, near
 from ..mission import Mission
+from ..npcg_toolbox import through_fitted_mars_air
 from . import neural_law, predictor_corrector, terminal_point
 from .air_with_waves import (
     air_and_vehicle,
@@ -34,6 +35,7 @@ from .air_with_waves import (
     hard_air_errors,
     wider,
     without_noise,
+    without_scale_height,
 )
 from .drag_tracking import (
     TABULATED_TO,
@@ -177,6 +179,7 @@ MISSION = Mission(
     },
     worlds={
         "hard-air": hard_air,
+        "fitted-air": through_fitted_mars_air,
         "in-plane": in_plane,
         "inertial": NAVIGATION.world,
         "aided": NAVIGATION.aided,
@@ -193,6 +196,7 @@ MISSION = Mission(
         "independent": independent,
         "hard-air": hard_air_errors,
         "hard-air-without-noise": without_noise,
+        "hard-air-without-scale-height": without_scale_height,
         "hard-air-wider": wider,
         "knowledge": NAVIGATION.knowledge,
         "lift-to-drag-held-and-knowledge": NAVIGATION.usual_and_knowledge,

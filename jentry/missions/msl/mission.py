@@ -5,6 +5,7 @@ import dataclasses
 from ...campaign.dispersions import Dispersion
 from ..mars.range_tracking import NAVIGATION as LANDER_NAVIGATION
 from ..mission import Mission
+from ..npcg_toolbox import through_fitted_mars_air
 from .dispersions import (
     air_and_vehicle,
     entry_errors,
@@ -14,7 +15,7 @@ from .dispersions import (
     wind,
 )
 from .laws import predictor_corrector, terminal_point
-from .worlds import fitted_air, range_trigger, wind_and_waves
+from .worlds import range_trigger, wind_and_waves
 
 
 NAVIGATION = dataclasses.replace(
@@ -42,7 +43,7 @@ MISSION = Mission(
     },
     worlds={
         "wind-and-waves": wind_and_waves,
-        "fitted-air": fitted_air,
+        "fitted-air": through_fitted_mars_air,
         "range-trigger": range_trigger,
         "inertial": NAVIGATION.world,
         "aided": NAVIGATION.aided,

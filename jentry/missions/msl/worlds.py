@@ -1,9 +1,6 @@
-"""Worlds of the mission `msl`: wind and waves, other air, and the range trigger."""
+"""Worlds of the mission `msl`: wind and waves, and the range trigger."""
 
 import dataclasses
-
-import equinox as eqx
-import jax.numpy as jnp
 
 from ...flight.scenario import Scenario
 from ...flight.termination import RangeToGoBelow, Termination, VelocityBelow
@@ -12,7 +9,6 @@ from ...units import km
 from ...world.perturbed_atmosphere import DensityWave, PerturbedAtmosphere
 from ...world.random_air import RandomWind
 from ...world.random_profile import RandomAltitudeProfile
-from ...world.tabulated_atmosphere import TabulatedAtmosphere
 from ...world.wind import StillAir
 from ..mars.air_with_waves import WAVES
 
@@ -38,39 +34,6 @@ def wind_and_waves(scenario: Scenario) -> Scenario:
         wind=RandomWind(StillAir(), gusts, gusts, 0.0),
     )
     return dataclasses.replace(scenario, planet=planet)
-
-
-def density_and_temperature(altitude):
-    """Density (kg/m3) and temperature (K) of the air of the toolbox, at altitudes in m.
-
-    The toolbox names AAS 18-485 as its source, which we have not read.
-    """
-    h = altitude
-    temperature = 1.4e-13 * h**3 - 8.85e-9 * h**2 - 1.245e-3 * h + 205.3645
-    surface = 559.351005946503 / (188.95110711075 * temperature)
-    return surface * jnp.exp(-0.000105 * h), temperature
-
-
-def fitted_air(scenario: Scenario) -> Scenario:
-    """The air of the toolbox; the onboard model has the exponential one.
-
-    The fit is tabulated each kilometre, which changes its density by less than 1e-6.
-    """
-    altitudes = jnp.arange(-8.0 * km, 136.0 * km, km)
-    densities, temperatures = density_and_temperature(altitudes)
-    air = TabulatedAtmosphere(
-        altitudes,
-        densities,
-        temperatures,
-        gas_constant=188.95110711075,
-        heat_capacity_ratio=1.29,
-    )
-    perturbed = isinstance(scenario.planet.atmosphere, PerturbedAtmosphere)
-    return eqx.tree_at(
-        lambda s: s.planet.atmosphere.undisturbed if perturbed else s.planet.atmosphere,
-        scenario,
-        air,
-    )
 
 
 def range_trigger(scenario: Scenario) -> Scenario:
