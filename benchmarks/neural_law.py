@@ -217,7 +217,6 @@ SEGMENTS = {
     "whole flights": None,
     "segments of 60 cycles": Segments(60),
     "segments of 20 cycles": Segments(20),
-    "segments of 5 cycles": Segments(5),
 }
 STEPS, STEP_FLIGHTS = 120, 64
 """Of the trainings through segments, and of that through whole flights beside them"""

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float, Key
 from .._batching import where_due
 from ..addresses import replace_leaves
 from ..campaign.batch import over_runs
-from ..fields import Scalar
+from ..fields import Count, Scalar
 from ..flight.closed_loop import select, start
 from ..flight.cycle import Plan
 from ..flight.flight import landed, ready
@@ -48,11 +48,16 @@ def carried(lane: Lane, inputs: dict[str, Array]) -> Float[Array, " inputs"]:
 
 
 class Noise(eqx.Module):
-    """Noise in the decisions of a flight, which shows what departures lead to."""
+    """Noise in the first decisions of a flight, which leads it away from other flights.
+
+    From the end of the noise on the flight is that of the law.
+    """
 
     deviation: Scalar
     seed: Scalar
     """Number between 0 and 1 that selects the noise of a flight"""
+    segments: Count
+    """Number of segments with noise"""
 
     def added(self, law: NeuralLaw, lane: Lane) -> Lane:
         """The flight with noise in the bank, the angle of attack and the memory."""
@@ -91,8 +96,11 @@ class _Cut(eqx.Module):
         return self._begins(lane, self.every) & (lane.flown > 0.0)
 
     def _begins(self, lane: Lane, every: int) -> Array:
-        index = jnp.round(lane.flown / self.plan.duration).astype(int)
-        return lane.on_schedule & (index % every == 0)
+        return lane.on_schedule & (self._index(lane) % every == 0)
+
+    def _index(self, lane: Lane) -> Array:
+        """Number of cycles of the plan so far."""
+        return jnp.round(lane.flown / self.plan.duration).astype(int)
 
     def __call__(self, parameters: Any, carry: tuple[Lane, Array]) -> Any:
         """The flight after a cycle, and the sum of the values at the ends of segments.
@@ -103,11 +111,17 @@ class _Cut(eqx.Module):
         scenario, value, inputs, noise = parameters
         lane, total = carry
         ends = self.ends(lane)
-        total = where_due(ends, lambda t: t + value(carried(lane, inputs)), total)
+        segment = self._index(lane) // self.every
+
+        def add(total: Array) -> Array:
+            return total + value(carried(lane, inputs), segment)
+
+        total = where_due(ends, add, total)
         lane = jax.tree.map(lambda x: jnp.where(ends, lax.stop_gradient(x), x), lane)
         lane = self.plan.decided(scenario, lane)
         if noise is not None:
             decides = self._begins(lane, self.plan.decide_every)
+            decides &= segment < noise.segments
             lane = select(decides, noise.added(neural_law_of(scenario), lane), lane)
         return self.plan.moved(scenario, lane), total
 
@@ -142,7 +156,7 @@ def fly_in_segments(
     plan = Plan.of(flying, simulation.solver, None)
     cut = _Cut(plan, cycles)
     lane = start(flying, plan.step)
-    total = jnp.zeros_like(value(carried(lane, inputs)))
+    total = jnp.zeros_like(value(carried(lane, inputs), jnp.asarray(0)))
     (lane, total), (lanes, _) = while_running_with_history(
         cut,
         _is_running,
@@ -195,15 +209,26 @@ def noisy_samples(
     segments: Segments,
     inputs: dict[str, Any],
     key: Key[Array, ""],
+    reached: int,
 ) -> Samples:
-    """The ends of the segments of flights with noise, from which a value learns."""
+    """The ends of segments of flights with noise, from which a value learns.
+
+    The noise of each flight ends with a segment that is drawn, from the first to number
+    `reached`; with zero there is none. Only ends of segments from there on are samples:
+    there the rest of the flight is that of the law.
+    """
     count = len(next(iter(inputs.values())))
-    seeds = jax.random.uniform(key, (count,), dtype=float)
+    first, second = jax.random.split(key)
+    seeds = np.asarray(jax.random.uniform(first, (count,), dtype=float))
+    until = np.asarray(
+        jax.random.randint(second, (count,), min(1, reached), reached + 1)
+    )
     shared = scenario, simulation, segments.cycles, jnp.asarray(segments.noise)
     residuals, finite, read, there = over_runs(
-        _with_noise, shared, (inputs, np.asarray(seeds))
+        _with_noise, shared, (inputs, seeds, until)
     )
     known = finite[:, None] & there & np.all(np.isfinite(read), axis=-1)
+    known &= np.arange(there.shape[1]) >= until[:, None]
     return Samples(
         np.where(known[..., None], read, 0.0),
         known,
@@ -213,17 +238,17 @@ def noisy_samples(
 
 def _with_noise(
     shared: tuple[Scenario, Simulation, int, Array],
-    run: tuple[dict[str, Array], Array],
+    run: tuple[dict[str, Array], Array, Array],
 ) -> tuple[Array, Array, Array, Array]:
     scenario, simulation, cycles, deviation = shared
-    inputs, seed = run
-    noise = Noise(deviation, seed)
+    inputs, seed, until = run
+    noise = Noise(deviation, seed, until)
     residuals, _, finite, ends = fly_in_segments(
         scenario, simulation, cycles, _nothing, inputs, noise
     )
     return residuals, finite, *ends
 
 
-def _nothing(read: Array) -> Array:
+def _nothing(read: Array, segment: Count) -> Array:
     """A value for flights that are not differentiated."""
     return jnp.zeros(1)

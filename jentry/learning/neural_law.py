@@ -5,6 +5,7 @@ judged on flights that no step uses. The result has the best ones.
 """
 
 import dataclasses
+import functools
 import time
 import zlib
 from collections.abc import Callable, Mapping, Sequence
@@ -343,10 +344,12 @@ class _Training:
         noise, first, more = jax.random.split(
             jax.random.fold_in(key, progress.flights), 3
         )
-        samples = noisy_samples(scenario, simulation, segments, others, noise)
+        fly = functools.partial(noisy_samples, scenario, simulation, segments, others)
         if progress.value:
             learner = Learner.of_arrays(segments, progress.value)
+            samples = fly(noise, learner.value.reached)
         else:
+            samples = fly(noise, fly(noise, 0).reached)
             learner = Learner.begun(segments, samples, first)
         learner = learner.taught(segments, samples, more)
         progress.value = learner.as_arrays()

@@ -11,6 +11,7 @@ import optax
 from jax import lax
 from jaxtyping import Array, Float, Key
 
+from ..fields import Count
 from .descent import robust
 from .weight_steps import State
 
@@ -27,13 +28,14 @@ class Segments:
 
     The value is a network. It reads all that a flight carries from cycle to cycle: state,
     attitude, navigation, the memory and the decision of the law, peaks and time; and the
-    dispersed numbers of the flight, which no law knows. It learns the residuals with which
-    the flights of the training ended, and is not bootstrapped. The derivatives of a
-    training through segments are as wrong as the derivatives of this network.
+    dispersed numbers of the flight, which no law knows. It learns from second flights of
+    the same law, with noise in the decisions of some first segments, and from the residuals
+    with which these ended; it is not bootstrapped. The derivatives of a training through
+    segments are as wrong as the derivatives of this network.
 
     Reference: J. Xu and others, "Accelerated Policy Learning with Parallel Differentiable
-    Simulation", ICLR 2022. There the value is the expected sum of rewards, and learns from
-    values at later times.
+    Simulation", ICLR 2022. There the value is the expected sum of rewards, it learns from
+    values at later times, and the flights that are differentiated have the noise.
     """
 
     cycles: int
@@ -48,7 +50,7 @@ class Segments:
     rate: float = 1e-3
     """Learning rate of the value"""
     noise: float = 0.3
-    """Standard deviation of the noise in the decisions of flights from which the value
+    """Standard deviation of the noise in each decision of flights from which the value
     learns: on the bank, rad, on the memory of the network, and on the angle of attack, as a
     share of half of its range. Without noise the value would know only states to which the
     law flies, and no derivative away from them"""
@@ -69,36 +71,25 @@ class Segments:
 
 
 class Value(eqx.Module):
-    """Network from all that a flight carries to the residuals with which it ends.
-
-    An input that was constant on the first flights has a scale of 0: it has no influence.
-    """
+    """Network from all that a flight carries to the residuals with which it ends."""
 
     layers: tuple[tuple[Array, Array], ...]
     """Weights (outputs, inputs) and biases (outputs,) of each layer, with tanh between"""
-    mean: Float[Array, " inputs"]
-    scale: Float[Array, " inputs"]
-    """One over the deviation of each input on the first flights"""
+    mean: Float[Array, "segments inputs"]
+    scale: Float[Array, "segments inputs"]
+    """Of each input at the end of each segment: its mean and one over its deviation on the
+    flights that normalise"""
     middle: Float[Array, " residuals"]
     spread: Float[Array, " residuals"]
-    """Mean and deviation of each residual on the last flights"""
+    """Mean and deviation of each residual on these flights"""
 
     @classmethod
     def untrained(
-        cls,
-        samples: Float[np.ndarray, "samples inputs"],
-        residuals: Float[np.ndarray, "flights residuals"],
-        hidden: tuple[int, ...],
-        key: Key[Array, ""],
+        cls, samples: "Samples", hidden: tuple[int, ...], key: Key[Array, ""]
     ) -> "Value":
-        """The mean of the residuals of some flights, without a derivative.
-
-        `samples` are inputs of the value on these flights, which normalise them.
-        """
-        deviation = samples.std(axis=0)
-        size = np.maximum(np.abs(samples).max(axis=0), 1.0)
-        varies = deviation > _CONSTANT * size
-        sizes = (samples.shape[1], *hidden, residuals.shape[1])
+        """The mean of the residuals of some flights, without a derivative."""
+        count, inputs = samples.inputs.shape[1:]
+        sizes = (inputs + count, *hidden, samples.residuals.shape[1])
         keys = jax.random.split(key, len(hidden) + 1)
         layers = [
             (
@@ -108,40 +99,45 @@ class Value(eqx.Module):
             for k, before, after in zip(keys, sizes, sizes[1:], strict=False)
         ]
         layers[-1] = jax.tree.map(jnp.zeros_like, layers[-1])
-        middle, spread = _normal(residuals)
-        return cls(
-            tuple(layers),
-            jnp.asarray(samples.mean(axis=0)),
-            jnp.asarray(varies / np.where(varies, deviation, 1.0)),
-            middle,
-            spread,
-        )
+        return cls(tuple(layers), *_inputs_of(samples), *_ends_of(samples))
 
-    def __call__(self, inputs: Float[Array, " inputs"]) -> Float[Array, " residuals"]:
-        x = (inputs - self.mean) * self.scale
+    def __call__(
+        self, inputs: Float[Array, " inputs"], segment: Count
+    ) -> Float[Array, " residuals"]:
+        """Residuals that are expected from what a flight carries at the end of a segment.
+
+        `segment` is the number of segments so far. An input that hardly varies there has no
+        influence.
+        """
+        x = (inputs - self.mean[segment]) * self.scale[segment]
+        x = jnp.concatenate([x, 1.0 * (jnp.arange(len(self.mean)) == segment)])
         for weights, biases in self.layers[:-1]:
             x = jnp.tanh(weights @ x + biases)
         weights, biases = self.layers[-1]
         return self.middle + self.spread * (weights @ x + biases)
 
-    def about(self, residuals: Float[np.ndarray, "flights residuals"]) -> "Value":
-        """The same function, whose last layer is normalised by other residuals.
+    @property
+    def reached(self) -> int:
+        """Largest number of segments with samples that normalise."""
+        (places,) = np.nonzero(np.any(np.asarray(self.scale) > 0.0, axis=1))
+        return int(places.max(initial=0))
+
+    def about(self, samples: "Samples") -> "Value":
+        """The value with the normalisation of other flights.
+
+        The last layer is changed so that the function of normalised inputs remains.
 
         Reference: H. van Hasselt and others, "Learning values across many orders of
         magnitude", 2016: equations (9) and (10).
         """
-        middle, spread = _normal(residuals)
+        mean, scale = _inputs_of(samples)
+        middle, spread = _ends_of(samples)
         weights, biases = self.layers[-1]
         last = (
             weights * (self.spread / spread)[:, None],
             (self.spread * biases + self.middle - middle) / spread,
         )
-        return dataclasses.replace(
-            self,
-            layers=(*self.layers[:-1], last),
-            middle=middle,
-            spread=spread,
-        )
+        return Value((*self.layers[:-1], last), mean, scale, middle, spread)
 
 
 _CONSTANT = 1e-9
@@ -151,12 +147,24 @@ _LEAST_SPREAD = 1e-3
 """Least deviation by which a residual is divided: residuals are of order one"""
 
 
-def _normal(
-    residuals: Float[np.ndarray, "flights residuals"],
-) -> tuple[Array, Array]:
-    """Mean and deviation of each residual."""
-    spread = np.maximum(residuals.std(axis=0), _LEAST_SPREAD)
-    return jnp.asarray(residuals.mean(axis=0)), jnp.asarray(spread)
+def _inputs_of(samples: "Samples") -> tuple[Array, Array]:
+    """Mean and one over the deviation of each input at the end of each segment."""
+    there = samples.there[..., None]
+    count = np.maximum(np.sum(there, axis=0), 1)
+    mean = np.sum(samples.inputs, axis=0, where=there) / count
+    square = np.sum((samples.inputs - mean) ** 2, axis=0, where=there) / count
+    deviation = np.sqrt(square)
+    size = np.max(np.abs(samples.inputs), axis=0, where=there, initial=1.0)
+    varies = deviation > _CONSTANT * size
+    scale = varies / np.where(varies, deviation, 1.0)
+    return jnp.asarray(mean), jnp.asarray(scale)
+
+
+def _ends_of(samples: "Samples") -> tuple[Array, Array]:
+    """Mean and deviation of each residual of the flights with a sample."""
+    ended = samples.residuals[np.any(samples.there, axis=1)]
+    spread = np.maximum(ended.std(axis=0), _LEAST_SPREAD)
+    return jnp.asarray(ended.mean(axis=0)), jnp.asarray(spread)
 
 
 class Samples(NamedTuple):
@@ -170,9 +178,10 @@ class Samples(NamedTuple):
     """Residuals at the end of each flight, shape (flights, residuals)"""
 
     @property
-    def ended(self) -> np.ndarray:
-        """Residuals of the flights that the value learns from."""
-        return self.residuals[np.any(self.there, axis=1)]
+    def reached(self) -> int:
+        """Largest number of segments that a flight has completed."""
+        (places,) = np.nonzero(np.any(self.there, axis=0))
+        return int(places.max(initial=0))
 
 
 class Learner(NamedTuple):
@@ -190,14 +199,13 @@ class Learner(NamedTuple):
 
         **Raises:** `ValueError` if no flight has come to the end of a segment.
         """
-        known = samples.inputs[samples.there]
-        if not len(known):
+        if not np.any(samples.there):
             raise ValueError(
                 f"cycles is {segments.cycles}: none of {len(samples.there)} flights has an "
                 "end and more than so many guidance cycles; take shorter segments, or none"
             )
         first, more = jax.random.split(key)
-        value = Value.untrained(known, samples.ended, segments.hidden, first)
+        value = Value.untrained(samples, segments.hidden, first)
         learner = cls(value, _ADAM.init(value.layers))
         for part in jax.random.split(more, _FIRST):
             learner = learner.taught(segments, samples, part)
@@ -209,7 +217,7 @@ class Learner(NamedTuple):
         """The value after some steps on samples; unchanged if there are none."""
         if not np.any(samples.there):
             return self
-        value = self.value.about(samples.ended)
+        value = self.value.about(samples)
         return Learner(*_taught(segments, value, self.adam, samples, key))
 
     def as_arrays(self) -> State:
@@ -245,7 +253,8 @@ def _taught(
     usual = jnp.maximum(jnp.nanmedian(jnp.where(there, off, jnp.nan)), _LEAST_SPREAD)
 
     def loss(layers: Any, chosen: Array) -> Array:
-        guess = jax.vmap(dataclasses.replace(value, layers=layers))(read[chosen])
+        there = jax.vmap(dataclasses.replace(value, layers=layers))
+        guess = there(read[chosen], chosen % count)
         return robust((guess - ends[chosen]) / usual)
 
     def step(carry: tuple[Any, Any], key: Array) -> tuple[tuple[Any, Any], None]:
