@@ -109,7 +109,7 @@ def test_a_learner_comes_back_from_its_arrays():
     "options, message",
     [
         ({"cycles": 0}, "cycles is 0: it must be a whole number, at least 1"),
-        ({"cycles": 2.5}, "cycles is 2.5"),
+        ({"samples": -1}, "samples is -1"),
         ({"hidden": (8, 0)}, r"hidden is \(8, 0\)"),
         ({"noise": 0.0}, "noise is 0.0: it must be positive and finite"),
         ({"rate": np.nan}, "rate is nan"),

@@ -33,7 +33,7 @@ def test_the_best_seed_loses_the_fewest_flights_and_then_is_nearest():
 @pytest.mark.parametrize("seeds", [[], [3, 5, 3]])
 def test_seeds_are_given_and_each_once(tmp_path, seeds):
     with pytest.raises(ValueError, match="give at least one seed, and each once"):
-        train_law_of_seeds(None, seeds, tmp_path)  # type: ignore[arg-type]
+        train_law_of_seeds(training_of(FEW), seeds, tmp_path)
 
 
 @pytest.mark.slow

@@ -77,7 +77,7 @@ class Value(eqx.Module):
     """Weights (outputs, inputs) and biases (outputs,) of each layer, with tanh between"""
     mean: Float[Array, "segments inputs"]
     scale: Float[Array, "segments inputs"]
-    """Of each input at the end of each segment: its mean and one over its deviation on the
+    """Mean and one over the deviation of each input at the end of each segment, on the
     flights that normalise"""
     middle: Float[Array, " residuals"]
     spread: Float[Array, " residuals"]
@@ -228,10 +228,12 @@ class Learner(NamedTuple):
     @classmethod
     def of_arrays(cls, segments: Segments, arrays: State) -> "Learner":
         """The learner whose numbers are stored."""
-        layers = tuple((0.0, 0.0) for _ in (*segments.hidden, 0))
-        like = cls(Value(layers, *4 * [0.0]), _ADAM.init(layers))  # type: ignore[arg-type]
-        leaves = [jnp.asarray(arrays[name]) for name in sorted(arrays)]
-        return jax.tree.unflatten(jax.tree.structure(like), leaves)
+        numbers = [jnp.asarray(arrays[name]) for name in sorted(arrays)]
+        count = 2 * (1 + len(segments.hidden))
+        layers = tuple(zip(numbers[:count:2], numbers[1:count:2], strict=True))
+        value = Value(layers, *numbers[count : count + 4])
+        adam = jax.tree.structure(_ADAM.init(layers))
+        return cls(value, jax.tree.unflatten(adam, numbers[count + 4 :]))
 
 
 _ADAM = optax.scale_by_adam()
