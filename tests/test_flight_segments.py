@@ -220,7 +220,8 @@ def test_samples_are_the_ends_of_segments_and_what_came_of_them(learner):
     expected = np.broadcast_to(times, samples.there.shape)[samples.there]
     np.testing.assert_allclose(samples.inputs[samples.there][:, 0], expected, rtol=1e-9)
     names = tuple(sorted(drawn(1)))
-    exact = eqx.filter_jit(jax.vmap(RestOfFlight(start(), names), (0, None)))
+    rest = RestOfFlight(start(), names)
+    exact = eqx.filter_jit(lambda read, place: jax.vmap(rest, (0, None))(read, place))
     for place in (1, REACHED):
         found = exact(jnp.asarray(samples.inputs[:RUNS, place]), jnp.asarray(place))
         there = samples.there[:RUNS, place]

@@ -6,6 +6,7 @@ which a network learns from the flights of the training.
 """
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -31,7 +32,12 @@ from ..guidance.neural_law import NeuralLaw
 from ..onboard.sampling import normal_sample
 from ..tuning.batch_gradients import Simulation, all_finite
 from .flight_residuals import Flown, neural_law_of, with_weights
-from .segment_value import Samples, Segments, Value
+from .segment_value import Samples, Segments
+
+
+Expected = Callable[[Float[Array, " inputs"], Count], Float[Array, " residuals"]]
+"""Function of what a flight carries at the end of a segment, and of the number of segments
+so far: the residuals that are expected, such as a `Value`. It is a pytree"""
 
 
 def carried(lane: Lane, inputs: dict[str, Array]) -> Float[Array, " inputs"]:
@@ -134,7 +140,7 @@ def fly_in_segments(
     scenario: Scenario,
     simulation: Simulation,
     cycles: int,
-    value: Any,
+    value: Expected,
     inputs: dict[str, Array],
     noise: Noise | None = None,
 ) -> tuple[Array, Array, Array, tuple[Array, Array]]:
@@ -142,8 +148,7 @@ def fly_in_segments(
 
     **Arguments:**
 
-    - `value`: function of `carried` at the end of a segment: as many numbers as there are
-        residuals.
+    - `value`: as many numbers as there are residuals; its input is `carried`.
     - `inputs`: dispersed numbers by address.
 
     **Returns:** the residuals at the end; the sum of the values at the ends of segments;
@@ -177,7 +182,7 @@ def flown_in_segments(
     scenario: Scenario,
     simulation: Simulation,
     cycles: int,
-    value: Value,
+    value: Expected,
     inputs: dict[str, Any],
 ) -> Flown:
     """Residuals of each flight, and their derivatives by the weights through segments."""
