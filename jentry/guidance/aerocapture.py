@@ -85,6 +85,10 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
     The apoapsis is that of the inertial velocity, over a planet that may rotate. The
     prediction is in three dimensions, with the bank on its present side to the exit.
 
+    More lift upwards is taken to raise the apoapsis. On the way out this effect falls
+    through zero and changes its sign, where it is small. The law then goes to a bound of
+    the bank, and the apoapsis changes a little.
+
     The derivative of a flight has the following meaning. The corrections are differentiated
     exactly. Three things are discrete: the cycle at which the second phase begins, bank
     reversals, and the cycle at which the drag first exceeds `gate`. A number at a bound has
