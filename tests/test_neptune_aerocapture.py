@@ -134,7 +134,7 @@ def test_westwards_the_corridor_is_another_one():
     said = "Towards west the corridor lies between -9.19 and -9.68 degrees"
     west = eqx.tree_at(lambda s: s.initial_state.heading, scenario(), 270 * degree)
     found = capture_corridor(west)
-    assert_says(said, found.shallow / degree, found.steep / degree)
+    assert_says(said, float(found.shallow) / degree, float(found.steep) / degree)
     for name, lift in (("shallow", -1.0), ("steep", 1.0)):
         angle = float(getattr(found, name)) / degree
         theirs = limit(lift, angle, j2=0.0, inertial=True, prograde=-1.0)
