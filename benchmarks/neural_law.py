@@ -64,6 +64,9 @@ from jentry.units import km
 
 MISSION, LAW, WORLD = "mars-range-tracking", "neural", "hard-air"
 SAVED = Path(__file__).with_suffix(".csv")
+HEADINGS = "median, km", "95 %, km"
+"""Columns of the course of a seed; a row has the number of its flights"""
+
 HELD_OUT, JUDGED_BY = 2048, 987_654_321
 """Number of flights of a judgement, and the seed of their draws"""
 
@@ -257,10 +260,10 @@ def segments(seeds: list[int]) -> list[records.Cell]:
     return cells
 
 
-def _shown(course: list[tuple[int, list[float]]]) -> list[tuple[int, list[float]]]:
-    """Three places of a course that are saved: an eighth, a third, and the end."""
+def _saved(course: list[tuple[int, list[float]]]) -> list[tuple[int, list[float]]]:
+    """Places of a course that are saved: each at about twice the flights of the last."""
     total = course[-1][0]
-    places = [next(c for c in course if c[0] >= total / part) for part in (8, 3)]
+    places = [next(c for c in course if c[0] >= total / 2**k) for k in range(5, 0, -1)]
     return [c for n, c in enumerate([*places, course[-1]]) if c not in places[:n]]
 
 
@@ -272,20 +275,20 @@ WAYS = {
 }
 
 
-OTHERS = {"cost": cost, "tail": tail}
+OTHERS = {"cost": lambda _: cost(), "tail": lambda _: tail(), "segments": segments}
+"""Parts with one table for all seeds"""
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("part", choices=[*WAYS, *OTHERS, "segments"])
+    parser.add_argument("part", choices=[*WAYS, *OTHERS])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--out", type=Path, default=Path("results/neural-law"))
     parser.add_argument("--save", action="store_true", help=f"to {SAVED.name}")
     options = parser.parse_args()
     jentry.setup()
-    if options.part in OTHERS or options.part == "segments":
-        given = [options.seeds] if options.part == "segments" else []
-        cells = {**OTHERS, "segments": segments}[options.part](*given)
+    if options.part in OTHERS:
+        cells = OTHERS[options.part](options.seeds)
         if options.save:
             records.save(SAVED, options.part, cells)
         return
@@ -295,17 +298,13 @@ def main() -> None:
         print(
             f"{options.part}, seed {seed}: {flights} flights, {median:.4g}, {high:.4g}"
         )
-        row = f"{options.part}, seed {seed}"
         cells = [
-            cell
-            for flights, (median, high) in _shown(course)
-            for cell in (
-                records.Cell(f"{row}, {flights} flights", "median, km", median, -1),
-                records.Cell(f"{row}, {flights} flights", "95 %, km", high, -1),
-            )
+            records.Cell(f"{flights} flights", heading, value, -1)
+            for flights, values in _saved(course)
+            for heading, value in zip(HEADINGS, values, strict=True)
         ]
         if options.save:
-            records.save(SAVED, row, cells)
+            records.save(SAVED, f"{options.part}, seed {seed}", cells)
 
 
 if __name__ == "__main__":

@@ -223,18 +223,27 @@ def of_neural_law(part: str) -> tuple[list[str], Rows, str]:
     path = BENCHMARKS / "neural_law.csv"
     if part != "ways":
         return _of_records(path, part, f"python benchmarks/neural_law.py {part}")
-    known = [(name.split(",")[0], name) for name in records.load(path)]
-    ways = [name for way in _WAYS for found, name in known if found == way]
-    headings, rows, captions = zip(
-        *(
-            _of_records(
-                path, name, f"python benchmarks/neural_law.py {name.split(',')[0]}"
-            )
-            for name in ways
-        ),
-        strict=True,
+    tables = records.load(path)
+    rows, dates, headings = [], set(), {}
+    for way in _WAYS:
+        seeds = [table for name, table in tables.items() if name.startswith(f"{way}, ")]
+        dates |= {table.date for table in seeds}
+        found = [{cell[:2]: cell.value for cell in table.cells} for table in seeds]
+        headings = dict.fromkeys(column for _, column in found[0])
+        for row in dict.fromkeys(row for row, _ in found[0]):
+            values = [[seed[row, column] for seed in found] for column in headings]
+            rows.append([way, row, *map(_of_seeds, values)])
+    caption = (
+        "Median of the seeds, and in brackets their smallest and largest value. "
+        "`python benchmarks/neural_law.py WAY --seeds 0 1 2`, "
+        f"{max(dates)}."
     )
-    return headings[0], sum(rows, []), " ".join(dict.fromkeys(captions))
+    return ["", "", *headings], rows, caption
+
+
+def _of_seeds(values: list[float]) -> str:
+    middle, least, most = np.median(values), min(values), max(values)
+    return f"{decimal(middle, 3)} ({decimal(least, 3)} to {decimal(most, 3)})"
 
 
 def of_sampling() -> tuple[list[str], Rows, str]:
