@@ -430,7 +430,9 @@ def plan_drag_reference(
     first_value = None
     if gate > 0.0:
         drags = jax.vmap(drag)(flight.states)
-        first_value = index.value(planet, *flight.first_above(drags, gate, "gate"))
+        first_value = index.value(
+            planet, *flight.first_above(jnp.asarray(drags), gate, "gate")
+        )
 
     def quantities(time, state):
         return {"drag": drag(state)}
