@@ -260,6 +260,7 @@ def test_ordinary_flights_are_those_of_entry_dynamics(flights, angles):
     assert of(flights, ORDINARY[1]).state.longitude < -np.pi
 
 
+@pytest.mark.slow
 def test_a_batch_is_the_flights_alone(flights):
     for case in (SINGULAR["over a pole"], SINGULAR["a fall from rest"]):
         alone = fly_all([case], VectorDynamics())
