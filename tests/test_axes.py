@@ -175,6 +175,7 @@ def test_what_was_a_variant_is_still_chosen(mission):
         assert former != text
 
 
+@pytest.mark.slow
 def test_every_law_goes_with_every_world():
     """Those that do not are refused with a sentence; here none is."""
     for name in ("mars-range-tracking", "apollo-10", "cav-h-glide"):

@@ -240,6 +240,7 @@ def test_the_adaptive_solver_counts_at_its_cycles(flight):
         assert float(adaptive.caveats[name]) == pytest.approx(share, abs=0.02)
 
 
+@pytest.mark.slow
 def test_what_is_counted_has_no_derivative_and_leaves_those_of_the_flight():
     """The gradient in a table is that of the exponential that it stands for."""
 

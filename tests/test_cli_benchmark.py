@@ -126,6 +126,7 @@ def test_a_table_that_is_equal_to_the_last_digit(benchmark, command, tmp_path):
     assert_refused(benchmark("--beside", "else.json"), "is of the kind 'summary'")
 
 
+@pytest.mark.slow
 def test_it_resumes_after_a_stop(benchmark, monkeypatch, tmp_path):
     assert benchmark("--out", "whole")[0] == 0
     fly = benchmark_runs.run_campaign
@@ -147,6 +148,7 @@ def test_it_resumes_after_a_stop(benchmark, monkeypatch, tmp_path):
     assert record() == record("whole")
 
 
+@pytest.mark.slow
 def test_a_law_of_ones_own_has_its_row(benchmark, tmp_path):
     (tmp_path / "half.py").write_text(OWN_LAW)
     code, printed, _ = benchmark("--law", "half.py")

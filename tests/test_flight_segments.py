@@ -58,6 +58,7 @@ def known_samples(count=400, segments=3):
 MIXED = np.array([[1.0, 0.3], [-0.2, 2.0]])
 
 
+@pytest.mark.slow
 def test_a_value_learns_a_function_and_its_derivative():
     """A linear one, whose inverse numpy knows. The spread of the residuals is 5."""
     segments, samples = Segments(5, steps=400, rate=3e-3), known_samples()

@@ -135,6 +135,7 @@ def test_the_filter_assumes_the_deviations_of_the_set(name):
         )
 
 
+@pytest.mark.slow
 def test_the_filter_of_the_mars_lander_finds_its_errors():
     """One standard deviation of each error of position and velocity at the start."""
     mission, left = find_mission("mars-range-tracking"), {}

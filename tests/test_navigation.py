@@ -284,6 +284,7 @@ def test_the_axes_of_the_noise_are_independent_and_as_large_as_stated():
     np.testing.assert_allclose(found, np.eye(6), atol=5.0 * np.sqrt(2.0 / 4000.0))
 
 
+@pytest.mark.slow
 def test_the_noise_of_a_flight_does_not_depend_on_what_is_stored(flown):
     """Nor on the guidance cycle, which may be shorter than that of the navigation."""
     scenario = windy(InertialNavigation(noise=WALK), PerfectAccelerometers())
@@ -323,6 +324,7 @@ def test_a_law_knows_no_position_and_velocity_but_those_that_are_believed(name):
     assert not any(used)
 
 
+@pytest.mark.slow
 def test_an_end_may_be_where_the_vehicle_believes_to_be(flown):
     """At the velocity and at the range that are believed; the truth is another."""
     origin = windy().initial_state
@@ -418,6 +420,7 @@ def test_a_knowledge_error_of_a_vehicle_that_knows_is_refused():
         monte_carlo(scenario, table, jax.random.key(0), 4)
 
 
+@pytest.mark.slow
 def test_the_older_accelerometers_move_the_navigation_too(flown):
     flight = flown(windy(InertialNavigation(), Accelerometers(drag_bias=1e-2)))
     slower = float(flight.navigated.velocity - flight.state.velocity)

@@ -308,6 +308,7 @@ def test_the_course_is_that_from_the_plane_of_origin_and_aim(angle, across):
 
 
 @pytest.mark.parametrize("moved", [{}, {"latitude": 0.0, "heading": math.pi / 2}])
+@pytest.mark.slow
 def test_the_course_is_regular_at_the_antipode_and_without_a_downrange(moved):
     """There it is that from the plane of the origin's course, also for an aim aside."""
     origin = ORIGIN | moved
@@ -503,6 +504,7 @@ def test_what_does_not_fit_is_refused():
 
 
 @pytest.mark.parametrize("options", [{}, {"angles": ANGLES}], ids=["bank", "angle"])
+@pytest.mark.slow
 def test_the_derivatives_by_all_weights_are_those_of_differences(options):
     """Along a random direction, in forward and in reverse mode."""
     law = law_of(network_of(size=10.0, angle=bool(options)), **options)

@@ -261,6 +261,7 @@ def test_without_flattening_and_harmonics_the_flight_is_that_of_a_sphere():
         np.testing.assert_allclose(a, b, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_batch_and_derivatives_of_an_oblate_flight():
     flown = descent(40 * degree, low=AltitudeBelow(10 * km))
 

@@ -195,6 +195,7 @@ def test_inertial_navigation_with_a_central_gravity_drifts():
     assert 0.7 * drift < float(off.distance) < 1.6 * drift
 
 
+@pytest.mark.slow
 def test_an_altimeter_measures_the_geodetic_altitude():
     sensor = Altimeter(noise=1.0, largest_altitude=80 * km, cycle=1.0)
     knowledge = KnowledgeError(up=300.0)
