@@ -232,10 +232,10 @@ def of_neural_law(part: str) -> tuple[list[str], Rows, str]:
         headings = dict.fromkeys(column for _, column in found[0])
         for row in dict.fromkeys(row for row, _ in found[0]):
             values = [[seed[row, column] for seed in found] for column in headings]
-            rows.append([way, row, *map(_of_seeds, values)])
+            rows.append([f"{way}, {len(seeds)} seeds", row, *map(_of_seeds, values)])
     caption = (
         "Median of the seeds, and in brackets their smallest and largest value. "
-        "`python benchmarks/neural_law.py WAY --seeds 0 1 2`, "
+        "`python benchmarks/neural_law.py WAY --seeds SEED...`, "
         f"{max(dates)}."
     )
     return ["", "", *headings], rows, caption
