@@ -70,6 +70,17 @@ class Body:
         return position, velocity + np.cross(self.rotation_rate * pole, position)
 
 
+EARTH = Body(
+    # WGS 84 (NIMA TR8350.2) and EGM96, without normalisation.
+    3.986004418e14,
+    6378137.0,
+    {2: 1.08262668e-3, 3: -2.53266e-6, 4: -1.61962e-6},
+    7.292115e-5,
+    6378137.0,
+    1 / 298.257223563,
+)
+
+
 def flown(body, position, velocity, duration, drag, lift=None, bank=0.0, wind=None):
     """Position and velocity after a duration, s.
 

@@ -408,7 +408,7 @@ def other_law():
 
 def same(a, b):
     for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
-        np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-9, equal_nan=False)
 
 
 def test_a_network_of_zeros_corrects_nothing():

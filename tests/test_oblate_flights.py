@@ -41,15 +41,6 @@ from jentry.world import (
 )
 
 
-EARTH = oblate.Body(
-    # WGS 84 (NIMA TR8350.2) and EGM96, without normalisation.
-    3.986004418e14,
-    6378137.0,
-    {2: 1.08262668e-3, 3: -2.53266e-6, 4: -1.61962e-6},
-    7.292115e-5,
-    6378137.0,
-    1 / 298.257223563,
-)
 MARS = oblate.Body(4.282837e13, 3396e3, {2: 1.9566e-3}, 7.088e-5, 3396190.0, 1 / 169.9)
 
 
@@ -105,13 +96,13 @@ def test_a_sphere_thrown_over_wgs_84_flies_as_in_vectors(latitude, heading):
         heading * degree,
     )
     radius = 6371e3
-    earth = planet(EARTH, air, radius)
+    earth = planet(oblate.EARTH, air, radius)
     start = from_geodetic(earth, geodetic)
     flight = fly_compiled(scenario(earth, vehicle, start, 60.0), FixedStep(0.02))
     density = jax.jit(air.density)
     factor = 0.05 * float(vehicle.reference_area / vehicle.mass)
     level, turn = 1000.0 * foot, heading * degree
-    begin = EARTH.from_geodetic(
+    begin = oblate.EARTH.from_geodetic(
         1e3 * foot,
         0.3,
         latitude * degree,
@@ -120,8 +111,8 @@ def test_a_sphere_thrown_over_wgs_84_flies_as_in_vectors(latitude, heading):
         level,
     )
     drag = lambda altitude, speed: factor * float(density(altitude)) * speed**2
-    expected = oblate.flown(EARTH, *begin, 60.0, drag)
-    away, slower = off(EARTH, expected, radius, flight.state, 60.0)
+    expected = oblate.flown(oblate.EARTH, *begin, 60.0, drag)
+    away, slower = off(oblate.EARTH, expected, radius, flight.state, 60.0)
     assert away < 1e-6 * foot
     assert slower < 1e-7 * foot
 
@@ -156,7 +147,7 @@ def in_vacuum(latitude_of_start=20 * degree, speed=7500.0):
     start = EntryState(
         400 * km, 0.1, latitude_of_start, speed, 0.4 * degree, 50 * degree
     )
-    return planet(EARTH, air, 6371e3), start
+    return planet(oblate.EARTH, air, 6371e3), start
 
 
 def test_the_jacobi_integral_is_conserved():
@@ -167,16 +158,16 @@ def test_the_jacobi_integral_is_conserved():
     )
     position, velocity = np.stack(
         [
-            oblate.as_vectors(EARTH, 6371e3, state, time)
+            oblate.as_vectors(oblate.EARTH, 6371e3, state, time)
             for state, time in zip(
                 rows(flight.history.states), flight.history.time, strict=False
             )
         ],
         axis=1,
     )
-    relative = velocity - np.cross([0.0, 0.0, EARTH.rotation_rate], position)
-    spun = EARTH.rotation_rate * np.hypot(position[:, 0], position[:, 1])
-    potential = np.array([EARTH.potential(each) for each in position])
+    relative = velocity - np.cross([0.0, 0.0, oblate.EARTH.rotation_rate], position)
+    spun = oblate.EARTH.rotation_rate * np.hypot(position[:, 0], position[:, 1])
+    potential = np.array([oblate.EARTH.potential(each) for each in position])
     jacobi = 0.5 * (relative**2).sum(axis=1) + potential - 0.5 * spun**2
     assert len(jacobi) == 40
     # Of 6e7 J/kg, of which J2 moves 4e4: rounding of 2000 steps.
@@ -191,7 +182,7 @@ def rows(states):
 
 def test_the_node_of_a_circular_orbit_regresses():
     """By -3/2 J2 (R / a)^2 n cos(inclination) to the first order, over one revolution."""
-    body = dataclasses.replace(EARTH, harmonics={2: 1e-6}, rotation_rate=0.0)
+    body = dataclasses.replace(oblate.EARTH, harmonics={2: 1e-6}, rotation_rate=0.0)
     semi_axis, tilt = 7000e3, float(55 * degree)
     motion = np.sqrt(body.parameter / semi_axis**3)
     earth = planet(body, ExponentialAtmosphere(1e-30, 7e3), 6371e3)

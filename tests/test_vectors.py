@@ -510,17 +510,6 @@ def test_derivatives_of_flights_agree_with_differences():
     assert np.all(np.any(np.asarray(forward) != 0.0, axis=(1, 2)))
 
 
-EARTH = oblate.Body(
-    # WGS 84 (NIMA TR8350.2) and EGM96, without normalisation.
-    3.986004418e14,
-    6378137.0,
-    {2: 1.08262668e-3, 3: -2.53266e-6, 4: -1.61962e-6},
-    7.292115e-5,
-    6378137.0,
-    1 / 298.257223563,
-)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("wind", [(0.0, 0.0, 0.0), (30.0, -20.0, 4.0)])
 def test_an_oblate_planet_from_one_side_of_its_pole_to_the_other(wind):
@@ -529,13 +518,13 @@ def test_an_oblate_planet_from_one_side_of_its_pole_to_the_other(wind):
     planet = Planet(
         6371 * km,
         gravity=ZonalGravity(
-            EARTH.parameter,
-            EARTH.reference_radius,
-            {f"j{n}": value for n, value in EARTH.harmonics.items()},
+            oblate.EARTH.parameter,
+            oblate.EARTH.reference_radius,
+            {f"j{n}": value for n, value in oblate.EARTH.harmonics.items()},
         ),
         atmosphere=ExponentialAtmosphere(1.225, 7200.0),
-        rotation_rate=EARTH.rotation_rate,
-        shape=Ellipsoid(EARTH.equatorial_radius, EARTH.flattening),
+        rotation_rate=oblate.EARTH.rotation_rate,
+        shape=Ellipsoid(oblate.EARTH.equatorial_radius, oblate.EARTH.flattening),
         wind=ConstantWind(*wind),
     )
     bank = 60 * degree
@@ -555,9 +544,9 @@ def test_an_oblate_planet_from_one_side_of_its_pole_to_the_other(wind):
         return 0.5 * 1.225 * np.exp(-altitude / 7200.0) * speed**2 / 300.0
 
     lift = lambda altitude, speed: 0.3 * drag(altitude, speed)
-    begin = oblate.as_vectors(EARTH, 6371 * km, start, 0.0)
-    expected = oblate.flown(EARTH, *begin, 250.0, drag, lift, bank, wind)
-    position, velocity = oblate.as_vectors(EARTH, 6371 * km, flight.state, 250.0)
+    begin = oblate.as_vectors(oblate.EARTH, 6371 * km, start, 0.0)
+    expected = oblate.flown(oblate.EARTH, *begin, 250.0, drag, lift, bank, wind)
+    position, velocity = oblate.as_vectors(oblate.EARTH, 6371 * km, flight.state, 250.0)
     assert flight.state.latitude < 86 * degree
     assert np.cos(flight.state.longitude - start.longitude) < 0.0
     # A wind of 30 m/s turns by half a turn within the two steps about the pole.
