@@ -9,7 +9,8 @@ tracking in a plane:
 
 Of range tracking in three dimensions, with the same onboard model:
 
-- an ellipsoid and gravity with J2 in place of a sphere.
+- an ellipsoid and gravity with J2 in place of a sphere,
+- position and velocity integrated as vectors (`VectorDynamics`) in place of angles.
 
 Prints medians of the processor time of a round, the programs interleaved, and the median of
 their ratios to the flights as they are.
@@ -84,9 +85,11 @@ def drag_tracking_in_a_plane() -> dict[str, Timed]:
 def range_tracking_in_space() -> dict[str, Timed]:
     scenario, inputs = drawn("mars-range-tracking", "range-tracking")
     over = dataclasses.replace(scenario, planet=oblate(scenario.planet))
+    vectors = dataclasses.replace(scenario, dynamics=jentry.VectorDynamics())
     return {
         "as it is": program(scenario, inputs),
         "over an ellipsoid, with J2": program(over, inputs),
+        "as vectors": program(vectors, inputs),
     }
 
 
