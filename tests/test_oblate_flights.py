@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import oblate
 import pytest
-from external_cases import NOWHERE
+from external_cases import NOWHERE, sphere_of_nasa
 from helpers import ConstantBank, fly_compiled
 from worlds import tabulated_atmosphere
 
@@ -26,7 +26,7 @@ from jentry.motion import (
     GeodeticState,
     from_geodetic,
 )
-from jentry.units import degree, foot, km, slug
+from jentry.units import degree, foot, km
 from jentry.world import (
     ConstantAerodynamics,
     ConstantWind,
@@ -73,12 +73,6 @@ def off(body, flown, radius, state, time):
     """Distance of the ends of two flights, m, and difference of their velocities, m/s."""
     position, velocity = oblate.as_vectors(body, radius, state, time)
     return np.linalg.norm(position - flown[0]), np.linalg.norm(velocity - flown[1])
-
-
-def sphere_of_nasa():
-    """That of the check cases of NASA/TM-2015-218675: 1 slug, 0.1963495 ft2, C_D 0.1."""
-    mass, area = 1.0 * slug, 0.1963495 * foot**2
-    return Vehicle(mass, area, aerodynamics=ConstantAerodynamics(0.0, 0.1))
 
 
 @pytest.mark.parametrize(
