@@ -141,30 +141,56 @@ def test_initial_roll_chooses_the_drags_of_the_program():
     assert float(slow.phase) == BALLISTIC
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0], ids=["right", "left"])
-def test_bank_near_full_lift_turns_to_the_target_only(side):
-    law = scenario().law
-    measurement = sensed(8.0)
-    _, held = law.init(measurement)
-    held = eqx.tree_at(
-        lambda h: (h.phase, h.bank.side),
-        held,
-        (jnp.asarray(INITIAL_ROLL), jnp.asarray(side)),
-    )
-    # A corridor so wide that the side stays.
-    wide = eqx.tree_at(lambda x: x.final.lateral.floor, law, jnp.asarray(1e7))
-    _, after = wide.update(jnp.asarray(30.0), measurement, (), held)
-    here, *_ = vectors(math.radians(174.24384), math.radians(-23.51457))
-    _, east, north = vectors(math.radians(174.24384), math.radians(-23.51457))
+def passes_to_the_right(law, measurement):
+    """Sine of the arc by which the vehicle passes to the right of the target."""
+    here, east, north = vectors(math.radians(174.24384), math.radians(-23.51457))
     heading = math.radians(71.9317)
     ahead = math.sin(heading) * east + math.cos(heading) * north
     turned = math.radians(194.8501) + 7.292115e-5 * 1000.0 * float(
         law.seen(measurement)[0].range_to_go
     )
     there, *_ = vectors(turned, math.radians(-15.4121))
-    to_the_right = float(np.sign(there @ np.cross(ahead, here)))
-    smallest = 15.0 if side == to_the_right else 0.0
-    bank = math.degrees(
-        math.atan2(float(after.bank.sin_bank), float(after.bank.cos_bank))
-    )
+    return -there @ np.cross(ahead, here)
+
+
+def banked(law, side, share, floor):
+    """Side and bank, degrees, of the initial roll with a share of the lift upwards, in a
+    corridor of a half width, m."""
+    measurement = sensed(8.0)
+    _, held = law.init(measurement)
+    up = share * law.prediction.lift_to_drag
+    values = jnp.asarray(INITIAL_ROLL), jnp.asarray(side), jnp.asarray(up)
+    put = lambda h: (h.phase, h.bank.side, h.lift_to_drag)
+    held = eqx.tree_at(put, held, tuple(values))
+    corridor = lambda law: (law.final.lateral.floor, law.final.lateral.widening)
+    law = eqx.tree_at(corridor, law, (jnp.asarray(floor), jnp.zeros(())))
+    bank = law.update(jnp.asarray(30.0), measurement, (), held)[1].bank
+    angle = math.atan2(float(bank.sin_bank), float(bank.cos_bank))
+    return float(bank.side), math.degrees(angle)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["right", "left"])
+def test_bank_near_full_lift_turns_to_the_target_only(side):
+    law = scenario().law
+    to_the_target = -np.sign(passes_to_the_right(law, sensed(8.0)))
+    smallest = 15.0 if side == to_the_target else 0.0
+    # A corridor so wide that the side stays.
+    found, bank = banked(law, side, 1.0, 1e7)
+    assert found == side
     assert bank == pytest.approx(side * smallest, abs=1e-9)
+
+
+@pytest.mark.parametrize("lift", [1.0, -1.0], ids=["up", "down"])
+def test_corridor_is_halved_near_full_lift(lift):
+    """The vehicle banks away from the target; by LIMITL/D a new side has no bank yet."""
+    law = scenario().law
+    passes = passes_to_the_right(law, sensed(8.0))
+    away, miss = np.sign(passes), float(law.final.planet.radius) * abs(passes)
+    for share, floor, side, bank in (
+        (0.97, 1.5 * miss, -away, math.degrees(math.acos(0.97 * lift))),
+        (0.97, 2.5 * miss, away, math.degrees(math.acos(0.97 * lift))),
+        (0.5, 1.5 * miss, away, math.degrees(math.acos(0.5 * lift))),
+        (0.5, 0.9 * miss, -away, math.degrees(math.acos(0.5 * lift))),
+    ):
+        found = banked(law, away, lift * share, floor)
+        assert found == (side, pytest.approx(side * bank, abs=1e-9))

@@ -20,7 +20,7 @@ from jentry.flight import (
     fly,
     misses,
 )
-from jentry.guidance import FixedCycle, TerminalPoint
+from jentry.guidance import FixedCycle, FixedSide, TerminalPoint
 from jentry.guidance.terminal_point import COLUMNS
 from jentry.missions.mars import drag_tracking, range_tracking
 from jentry.motion import EntryState, from_ground_track
@@ -112,6 +112,27 @@ def test_bank_stays_between_its_limits():
     for downrange, bank in ((-200 * km, 15 * degree), (200 * km, 110 * degree)):
         held = decided(law, at_reference(law, 4000.0, downrange=downrange))
         np.testing.assert_allclose(held.cos_bank, np.cos(bank), rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("narrowing", "downrange", "crossrange", "reverses"),
+    [
+        (None, -200 * km, 5 * km, False),
+        (0.5, -200 * km, 5 * km, True),  # full lift up
+        (0.5, 200 * km, 5 * km, True),  # and down
+        (0.5, 0.0, 5 * km, False),
+        (0.5, 0.0, 8 * km, True),
+        (0.5, -200 * km, 2.5 * km, False),
+    ],
+)
+def test_corridor_is_narrower_at_a_limit_of_the_bank(
+    narrowing, downrange, crossrange, reverses
+):
+    """Half width at 4 km/s: 0.3 km + 4e-4 V^2 = 6.7 km, over a sphere some 2 % more."""
+    law = dataclasses.replace(plain(), narrowing=narrowing)
+    # To the right of the aim, with a bank to the right.
+    measurement = at_reference(law, 4000.0, downrange=downrange, crossrange=-crossrange)
+    assert float(decided(law, measurement).side) == (-1.0 if reverses else 1.0)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["right", "left"])
@@ -232,6 +253,9 @@ def test_bad_input_is_refused(reference):
         ValueError, match="smallest_bank is 2 rad and largest_bank 1 rad"
     ):
         TerminalPoint(**{**fields, "smallest_bank": 2.0, "largest_bank": 1.0})
+    fixed = {"lateral": FixedSide(), "narrowing": 0.5}
+    with pytest.raises(ValueError, match="narrowing is 0.5 and lateral FixedSide"):
+        TerminalPoint(**{**fields, **fixed})
     with pytest.raises(ValueError, match="period is 0.0 s"):
         TerminalPoint(**{**fields, "cycle": FixedCycle(0.0)})
 

@@ -1,5 +1,6 @@
 """Lateral logic: the side of the bank, and the times of bank reversals."""
 
+import dataclasses
 import math
 from abc import abstractmethod
 from collections.abc import Callable
@@ -149,6 +150,12 @@ class CrossrangeCorridor(AbstractCorridor):
     def half_width(self, velocity: Scalar) -> Scalar:
         """Half width of the corridor, m."""
         return self.floor + self.widening * velocity * velocity
+
+    def narrowed(self, factor: Scalar) -> "CrossrangeCorridor":
+        """The corridor with its width times a factor."""
+        return dataclasses.replace(
+            self, floor=factor * self.floor, widening=factor * self.widening
+        )
 
     def update(
         self,

@@ -8,7 +8,7 @@ from jax.core import Tracer
 from jaxtyping import PyTree
 
 from .._math import sincos
-from ..fields import Flag, Scalar, scalar
+from ..fields import Flag, Scalar, optional_scalar, scalar
 from ..motion.index import VelocityIndex
 from ..motion.quantities import direction_to, from_ground_track, ground_track
 from ..motion.state import Controls
@@ -19,7 +19,12 @@ from ..onboard.reference import Reference
 from ..world.planet import Planet
 from .aim import Aim, TargetOfScenario, known
 from .cycle import FixedCycle
-from .lateral import AbstractLateralLogic, Destination, turned
+from .lateral import (
+    AbstractLateralLogic,
+    CrossrangeCorridor,
+    Destination,
+    turned,
+)
 from .law import AbstractSampledLaw
 from .open_loop import vertical_lift_command
 from .switching import AbstractSwitching, Sharp
@@ -148,6 +153,9 @@ class TerminalPoint(AbstractSampledLaw[tuple[()], HeldBank]):
     smallest_bank: Scalar = scalar(0.0, unit="rad", range=(0.0, math.pi))
     largest_bank: Scalar = scalar(math.pi, unit="rad", range=(0.0, math.pi))
     """Largest magnitude of the bank in range control, as `smallest_bank` is the smallest"""
+    narrowing: Scalar | None = optional_scalar(range=(0.0, 1.0))
+    """Factor on the width of a `CrossrangeCorridor` while the bank is at one of these
+    limits; one half in the flight program. None leaves the corridor as it is"""
     least_effect: Scalar = scalar(1e3, unit="m", positive=True)
     """Lower bound of F3, which is zero at the end"""
     switching: AbstractSwitching = Sharp()
@@ -167,6 +175,13 @@ class TerminalPoint(AbstractSampledLaw[tuple[()], HeldBank]):
             raise ValueError(
                 f"the reference has no {', '.join(missing)}: it needs "
                 f"{', '.join(COLUMNS)}, as plan_terminal_point gives them"
+            )
+        if self.narrowing is not None and not isinstance(
+            self.lateral, CrossrangeCorridor
+        ):
+            raise ValueError(
+                f"narrowing is {self.narrowing} and lateral {type(self.lateral).__name__}: "
+                "only a CrossrangeCorridor is narrowed, so leave narrowing out"
             )
         limits = self.smallest_bank, self.largest_bank
         if any(isinstance(x, Tracer) or not eqx.is_array(x) for x in limits):
@@ -193,18 +208,19 @@ class TerminalPoint(AbstractSampledLaw[tuple[()], HeldBank]):
         aim, planet, switching = known(self.aim), self.planet, self.switching
         require_still_air(planet, "a terminal-point reference")
         destination = Destination(planet, aim.origin, aim.downrange, aim.crossrange)
-        side = self.lateral.update(time, measurement, held.side, destination)
-
         excess = measurement.drag - self.gate
         sensed = excess > 0.0
         lift = jnp.where(sensed, measurement.lift, 1.0)
         drag = jnp.where(sensed, measurement.drag, 1.0)
         lower, upper = (jnp.cos(x) for x in (self.largest_bank, self.smallest_bank))
-        cosine = self.lift_to_drag_up(measurement) * drag / lift
-        cosine = _between(switching, cosine, lower, upper)
+        wished = self.lift_to_drag_up(measurement) * drag / lift
+        limited = sensed & ((wished <= lower) | (wished >= upper))
+        lateral = self.corridor(limited)
+        side = lateral.update(time, measurement, held.side, destination)
+        cosine = _between(switching, wished, lower, upper)
         cosine = switching.beyond(excess, cosine, jnp.cos(self.prebank))
         angle = measurement.trim_angle_of_attack
-        controls = turned(vertical_lift_command(cosine, angle), self.lateral.sign(side))
+        controls = turned(vertical_lift_command(cosine, angle), lateral.sign(side))
         cosine, sine = controls.cos_bank, controls.sin_bank
         if self.alignment is not None:
             align = measurement.state.velocity < self.alignment.velocity
@@ -214,6 +230,13 @@ class TerminalPoint(AbstractSampledLaw[tuple[()], HeldBank]):
                 for a, b in zip(aligned, (sine, cosine), strict=True)
             )
         return (), HeldBank(cosine, sine, side)
+
+    def corridor(self, limited: Flag) -> AbstractLateralLogic:
+        """The lateral logic, with a narrower corridor if the bank is at a limit."""
+        if self.narrowing is None:
+            return self.lateral
+        assert isinstance(self.lateral, CrossrangeCorridor)
+        return self.lateral.narrowed(jnp.where(limited, self.narrowing, 1.0))
 
     def range_error(self, measurement: Measurement) -> Scalar:
         """Range to go minus the predicted range R_p, m."""

@@ -77,7 +77,10 @@ class ApolloEntry(AbstractSampledLaw[tuple[()], HeldPhase]):
     and not by the sensed one. The side is that of the lateral logic of `final`. In the
     program this is a `CrossrangeCorridor` that widens with the square of the velocity.
     Near full lift, up or down, the upper phases keep the `smallest_bank` of `final` towards
-    the target, which is 15 degrees in the program.
+    the target, which is 15 degrees in the program, and away from it the corridor has the
+    `narrowing` of `final`, which is one half. The specific force is sensed at the instant
+    of a decision. The program has its mean over the last cycle, and extrapolates it over
+    half a cycle to the same instant.
 
     The upper phases are those of an inertial velocity, and of the place to which the
     rotation of the planet carries the target until the end. The final phase here is
@@ -89,10 +92,9 @@ class ApolloEntry(AbstractSampledLaw[tuple[()], HeldPhase]):
     E. Moseley, "The Apollo Entry Guidance: A Review of the Mathematical Development and Its
     Operational Characteristics", TRW, 1969.
 
-    Not included: the extrapolation of the sensed drag over half a cycle, the halving of the
-    corridor near full lift, the first side by the place of the target, full lift down
-    behind the target (the final phase commands it by its range error), and displays,
-    scaling and attitude. Our own: the limit of the last bank, and that a vehicle slower
+    Not included: the first side by the place of the target, full lift down behind the
+    target (the final phase commands it by its range error), and displays, scaling and
+    attitude. Our own: the limit of the last bank, and that a vehicle slower
     than `slow_exit` of `constant_drag` searches at any altitude rate, so that it comes to
     the final phase.
     """
@@ -271,24 +273,27 @@ class ApolloEntry(AbstractSampledLaw[tuple[()], HeldPhase]):
         held: HeldPhase,
     ) -> HeldBank:
         """Bank of the upper phases."""
-        phase, lateral, before = held.phase, self.final.lateral, held.bank
+        phase, before, final = held.phase, held.bank, self.final
         steers = (phase != WAITING) & (phase != BALLISTIC)
         dense = seen.drag > self.up_control.no_reversal_drag
         reversible = steers & jnp.logical_not((phase == UP_CONTROL) & dense)
+        cosine = jnp.clip(held.lift_to_drag / self.prediction.lift_to_drag, -1.0, 1.0)
+        most = jnp.cos(final.smallest_bank)
+        lateral = final.corridor(jnp.abs(cosine) >= most)
         decided = lateral.update(time, inertial, before.side, destination)
         side = _chosen(reversible, decided, before.side)
         sign = lateral.sign(side)
 
-        planet, state = self.final.planet, inertial.state
+        planet, state = final.planet, inertial.state
         flown, _ = ground_track(planet, destination.origin, state)
         passing = predicted_crossrange(
             planet, destination.origin, state, destination.downrange - flown
         )
-        # A miss to the left, which is positive, needs a bank to the right.
-        turns = steers & (sign * (passing - destination.crossrange) > 0.0)
-        cosine = jnp.clip(held.lift_to_drag / self.prediction.lift_to_drag, -1.0, 1.0)
-        most = jnp.where(turns, jnp.cos(self.final.smallest_bank), 1.0)
-        cosine = jnp.clip(cosine, -most, most)
+        # A miss to the left, which is positive, needs a bank to the right. A new side turns
+        # from the next cycle on.
+        miss = passing - destination.crossrange
+        turns = steers & (lateral.sign(before.side) * miss > 0.0)
+        cosine = jnp.where(turns, jnp.clip(cosine, -most, most), cosine)
         controls = turned(vertical_lift_command(cosine, 0.0 * cosine), sign)
         bank = HeldBank(controls.cos_bank, controls.sin_bank, side)
         # In thin air the lift is up; otherwise the ballistic phase holds the bank.

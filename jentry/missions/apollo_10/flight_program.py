@@ -150,6 +150,7 @@ def guided() -> Scenario:
         gate=GATE,
         prebank=PREBANK,
         smallest_bank=15.0 * degree,
+        narrowing=0.5,
         cycle=CYCLE,
     )
     law = ApolloEntry(
