@@ -24,7 +24,7 @@ from jax.core import Tracer
 from .._batching import where_due
 from .._interpolation import clamp
 from .._math import safe_sqrt, sincos
-from .._newton import by_jvp, newton
+from .._newton import newton
 from ..fields import Flag, Scalar, scalar
 from ..motion.orbit import OrbitTarget, orbit_of
 from ..motion.state import Controls, EntryState
@@ -46,6 +46,9 @@ from .law import AbstractSampledLaw
 
 
 _HALF_TURN = 0.0, math.pi
+
+_LEAVES_THE_AIR = 1
+"""Place of the exit altitude among the ends of a prediction"""
 
 
 class CaptureDecision(eqx.Module):
@@ -85,9 +88,10 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
     The apoapsis is that of the inertial velocity, over a planet that may rotate. The
     prediction is in three dimensions, with the bank on its present side to the exit.
 
-    More lift upwards is taken to raise the apoapsis. On the way out this effect falls
-    through zero and changes its sign, where it is small. The law then goes to a bound of
-    the bank, and the apoapsis changes a little.
+    More lift upwards raises the apoapsis. Late on the way out it may lower it a little: on
+    a climbing path lift upwards points backwards too, and over a rotating planet it takes
+    energy from the orbit. In the second phase the derivative of the prediction tells which
+    of the two holds, and the bank goes that way.
 
     The derivative of a flight has the following meaning. The corrections are differentiated
     exactly. Three things are discrete: the cycle at which the second phase begins, bank
@@ -251,14 +255,27 @@ class AerocaptureGuidance(AbstractSampledLaw[tuple[()], CaptureDecision]):
         lower = jnp.where(exits, flat, 0.0)
         upper = jnp.where(exits, steep, self.latest_switch)
 
-        def too_low(number: Scalar) -> Scalar:
-            """Falls where the lift is upwards for longer, or more of it is."""
+        def too_low(number: Scalar) -> tuple[Scalar, Flag]:
+            """How far the apoapsis is too low, and whether the vehicle leaves the air."""
             end = self.predicted(measurement, factors, number, exits, sign)
             inverse = orbit_of(planet, end.state).inverse_apoapsis_radius
-            return goal * inverse - 1.0
+            return goal * inverse - 1.0, end.ended_by == _LEAVES_THE_AIR
+
+        def falling(number: Scalar) -> tuple[Scalar, Scalar]:
+            """`too_low` with its slope; both change their sign where more lift upwards
+            lowers the apoapsis.
+
+            Only a flight with a constant bank that leaves the air tells this. One that
+            comes down has too little lift whatever its slope is, and a switch late in the
+            climb may have to be much earlier.
+            """
+            one = jnp.ones_like(number)
+            value, slope, leaves = jax.jvp(too_low, (number,), (one,), has_aux=True)
+            way = jnp.where(exits & leaves & (slope > 0.0), -1.0, 1.0)
+            return way * value, way * slope
 
         found = newton(
-            by_jvp(too_low),
+            falling,
             clamp(number, lower, upper),
             self.corrections,
             lower=lower,
