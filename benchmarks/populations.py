@@ -254,6 +254,12 @@ MORE = {
         )
         for choice in ("predictor-corrector", "neural")
     },
+    ("mars-aerocapture", "predictor-corrector world random-air"): (
+        Column("velocity increment, median, m/s", _INCREMENT, 1.0, np.median),
+        Column(
+            "velocity increment, 95th percentile, m/s", _INCREMENT, 1.0, percentile(95)
+        ),
+    ),
     **{("x-33", choice): (_LOST,) for choice in CROSSINGS["x-33"]},
     **{
         ("rlv", choice): (_LOST, *_DRAG) for choice in ("modulation", *CROSSINGS["rlv"])
@@ -438,7 +444,10 @@ ROWS = {
         ("terminal-point world fitted-air", "everything"),
         ("predictor-corrector", "everything"),
     ),
-    "mars-aerocapture": (("predictor-corrector", "everything"),),
+    "mars-aerocapture": (
+        ("predictor-corrector", "everything"),
+        ("predictor-corrector world random-air", "random-air"),
+    ),
     "neptune-aerocapture": (("predictor-corrector", "everything"),),
     "mars-drag-tracking": tuple(
         (choice, "lift-to-drag-held")
