@@ -3,9 +3,10 @@
     python benchmarks/navigation.py linear --missions mars-range-tracking --runs 10000
     python benchmarks/navigation.py miss --runs 2000
     python benchmarks/navigation.py trigger --runs 2000
+    python benchmarks/navigation.py delivery --runs 2000
     python benchmarks/navigation.py tuning --runs 256 --seed 0
     python benchmarks/navigation.py cost --worlds inertial
-    python benchmarks/navigation.py linear miss trigger tuning cost --save
+    python benchmarks/navigation.py linear miss trigger delivery tuning cost --save
 
 - `linear`: standard deviations of the end by linear covariance, over those of flights with
   the same draws, with the usual dispersions and those of knowledge at a tenth and at full
@@ -16,6 +17,8 @@
   of the miss that the vehicle believes.
 - `trigger`: a flight that the believed velocity ends, beside the same flight that the
   believed range to go ends. Both end at the same point without errors.
+- `delivery`: what the knowledge of the mission `msl` does to its miss, independent of the
+  delivery, and correlated with it as the error of a best estimate.
 - `tuning`: the mean square of the miss before and after tuning with navigation errors, on
   4000 held-out draws: gains, observer and heading corridor of range tracking; memory and
   lateral logic of the predictor-corrector. Reversals jump, so gradients are differences.
@@ -71,7 +74,7 @@ from jentry.units import km
 
 
 SAVED = Path(__file__).with_suffix(".csv")
-PARTS = "linear", "miss", "trigger", "tuning", "cost"
+PARTS = "linear", "miss", "trigger", "delivery", "tuning", "cost"
 SEED = "navigation noise"
 """The dispersion of the seed of the random walks"""
 USUAL = {
@@ -109,6 +112,11 @@ ALONG = "downrange", "crossrange", "altitude", "velocity"
 TRIGGER_RANGE = 20.0 * km
 """Range to go at the end of the part `trigger`: larger than the crossrange errors, as a
 flight that passes the target at a larger distance does not end"""
+DELIVERY = {
+    "independent": "everything-and-knowledge",
+    "as estimated": "everything-and-estimated-knowledge",
+}
+"""Dispersions of the part `delivery`"""
 SIZES = {"a tenth": 0.1, "full size": 1.0}
 ROUNDING = 1e-6
 """Standard deviation, m or m and s, below which an output is constant, such as the altitude
@@ -260,6 +268,32 @@ def trigger(ranged: bool, runs: int, seed: int) -> list[Cell]:
     return cells
 
 
+def delivery(known: str, runs: int, seed: int) -> list[Cell]:
+    mission = find_mission("msl")
+    scenario = mission.scenario(world="inertial")
+    table = mission.dispersion_table(DELIVERY[known])
+    campaign, have = ended(scenario, table, seed, runs)
+    start = scenario.initial_state
+    across = (scenario.planet.radius + start.altitude) * np.cos(start.latitude)
+    inputs = {name: np.asarray(x)[have] for name, x in campaign.inputs.items()}
+    off = (inputs["initial_state.longitude"] - start.longitude) * across
+    unknown = inputs["navigation.knowledge.east"]
+    row = f"knowledge {known}, {np.sum(have)} flights"
+    cells = [
+        Cell(row, "correlation", float(np.corrcoef(off, unknown)[0, 1]), 3),
+        Cell(row, "actual start, east, std, km", deviation(off / km), 3),
+        Cell(row, "believed start, east, std, km", deviation((off + unknown) / km), 3),
+    ]
+    for what in ("downrange", "crossrange"):
+        for words, found in (
+            ("miss", campaign.misses),
+            ("believed miss", campaign.believed_misses),
+        ):
+            values = np.asarray(getattr(found, what))[have] / km
+            cells.append(Cell(row, f"{words}, {what}, std, km", deviation(values), 3))
+    return cells
+
+
 def tuning(law: str, world: str, runs: int, seed: int) -> list[Cell]:
     mission = "mars-range-tracking"
     shipped = find_mission(mission).scenario(law, world=world)
@@ -374,6 +408,9 @@ def measured(options: argparse.Namespace) -> Iterator[tuple[str, list[Cell]]]:
             for ranged in (False, True):
                 law = "range tracking" if ranged else "drag tracking"
                 yield f"trigger, {law}", trigger(ranged, runs, seed)
+        elif part == "delivery":
+            for known in DELIVERY:
+                yield f"delivery, {known}", delivery(known, runs, seed)
         elif part == "tuning":
             for law in options.laws:
                 for world in options.worlds:

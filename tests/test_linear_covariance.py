@@ -14,6 +14,7 @@ from jentry.analysis.covariance import LinearModel, _along_axes, _through
 from jentry.analysis.linear_models import in_deviations, mean_model
 from jentry.campaign import Constant, Dispersion, Normal, Uniform, add
 from jentry.flight import misses
+from jentry.onboard import Accelerometers
 
 
 PAIRS = (
@@ -100,6 +101,34 @@ def test_mean_slopes_are_about_the_draws_that_end_by_the_condition(monkeypatch):
     assert not mean_model(
         scenario, "velocity", PAIRS, misses, cheap.SOLVER, others, across
     )
+
+
+def test_what_only_chooses_has_no_slope(monkeypatch):
+    """A seed of noise: two flights of other noise are no difference along anything."""
+    sensors = Accelerometers(noise=1e-3)
+    scenario = dataclasses.replace(cheap.scenario(), accelerometers=sensors)
+    code = scenario.termination.names.index("velocity")
+    seed = Dispersion(lambda s: s.accelerometers.noise_seed, Uniform(0.0, 1.0))
+    pairs = PAIRS[0], ("noise", seed)
+    assert linear_models.choosing_of(scenario, pairs) == ("noise",)
+    moved = []
+
+    def flown(scenario, pairs, draws, outputs, solver):
+        mass, noise = in_deviations(pairs, draws).values()
+        moved.append(mass.size)
+        x = 5.0 * mass + 100.0 * noise
+        return {"x": x}, 0.0 * mass, np.full(mass.size, code), mass == mass
+
+    monkeypatch.setattr(linear_models, "fly_draws", flown)
+    others = {"mass": np.zeros(4), "noise": np.array([0.1, 0.9, 0.3, 0.6])}
+    about = dict.fromkeys(others, (0.0, 1.0))
+    model = mean_model(scenario, "velocity", pairs, misses, cheap.SOLVER, others, about)
+    assert model is not None
+    assert model.slopes["x"] == pytest.approx({"mass": 5.0, "noise": 0.0}, abs=1e-12)
+    assert model.errors["x"]["noise"] == 0.0
+    assert moved == [8]  # no pairs of flights for the noise
+    with pytest.raises(ValueError, match="constant, or choose: nothing moves"):
+        mean_model(scenario, "velocity", pairs[1:], misses, cheap.SOLVER, others, about)
 
 
 def test_the_page_says_how_well_navigation_is_predicted():

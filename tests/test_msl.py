@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 from jentry._computed_once import computed_once
 from jentry.addresses import leaves_by_address
 from jentry.campaign import disperse, draw, monte_carlo
+from jentry.campaign.dispersions import addresses_of_dispersion, dispersed_inputs
 from jentry.flight import FixedStep, Outcome, misses
 from jentry.missions import find_mission
 from jentry.missions.msl import laws
@@ -361,6 +362,72 @@ def test_the_knowledge_is_that_which_was_required():
         for axis in ("east", "north", "up"):
             _, deviation = table[f"{words} {axis}"].distribution.moments()
             assert 3.0 * float(deviation) == pytest.approx(size)
+
+
+PAIRS = {
+    "longitude": "east",
+    "latitude": "north",
+    "flight_path_angle": "velocity_up",
+    "heading": "velocity_north",
+}
+"""Knowledge error of the same kind, by the component of the state that is delivered"""
+
+
+def metres_a_radian():
+    """How far each delivery error moves the vehicle, m or m/s along its axis."""
+    state, step, found = vars(scenario().initial_state), 1e-6, {}
+
+    def placed(altitude, longitude, latitude, velocity, flight_path_angle, heading):
+        frame = axes(longitude, latitude)
+        there = (3397.0 * km + altitude) * frame[0]
+        return there, velocity_of(frame, velocity, flight_path_angle, heading)
+
+    state = {name: float(x) for name, x in state.items()}
+    names, frame = ("up", "east", "north"), axes(state["longitude"], state["latitude"])
+    for component, knowledge in PAIRS.items():
+        which = knowledge.startswith("velocity")
+        axis = frame[names.index(knowledge.removeprefix("velocity_"))]
+        sides = (
+            placed(**state | {component: state[component] + h}) for h in (step, -step)
+        )
+        ahead, behind = (side[which] @ axis for side in sides)
+        found[component] = (ahead - behind) / (2.0 * step)
+    return found
+
+
+@pytest.mark.parametrize("name", ["estimated-knowledge", "knowledge"])
+def test_an_estimate_is_uncorrelated_with_its_error(name, key):
+    """What the vehicle believes then varies by the difference of the variances of delivery
+    and knowledge; by their sum if its knowledge comes from no estimate."""
+    flown, runs = MISSION.scenario(world="inertial"), 20_000
+    wanted = {f"initial_state.{c}" for c in PAIRS}
+    wanted |= {f"navigation.knowledge.{k}" for k in PAIRS.values()}
+    table = {
+        name: each
+        for name, each in MISSION.dispersion_table(f"everything-and-{name}").items()
+        if wanted.issuperset(addresses_of_dispersion(flown, name, each))
+    }
+    inputs = dispersed_inputs(flown, table, key, jnp.arange(runs))
+    drawn = {address: np.asarray(x) for address, x in inputs.items()}
+    error = 5.0 / np.sqrt(runs)  # five standard errors, of a correlation too
+    required = {"": PUBLISHED["position_knowledge_km"] * km, "velocity_": 2.0}
+    for component, per_unit in metres_a_radian().items():
+        address, knowledge = f"initial_state.{component}", PAIRS[component]
+        off = per_unit * (
+            drawn[address] - float(getattr(flown.initial_state, component))
+        )
+        unknown = drawn[f"navigation.knowledge.{knowledge}"]
+        start = "velocity_" if knowledge.startswith("velocity_") else ""
+        sizes = abs(per_unit) * SIZES[address] / 3.0, required[start] / 3.0
+        assert np.std(off) == pytest.approx(sizes[0], rel=error), component
+        assert np.std(unknown) == pytest.approx(sizes[1], rel=error), component
+        estimated = name == "estimated-knowledge"
+        expected = -sizes[1] / sizes[0] if estimated else 0.0
+        found = np.corrcoef(off, unknown)[0, 1]
+        assert found == pytest.approx(expected, abs=error), component
+        believed, sign = off + unknown, -1.0 if estimated else 1.0
+        spread = np.sqrt(sizes[0] ** 2 + sign * sizes[1] ** 2)
+        assert np.std(believed) == pytest.approx(spread, rel=error), component
 
 
 def test_few_flights_with_everything_reach_the_target(key):

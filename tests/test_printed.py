@@ -191,7 +191,17 @@ def test_covariance_says_of_which_flights_nothing_is_predicted(capsys):
     printed = " ".join(capsys.readouterr().out.split())
     assert "NOTHING is predicted for the flights that end by altitude, 12.5%" in printed
     assert "NOTHING is predicted for the flights that end by skip_out, 3.0%" in printed
-    assert "left out" not in printed
+    assert "left out" not in printed and "no slopes" not in printed
+
+
+def test_covariance_says_what_it_leaves_out(capsys):
+    spreads = {"velocity": Spread(0.25, 0.5, 3.0, 0.75, 4.0, 0.75)}
+    model = made(LinearModel, {}, time=227.0)
+    given = {"velocity": model}, spreads, {"velocity": {}}, 500, 0, {}
+    analysis = LinearCovariance(*given, ("navigation noise", "wind east"))
+    print_covariance(cheap.scenario(), analysis, 0.1)
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "no slopes by what only chooses: navigation noise, wind east; the" in printed
 
 
 @pytest.mark.parametrize(

@@ -27,6 +27,7 @@ from ..tuning.batch_gradients import Outputs
 from .linear_models import (
     LinearModel,
     Pairs,
+    choosing_of,
     columns_of,
     draw_many,
     ending_by,
@@ -95,6 +96,9 @@ class LinearCovariance:
     """Share of the flights that end by a condition without a linear model, by end
     condition. The flight at the mean of the draws that end by it does not meet such a
     condition, or too few pairs of flights do with `mode="difference"`"""
+    choosing: tuple[str, ...] = ()
+    """Dispersions of numbers that only choose, such as the seed of noise. No output is
+    linear in them: the prediction leaves their effect out, and their slopes are zero"""
 
 
 @needs_float64
@@ -233,7 +237,13 @@ def linear_covariance(
             )
     failed = int(of_runs.size - kept.size)
     return LinearCovariance(
-        models, spreads, effects, int(kept.size), failed, without_model
+        models,
+        spreads,
+        effects,
+        int(kept.size),
+        failed,
+        without_model,
+        choosing_of(scenario, pairs),
     )
 
 

@@ -26,10 +26,15 @@ import numpy as np
 from jaxtyping import Array, Key
 
 from .._programs import cached
-from ..addresses import leaves_by_address
+from ..addresses import field_metadata, leaves_by_address
 from ..campaign.batch import over_runs
 from ..campaign.campaign import fly_run
-from ..campaign.dispersions import Dispersion, disperse, draw
+from ..campaign.dispersions import (
+    Dispersion,
+    addresses_of_dispersion,
+    disperse,
+    draw,
+)
 from ..flight.scenario import Scenario
 from ..flight.solver import AbstractSolver
 from ..flight.termination import has_end
@@ -90,6 +95,18 @@ def in_deviations(pairs: Pairs, draws: Draws) -> dict[str, np.ndarray]:
     return standard
 
 
+def choosing_of(scenario: Scenario, pairs: Pairs) -> tuple[str, ...]:
+    """Names of the dispersions of numbers that only choose, such as the seed of noise."""
+    return tuple(
+        name
+        for name, dispersion in pairs
+        if any(
+            field_metadata(scenario, address).get("choice")
+            for address in addresses_of_dispersion(scenario, name, dispersion)
+        )
+    )
+
+
 def columns_of(values: Any) -> dict[str, np.ndarray]:
     columns = {
         named(n): np.asarray(column) for n, column in leaves_by_address(values).items()
@@ -131,9 +148,12 @@ def mean_model(
         deviations from the mean.
     """
     moments = {n: tuple(float(x) for x in d.distribution.moments()) for n, d in pairs}
-    moving = [n for n, (_, deviation) in moments.items() if deviation > 0.0]
+    chooses = choosing_of(scenario, pairs)
+    moving = [n for n, (_, size) in moments.items() if size > 0.0 and n not in chooses]
     if not moving:
-        raise ValueError("all dispersions are constant: nothing moves the flight")
+        raise ValueError(
+            "all dispersions are constant, or choose: nothing moves the flight"
+        )
     count = next(iter(others.values())).size
     if count < 2:
         return None

@@ -85,6 +85,11 @@ def print_covariance(
             f"NOTHING is predicted for the flights that end by {name}, {share:.1%}: the "
             "nominal flight does not meet it"
         )
+    if analysis.choosing:
+        console.print(
+            f"no slopes by what only chooses: {', '.join(analysis.choosing)}; the "
+            "prediction leaves the effect of this out"
+        )
     for few in (
         outputs[i : i + _SIDE_BY_SIDE] for i in range(0, len(outputs), _SIDE_BY_SIDE)
     ):

@@ -19,7 +19,7 @@ from ..motion.constraints import (
     integrals_of,
 )
 from ..motion.state import Controls
-from ..onboard.inertial import Actual, Navigated
+from ..onboard.inertial import Actual, Navigated, in_equator, rate_in_equator
 from ..onboard.navigation import InertialNavigation
 from ..onboard.navigation_filter import Knowledge
 from ..world.tabulated import Excursion, beyond_edges, tables_in
@@ -85,7 +85,10 @@ def navigate(scenario: Scenario, lane: Lane, due: Flag | None) -> Lane:
         return _actual(scenario, lane.moving, controls)
 
     def update(known: tuple[Any, Any]) -> tuple[Any, Any]:
-        return navigation.update(actual, *known, lane.flown, updates)
+        navigated, aiding = navigation.update(actual, *known, lane.flown, updates)
+        if navigated is not None and not scenario.dynamics.has_crossrange:
+            navigated = select(updates, in_equator(navigated), navigated)
+        return navigated, aiding
 
     updates = lane.on_schedule & (lane.flown > 0.0)
     known = lane.moving.navigated, lane.aiding
@@ -179,7 +182,8 @@ def _navigating(
     if moving.navigated is None:
         return None
     actual = _actual(scenario, moving, controls)
-    return scenario.navigation.rate(actual, moving.navigated, aiding)
+    rate = scenario.navigation.rate(actual, moving.navigated, aiding)
+    return rate if scenario.dynamics.has_crossrange else rate_in_equator(rate)
 
 
 def _actual(scenario: Scenario, moving: Moving, controls: Controls) -> Actual:

@@ -109,11 +109,6 @@ class Plan(eqx.Module):
                 f"{_MOST_STEPS:.0e} steps"
             )
         updated = scenario.navigation.cycle
-        if updated is not None and varies(law):
-            raise ValueError(
-                f"the cycle of the navigation is {updated} s, and that of "
-                f"{type(law).__name__} varies: take a law with a FixedCycle"
-            )
         lengths = {
             "history": history,
             "the guidance period": period,
@@ -131,11 +126,12 @@ class Plan(eqx.Module):
         scheduled = math.ceil(limit / duration - 1e-9)
         if varies(law):
             assert isinstance(law, AbstractSampledLaw)
-            if duration < law.cycle.period - 1e-9:
-                raise ValueError(
-                    f"history is {history} s: with a cycle that varies it must be a "
-                    f"multiple of the longest, {law.cycle.period} s"
-                )
+            for name, other in given.items():
+                if other < law.cycle.period - 1e-9:
+                    raise ValueError(
+                        f"{name} is {other} s: with a guidance cycle that varies it must "
+                        f"be a multiple of the longest, {law.cycle.period} s"
+                    )
             scheduled = law.cycle.most_cycles(limit)
         steps = solver.steps_in(duration) if isinstance(solver, FixedStep) else 1
         cycles = scheduled + math.ceil(steps_to_the_end(duration / steps) / steps)
@@ -173,7 +169,10 @@ class Plan(eqx.Module):
     def decided(self, scenario: Scenario, lane: Lane) -> Lane:
         """The lane after an update of its navigation, and after a decision of its sampled
         law on it, if the cycles of these start now."""
-        if self.navigate_every == 1:
+        law = scenario.law
+        if self.navigate_every is not None and varies(law):
+            lane = navigate(scenario, lane, self._has_passed(law, lane))
+        elif self.navigate_every == 1:
             lane = navigate(scenario, lane, None)
         elif self.navigate_every is not None:
             lane = navigate(scenario, lane, self._starts(lane, self.navigate_every))
@@ -185,6 +184,19 @@ class Plan(eqx.Module):
         """Whether a cycle of so many cycles of the plan starts now."""
         index = jnp.round(lane.flown / self.duration).astype(int)
         return index % every == 0
+
+    def _has_passed(self, law: AbstractLaw, lane: Lane) -> Flag:
+        """Whether a cycle of the navigation ended in the last guidance cycle, which varies.
+
+        Guidance cycles that share one clock with the navigation end where it does.
+        """
+        assert isinstance(law, AbstractSampledLaw) and self.navigate_every is not None
+        length = self.duration * self.navigate_every
+        begun = lane.flown - law.cycle.seconds(lane.held)
+        before, now = (
+            jnp.floor((time + _SAME_TIME) / length) for time in (begun, lane.flown)
+        )
+        return now > before
 
     def cycle(self, scenario: Scenario, lane: Lane) -> Lane:
         """One guidance cycle, or a part of one if the history has a finer interval."""

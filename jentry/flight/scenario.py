@@ -41,7 +41,7 @@ from ..motion.constraints import (
     Constraints,
     usual_constraints,
 )
-from ..motion.dynamics import AbstractDynamics, EntryDynamics
+from ..motion.dynamics import AbstractDynamics, EntryDynamics, EquatorialDynamics
 from ..motion.orbit import OrbitTarget
 from ..motion.quantities import from_ground_track, ground_track
 from ..motion.singularities import at_rest
@@ -268,17 +268,47 @@ def _check_navigation(scenario: Scenario) -> None:
     """Refuse dynamics that an inertial navigation does not integrate, and a filter with
     a covariance that is not positive."""
     navigation, dynamics = scenario.navigation, scenario.dynamics
-    if (
-        isinstance(navigation, InertialNavigation)
-        and type(dynamics) is not EntryDynamics
-    ):
+    if not isinstance(navigation, InertialNavigation):
+        return
+    if type(dynamics) not in (EntryDynamics, EquatorialDynamics):
         raise ValueError(
             f"navigation is InertialNavigation and dynamics {type(dynamics).__name__}: it "
-            "integrates the motion over a rotating sphere in three dimensions; take "
-            "dynamics=EntryDynamics(), or navigation=PerfectNavigation()"
+            "integrates the angles of a motion over a rotating planet; take "
+            "dynamics=EntryDynamics(), or EquatorialDynamics() for a flight in the plane "
+            "of the equator, or navigation=PerfectNavigation()"
         )
-    if isinstance(navigation, InertialNavigation) and navigation.filter is not None:
+    if not dynamics.has_crossrange:
+        _check_navigation_in_equator(scenario, navigation)
+    if navigation.filter is not None:
         navigation.filter.check()
+
+
+_ACROSS_EQUATOR = "navigation.knowledge.north", "navigation.knowledge.velocity_north"
+"""Knowledge errors out of the plane of the equator"""
+
+
+def _check_navigation_in_equator(
+    scenario: Scenario, navigation: InertialNavigation
+) -> None:
+    """Refuse what would move a navigation out of the plane of the equator."""
+    name = type(scenario.dynamics).__name__
+    if navigation.filter is not None:
+        raise ValueError(
+            f"navigation has a filter and dynamics is {name}: the filter estimates "
+            "latitude and heading, which a flight in the plane of the equator does not "
+            "have; take InertialNavigation(filter=None), or dynamics=EntryDynamics()"
+        )
+    if navigation.gravity is not None:
+        navigation.gravity.in_equator(scenario.planet.radius)  # raises if it pulls out
+    for address in _ACROSS_EQUATOR:
+        part = address.split(".")[-1]
+        size = getattr(navigation.knowledge, part)
+        if not isinstance(size, Tracer) and np.any(np.asarray(size) != 0.0):
+            unit = unit_of(scenario, address)
+            raise ValueError(
+                f"{address} is {quantity_in_words(size, unit)}, and {name} knows no north: "
+                "take 0, or dynamics=EntryDynamics()"
+            )
 
 
 def _check_one_target(scenario: Scenario) -> None:
@@ -416,7 +446,10 @@ def _require_samples(law: AbstractLaw, scenario: Scenario, noise: str) -> None:
 
 def without_effect(scenario: Scenario) -> tuple[str, ...]:
     """Addresses of the numbers that this scenario does not use."""
-    return tuple(f"initial_state.{name}" for name in scenario.dynamics.constant)
+    constant = (f"initial_state.{name}" for name in scenario.dynamics.constant)
+    in_plane = isinstance(scenario.dynamics, EquatorialDynamics)
+    navigates = in_plane and isinstance(scenario.navigation, InertialNavigation)
+    return *constant, *(_ACROSS_EQUATOR if navigates else ())
 
 
 def require_effect(scenario: Scenario, address: str) -> None:

@@ -9,6 +9,7 @@ from ..fields import Scalar
 from ..guidance.law import AbstractSampledLaw, begun, commanded
 from ..motion.attitude import Swing
 from ..motion.state import Controls
+from ..onboard.inertial import in_equator
 from ..onboard.measurement import Measurement, measure
 from .lane import Moving
 from .scenario import Scenario
@@ -133,6 +134,8 @@ def first_moving(scenario: Scenario) -> Moving:
     """State and navigation at the start, before there is a command."""
     state = scenario.initial_state
     navigated = scenario.navigation.start(scenario.planet, state)
+    if navigated is not None and not scenario.dynamics.has_crossrange:
+        navigated = in_equator(navigated)
     motion = scenario.dynamics.integrated(state)
     return Moving(motion, None, None, navigated=navigated)
 

@@ -225,6 +225,26 @@ def displaced(planet: Planet, state: EntryState, off: KnowledgeError) -> Navigat
     return Navigated(believed, tilt)
 
 
+def in_equator(navigated: Navigated) -> Navigated:
+    """The navigation of a vehicle that knows that it flies due east over the equator.
+
+    What it believes to do across this plane is left out; the tilt stays.
+    """
+    east, _, up = local_velocity(navigated.state)
+    nothing = jnp.zeros_like(up)
+    state = dataclasses.replace(
+        navigated.state, latitude=nothing, heading=nothing + 0.5 * jnp.pi
+    )
+    return Navigated(with_velocity(state, east, nothing, up), navigated.tilt)
+
+
+def rate_in_equator(rate: Navigated) -> Navigated:
+    """The rate of a navigation that `in_equator` has returned, which stays in the plane."""
+    nothing = jnp.zeros_like(rate.state.altitude)
+    state = dataclasses.replace(rate.state, latitude=nothing, heading=nothing)
+    return Navigated(state, rate.tilt)
+
+
 def difference(
     planet: Planet, state: EntryState, navigated: Navigated
 ) -> KnowledgeError:

@@ -2,10 +2,12 @@
 
 import dataclasses
 
+from ..._computed_once import computed_once
 from ...campaign.dispersions import Dispersion
 from ..mars.range_tracking import NAVIGATION as LANDER_NAVIGATION
 from ..mission import Mission
 from ..npcg_toolbox import through_fitted_mars_air
+from .delivery import as_estimated
 from .dispersions import (
     air_and_vehicle,
     entry_errors,
@@ -15,6 +17,7 @@ from .dispersions import (
     wind,
 )
 from .laws import predictor_corrector, terminal_point
+from .scenario import entry_state, planet
 from .worlds import range_trigger, wind_and_waves
 
 
@@ -30,6 +33,15 @@ the range to go, that it believes"""
 def _all_errors() -> dict[str, Dispersion]:
     """Entry, air, vehicle, wind, waves, and what navigation knows."""
     return everything_with_wind() | dict(NAVIGATION.knowledge())
+
+
+@computed_once
+def _estimated() -> dict[str, Dispersion]:
+    """`everything-and-knowledge`, with what is known at the entry as a best estimate of it:
+    knowledge errors that are correlated with delivery errors."""
+    around = planet()
+    errors = dict(NAVIGATION.usual_and_knowledge())
+    return as_estimated(errors, around, entry_state(around))
 
 
 MISSION = Mission(
@@ -57,6 +69,7 @@ MISSION = Mission(
         "everything-with-wind": everything_with_wind,
         "knowledge": NAVIGATION.knowledge,
         "everything-and-knowledge": NAVIGATION.usual_and_knowledge,
+        "everything-and-estimated-knowledge": _estimated,
         "everything-with-wind-and-knowledge": _all_errors,
     },
     gains=("guidance.gain", "guidance.lateral.floor"),
