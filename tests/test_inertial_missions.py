@@ -51,11 +51,16 @@ pytestmark = pytest.mark.filterwarnings("ignore:.*decisions without prediction")
 
 
 @pytest.mark.parametrize(
-    "name", ["mars-range-tracking", pytest.param("apollo-10", marks=pytest.mark.slow)]
+    ("name", "worlds"),
+    [
+        ("mars-range-tracking", ()),
+        pytest.param("mars-range-tracking", ("in-plane",), marks=pytest.mark.slow),
+        pytest.param("apollo-10", (), marks=pytest.mark.slow),
+    ],
 )
-def test_the_world_flies_to_an_end_and_without_errors_as_without_it(name):
+def test_the_world_flies_to_an_end_and_without_errors_as_without_it(name, worlds):
     mission = find_mission(name)
-    scenario = mission.scenario(world="inertial")
+    scenario = mission.scenario(world=(*worlds, "inertial"))
     mean = eqx.tree_at(lambda s: s.navigation.seed, scenario, jnp.asarray(0.5))
     walks = (
         lambda s: s.navigation.noise.velocity_random_walk,
@@ -65,13 +70,15 @@ def test_the_world_flies_to_an_end_and_without_errors_as_without_it(name):
     silent = eqx.tree_at(
         lambda s: [walk(s) for walk in walks], mean, [jnp.zeros(()), jnp.zeros(())]
     )
-    noisy, alone, flight = map(fly_compiled, (mean, mission.scenario(), silent))
+    noisy, alone, flight = map(
+        fly_compiled, (mean, mission.scenario(world=worlds), silent)
+    )
     for found in (noisy, alone, flight):
         assert int(found.outcome) == Outcome.REACHED
     assert int(alone.ended_by) == int(flight.ended_by)
     # Believed and actual state differ by rounding, 1e-11 of their sizes, as
     # `test_without_errors_it_is_the_truth` says; the closed loop does not amplify it more.
-    there = misses(mission.scenario(), alone), misses(scenario, flight)
+    there = misses(mission.scenario(world=worlds), alone), misses(scenario, flight)
     for quantity in ("downrange", "crossrange", "altitude", "velocity"):
         a, b = (float(getattr(found, quantity)) for found in there)
         assert b == pytest.approx(a, abs=1e-3), quantity

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from filter_flights import ALTIMETER, aided
 from first_sets import populations, small_batches
 
 from jentry.addresses import replace_leaves
@@ -85,6 +86,28 @@ def test_the_kernel_of_a_mission_flies_as_xla_does(name):
     with small_batches():
         campaign = monte_carlo(scenario, table, 0, RUNS)
     assert_same_flights(found, campaign, 1e-6)
+
+
+@pytest.mark.slow
+def test_the_kernel_of_a_flight_with_a_navigation_filter_flies_as_xla_does():
+    scenario = aided({"altimeter": ALTIMETER}, 60.0)
+    runs = {
+        "navigation.seed": jnp.array([0.3, 0.33]),
+        "navigation.knowledge.up": jnp.array([100.0, -700.0]),
+    }
+    one = functools.partial(_fly_one, (scenario, FixedStep(1.0), None))
+    if shutil.which("cc") is None:
+        pytest.skip("there is no C compiler")
+    example = jax.tree.map(lambda x: x[0], runs)
+    found, expected = (
+        kernel_of(one, example, form="c")(runs),
+        jax.jit(jax.vmap(one))(runs),
+    )
+    # The filter has measured, and the errors at the end are not those at the start.
+    assert np.all(np.asarray(expected[0].knowledge.measured["altimeter"]) > 40.0)
+    assert np.all(np.abs(np.asarray(expected[0].knowledge.error.up)) < 30.0)
+    for a, b in zip(*map(jax.tree.leaves, (found, expected)), strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.slow
