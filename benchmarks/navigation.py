@@ -1,6 +1,7 @@
 """What inertial navigation does to misses, triggers and time, in the world `inertial`.
 
     python benchmarks/navigation.py linear --missions mars-range-tracking --runs 10000
+    python benchmarks/navigation.py reversals --missions apollo-10 --runs 3000
     python benchmarks/navigation.py miss --runs 2000
     python benchmarks/navigation.py trigger --runs 2000
     python benchmarks/navigation.py delivery --runs 2000
@@ -13,6 +14,9 @@
   size. The random walks of the navigation have a seed, and no output is linear in a seed:
   this part is without them. `--mode difference`, the default, takes mean slopes, which go
   across the jumps that bank reversals make; `--mode exact` takes derivatives.
+- `reversals`: what linear covariance leaves out at a tenth: how well a linear function of
+  the draws fits the errors of all flights, and of those whose reversals all fall in the
+  same guidance cycles. Quartiles show whether tails are behind the difference.
 - `miss`: the standard deviation of the miss, of the error of the navigation at the end and
   of the miss that the vehicle believes.
 - `trigger`: a flight that the believed velocity ends, beside the same flight that the
@@ -55,6 +59,7 @@ from jentry import (
     navigation_errors,
 )
 from jentry.addresses import replace_leaves
+from jentry.analysis.linear_models import draw_many, in_deviations
 from jentry.campaign import Dispersion, monte_carlo
 from jentry.campaign.dispersions import scaled_dispersions
 from jentry.flight import (
@@ -64,6 +69,7 @@ from jentry.flight import (
     VelocityBelow,
     has_end,
 )
+from jentry.flight.closed_loop import guidance_period
 from jentry.missions import find_mission
 from jentry.motion.constraints import DynamicPressure, MachNumber
 from jentry.tuning import Draws, MeanSquare
@@ -74,7 +80,7 @@ from jentry.units import km
 
 
 SAVED = Path(__file__).with_suffix(".csv")
-PARTS = "linear", "miss", "trigger", "delivery", "tuning", "cost"
+PARTS = "linear", "reversals", "miss", "trigger", "delivery", "tuning", "cost"
 SEED = "navigation noise"
 """The dispersion of the seed of the random walks"""
 USUAL = {
@@ -148,14 +154,20 @@ def at_the_end(scenario, flight) -> dict[str, jax.Array]:
     }
 
 
-def linear(mission: str, runs: int, seed: int, mode: str, size: str) -> list[Cell]:
+def without_walks(mission: str, size: str):
+    """Scenario and dispersions of the parts `linear` and `reversals`."""
     scenario = find_mission(mission).scenario(LINEAR[mission], world="inertial")
     scenario = dataclasses.replace(scenario, navigation=InertialNavigation())
     dispersions = dispersed(mission, "inertial")
     del dispersions[SEED]
+    return scenario, scaled_dispersions(dispersions, SIZES[size])
+
+
+def linear(mission: str, runs: int, seed: int, mode: str, size: str) -> list[Cell]:
+    scenario, dispersions = without_walks(mission, size)
     found = linear_covariance(
         scenario,
-        scaled_dispersions(dispersions, SIZES[size]),
+        dispersions,
         at_the_end,
         key=jax.random.key(seed),
         runs=runs,
@@ -173,9 +185,66 @@ def linear(mission: str, runs: int, seed: int, mode: str, size: str) -> list[Cel
     ]
 
 
-def ended(scenario, dispersions, seed: int, runs: int):
+def reversing(mission: str, runs: int, seed: int) -> list[Cell]:
+    scenario, dispersions = without_walks(mission, "a tenth")
+    key, period = jax.random.key(seed), guidance_period(scenario)
+    found = linear_covariance(
+        scenario, dispersions, at_the_end, key=key, mode="difference"
+    )
+    (model,) = found.models.values()
+    pairs = tuple(dispersions.items())
+    draws = in_deviations(pairs, draw_many(pairs, key, np.arange(runs)))
+    campaign, have = ended(scenario, dispersions, seed, runs, period)
+    side = np.sign(np.asarray(campaign.flights.history.controls.sin_bank))
+    cells = []
+    for what in "crossrange", "downrange":
+        slopes = model.slopes[f"true {what}"]
+        predicted = sum(slopes[name] * x for name, x in draws.items())
+        flown = np.asarray(getattr(campaign.misses, what))
+        cells += left_by_a_line(
+            f"`{mission}`, {what}",
+            flown[have],
+            np.asarray(predicted)[have],
+            np.stack([x[have] for x in draws.values()], axis=1),
+            (side[:, 1:] * side[:, :-1] < 0.0)[have],
+        )
+    return cells
+
+
+def left_by_a_line(row: str, flown, predicted, draws, turns) -> list[Cell]:
+    """How well lines fit an error: of the draws, of shape (runs, dispersions), and where
+    `turns`, of shape (runs, cycles), is the same."""
+    _, group, sizes = np.unique(turns, axis=0, return_inverse=True, return_counts=True)
+    alike = np.ravel(group) == np.argmax(sizes)
+    count = np.sum(turns, axis=1)
+    row = f"{row}, {flown.size} flights with {count.min()} to {count.max()} reversals"
+
+    def left(which) -> float:
+        rows = np.column_stack([np.ones(np.sum(which)), draws[which]])
+        fit, *_ = np.linalg.lstsq(rows, flown[which], rcond=None)
+        off = flown[which] - rows @ fit
+        return float(np.sqrt(np.sum(off**2) / (off.size - rows.shape[1])))
+
+    def quartiles(x) -> float:
+        return float(np.subtract(*np.percentile(x, [75.0, 25.0])))
+
+    spread = deviation(predicted) / deviation(flown)
+    robust = quartiles(predicted) / quartiles(flown)
+    return [
+        Cell(row, "std, m", deviation(flown), 1),
+        Cell(row, "predicted over flown", spread, 3),
+        Cell(row, "quartiles, predicted over flown", robust, 3),
+        Cell(row, "left by a line, m", left(np.full(flown.size, True)), 1),
+        Cell(row, "flights with the same reversals", float(np.sum(alike)), 0),
+        Cell(row, "std of these, m", deviation(flown[alike]), 1),
+        Cell(row, "left by a line of these, m", left(alike), 1),
+    ]
+
+
+def ended(scenario, dispersions, seed: int, runs: int, history: float | None = None):
     """A campaign, and which of its flights have an end."""
-    campaign = monte_carlo(scenario, dispersions, jax.random.key(seed), runs)
+    key = jax.random.key(seed)
+    campaign = monte_carlo(scenario, dispersions, key, runs, history=history)
     return campaign, np.asarray(has_end(campaign.flights.outcome))
 
 
@@ -401,6 +470,9 @@ def measured(options: argparse.Namespace) -> Iterator[tuple[str, list[Cell]]]:
                 for size in SIZES:
                     cells = linear(mission, runs, seed, options.mode, size)
                     yield f"linear, {mission}, {size}", cells
+        elif part == "reversals":
+            for mission in (m for m in missions if m in LINEAR):
+                yield f"reversals, {mission}", reversing(mission, runs, seed)
         elif part == "miss":
             for law in MISS:
                 yield f"miss, {law}", miss(law, runs, seed)

@@ -424,6 +424,17 @@ def test_an_estimate_is_uncorrelated_with_its_error(name, key):
         estimated = name == "estimated-knowledge"
         expected = -sizes[1] / sizes[0] if estimated else 0.0
         found = np.corrcoef(off, unknown)[0, 1]
+        if estimated:
+            of_unknown = next(
+                each
+                for name, each in table.items()
+                if addresses_of_dispersion(flown, name, each)
+                == [f"navigation.knowledge.{knowledge}"]
+            )
+            expected *= np.sign(per_unit)
+            stated = float(of_unknown.distribution.weights[0])
+            assert stated == pytest.approx(expected, rel=1e-6), component
+            expected *= np.sign(per_unit)
         assert found == pytest.approx(expected, abs=error), component
         believed, sign = off + unknown, -1.0 if estimated else 1.0
         spread = np.sqrt(sizes[0] ** 2 + sign * sizes[1] ** 2)

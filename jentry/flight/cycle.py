@@ -115,6 +115,14 @@ class Plan(eqx.Module):
             "the cycle of the navigation": updated,
         }
         given = {name: d for name, d in lengths.items() if d is not None}
+        if varies(law):
+            for name, other in given.items():
+                assert period is not None
+                if other < period - 1e-9:
+                    raise ValueError(
+                        f"{name} is {other} s: with a guidance cycle that varies it must "
+                        f"be a multiple of the longest, {period} s"
+                    )
         default = 20 * (solver.step or _STEP) if isinstance(solver, FixedStep) else 1.0
         duration = min(given.values(), default=default)
         for other in given.values():
@@ -126,12 +134,6 @@ class Plan(eqx.Module):
         scheduled = math.ceil(limit / duration - 1e-9)
         if varies(law):
             assert isinstance(law, AbstractSampledLaw)
-            for name, other in given.items():
-                if other < law.cycle.period - 1e-9:
-                    raise ValueError(
-                        f"{name} is {other} s: with a guidance cycle that varies it must "
-                        f"be a multiple of the longest, {law.cycle.period} s"
-                    )
             scheduled = law.cycle.most_cycles(limit)
         steps = solver.steps_in(duration) if isinstance(solver, FixedStep) else 1
         cycles = scheduled + math.ceil(steps_to_the_end(duration / steps) / steps)
