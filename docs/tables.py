@@ -206,6 +206,9 @@ def of_navigation(part: str) -> tuple[list[str], Rows, str]:
     names = [name for name in records.load(path) if name.startswith(f"{part}, ")]
     if not names:
         raise KeyError(f"{path.name} has no table of the part {part!r}")
+    # The seeds of one tuning below each other, whenever they were saved.
+    alike = [name.partition(", seed ")[0] for name in names]
+    names.sort(key=lambda name: (alike.index(name.partition(", seed ")[0]), name))
     command = f"python benchmarks/navigation.py {part}"
     headings, rows, captions = zip(
         *(_of_records(path, name, command) for name in names), strict=True

@@ -122,7 +122,9 @@ class InertialNoise(eqx.Module):
     angle_random_walk: Scalar = scalar(0.0, unit="rad/s^0.5", range=NOT_NEGATIVE)
     """Standard deviation of each component of the tilt after 1 s, rad"""
     cycle: float = eqx.field(default=1.0, static=True)
-    """Time from one sample to the next, s"""
+    """Time from one sample to the next, s. Where the guidance cycle varies, it must be a
+    multiple of the longest, and a sample is added at the first decision that is not before
+    its time"""
 
     def __check_init__(self):
         if not 0.0 < self.cycle < math.inf:
@@ -144,6 +146,10 @@ class InertialNavigation(AbstractNavigation[Navigated]):
     square are left out, one part in a million for 1 mrad.
 
     Without errors it is the truth, to rounding.
+
+    With `EquatorialDynamics` the vehicle knows that it flies in the plane of the equator.
+    What it would believe to do across it is left out: errors to the north at the start are
+    refused, and so is a filter.
 
     Reference: D. H. Titterton, J. L. Weston, *Strapdown Inertial Navigation Technology*,
     2nd edition, 2004, chapters 3 and 12.
