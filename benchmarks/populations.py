@@ -564,11 +564,16 @@ def statistics_of(mission: str, choice: str) -> dict[str, Callable[..., float]]:
 
 def statistics() -> dict[tuple[str, ...], Statistic]:
     """All that was saved: by mission, what is flown of it, dispersions and heading."""
+    found = {}
     with open(SAVED, newline="") as file:
-        return {
-            tuple(row[:4]): Statistic(float(row[5]), np.array(row[6:], float), row[4])
-            for row in csv.reader(file)
-        }
+        for row in csv.reader(file):
+            name = tuple(row[:4])
+            if name in found:
+                raise ValueError(
+                    f"{SAVED.name} has two rows {', '.join(name)}: keep the later one"
+                )
+            found[name] = Statistic(float(row[5]), np.array(row[6:], float), row[4])
+    return found
 
 
 def saved() -> dict[tuple[str, ...], np.ndarray]:
