@@ -97,6 +97,13 @@ def give_back() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
+def pytest_sessionfinish():
+    """Look for rubbish once, and not five times among all that has been compiled, as
+    pytest does at the end of a process, for exceptions that nobody has seen."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture(autouse=True)
 def forgetting(request):
     """What slow tests have traced and compiled would fill the memory, gigabytes in all."""

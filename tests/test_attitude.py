@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from attitudes import FREE, STEP, Turning, lagging, scenario, swings
-from helpers import fly_compiled, with_leaf
+from helpers import along_each, fly_compiled, with_leaf
 
 from jentry.fields import Scalar
 from jentry.flight import FixedStep, fly
@@ -103,20 +103,18 @@ def test_a_swift_attitude_is_an_ideal_one():
 def test_gradients_reach_the_response():
     """Of where the flight ends, by the frequency of the bank, against differences."""
 
-    def end(frequency):
+    def end(frequencies):
         given = scenario(attitude=lagging(rate=5 * degree, acceleration=2 * degree))
         moved = with_leaf(
-            given, lambda s: s.attitude.bank_response.frequency, frequency
+            given, lambda s: s.attitude.bank_response.frequency, frequencies[0]
         )
         return fly(moved, FixedStep(0.5)).state.longitude
 
-    pushed = jax.jit(jax.jacfwd(end))(jnp.asarray(0.5))
-    pulled = jax.jit(jax.grad(end))(jnp.asarray(0.5))
-    value, h = jax.jit(end), 1e-4
-    difference = (value(jnp.asarray(0.5 + h)) - value(jnp.asarray(0.5 - h))) / (2.0 * h)
-    assert float(pulled) == pytest.approx(float(pushed), rel=1e-9)
+    pushed, differences = along_each(end, [0.5], [1e-4])
+    pulled = jax.jit(jax.grad(end))(jnp.array([0.5]))
+    np.testing.assert_allclose(pulled, pushed, rtol=1e-9)
     # Second order of the step, and a flight of order one to 1e-13.
-    assert float(pushed) == pytest.approx(float(difference), rel=1e-5)
+    np.testing.assert_allclose(pushed, differences, rtol=1e-5)
 
 
 @pytest.mark.slow

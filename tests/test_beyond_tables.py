@@ -225,7 +225,7 @@ def test_angles_are_told_in_degrees(capsys):
 
 @pytest.mark.parametrize("solver", [cheap.SOLVER, Adaptive(1e-8)])
 def test_a_flight_that_begins_beyond_does_not_fly(solver):
-    flight = fly_compiled(tabulated(air=air(refuse=True)), solver)
+    flight = fly_compiled(tabulated(air=air(refuse=True)), solver, STEP)
     assert Outcome(int(flight.outcome)) is Outcome.BEYOND_TABLE
     assert float(flight.time) == 0.0
     assert float(flight.caveats[AIR]) == 1.0

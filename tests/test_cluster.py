@@ -399,13 +399,13 @@ def test_one_cluster_at_a_time(two):
 
 
 @pytest.mark.slow
-def test_a_campaign_of_a_mission(two, key):
+def test_a_campaign_of_a_mission(alike, key):
     mission = find_mission("mars-drag-tracking")
     fly = lambda: jentry.monte_carlo(
         mission.scenario(), mission.dispersion_table(), key, 2500, history=20.0
     )
     here = fly()
-    with jentry.Cluster(two.address):
+    with jentry.Cluster(alike.address):
         there = fly()
     assert same(here, there)
 

@@ -41,20 +41,9 @@ from jentry.units import degree
 # The identity.
 
 
-CHOOSES_ITS_ANGLE = {
-    "Bézier",
-    "ground track",
-    "replanning",
-    "control profiles",
-    "neural with an angle of attack",
-}
-OTHERS_DO = {"predictor-corrector", "pseudospectral", "aerocapture"}
-"""Laws that take long to compile; what is composed does not look into them"""
-ALONE = [
-    n
-    for n in all_laws
-    if n not in CHOOSES_ITS_ANGLE | OTHERS_DO and "composition" not in n
-]
+ALONE = ("bank profile", "observer", "gated", "range tracking", "neural")
+"""One of each kind, since what is composed does not look into a law: without memory, with
+memory, with another law within, with a side and with caveats"""
 
 
 @pytest.mark.optimized

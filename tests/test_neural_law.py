@@ -41,8 +41,9 @@ from jentry.onboard import (
 from jentry.units import degree, km
 
 
-def flown(law, history=None):
-    return fly_compiled(scenario_of(law), SOLVER, history)
+def flown(law):
+    """With its history, which some tests look at: one program for all of them."""
+    return fly_compiled(scenario_of(law), SOLVER, PERIOD)
 
 
 def aim_of(law):
@@ -348,7 +349,7 @@ def test_a_cycle_turns_as_fast_as_the_vehicle_can():
 
 def test_the_bank_of_a_flight_keeps_its_limits():
     law = law_of(network_of(size=300.0), largest_bank=0.9, turn_rate=5.0 * degree)
-    history = flown(law, PERIOD).history
+    history = flown(law).history
     bank = np.asarray(history.decisions.bank)
     bank = bank[np.isfinite(np.asarray(history.time))]
     assert np.max(np.abs(bank)) <= 0.9
@@ -359,7 +360,7 @@ def test_the_bank_of_a_flight_keeps_its_limits():
 def test_the_first_bank_is_that_before_the_first_decision():
     """A slow vehicle still has most of it after the first one."""
     law = law_of(first_bank=1.0, turn_rate=0.1 * degree)
-    held = flown(law, PERIOD).history.decisions.bank
+    held = flown(law).history.decisions.bank
     assert float(held[0]) == pytest.approx(1.0, abs=0.1 * degree * PERIOD + 1e-12)
 
 
@@ -380,7 +381,7 @@ def test_the_memory_goes_from_decision_to_decision():
     network = network_of()
     blind = eqx.tree_at(lambda n: n.cell.weight_ih, network, replace_fn=jnp.zeros_like)
     blind = eqx.tree_at(lambda n: n.cell.bias, blind, replace_fn=lambda b: 0.3 + b)
-    memory = flown(law_of(blind), PERIOD).history.decisions.memory[:5]
+    memory = flown(law_of(blind)).history.decisions.memory[:5]
     expected = jnp.zeros(3)
     for found in memory:
         expected = blind.cell(jnp.zeros(len(INPUTS)), expected)
@@ -394,7 +395,7 @@ def test_decisions_beyond_the_training_are_a_caveat():
     narrow = eqx.tree_at(
         lambda n: n.input_ranges, network, network.input_ranges.at[0].set([0.5, 2.0])
     )
-    flight = flown(law_of(narrow), PERIOD)
+    flight = flown(law_of(narrow))
     velocity = np.asarray(flight.history.states.velocity) / 6750.0
     velocity = velocity[np.isfinite(velocity)]
     share = float(flight.caveats["decisions_beyond_training"])
@@ -420,7 +421,7 @@ def test_a_network_of_zeros_corrects_nothing():
 
 def test_a_correction_adds_to_the_bank():
     beside = law_of(network_of(size=20.0), beside=other_law(), corrects=True)
-    history = flown(beside, PERIOD).history
+    history = flown(beside).history
     flying = np.isfinite(np.asarray(history.time))
     command = np.arctan2(history.controls.sin_bank, history.controls.cos_bank)[flying]
     correction = np.asarray(history.decisions.bank)[flying]
@@ -449,7 +450,7 @@ def test_the_law_beside_does_not_give_back_the_command():
     network = network_of(size=20.0)
     ranges = network.input_ranges.at[0].set([0.6, 2.0])
     slow = eqx.tree_at(lambda n: n.input_ranges, network, ranges)
-    history = flown(law_of(slow, beside=other_law()), PERIOD).history
+    history = flown(law_of(slow, beside=other_law())).history
     flying = np.isfinite(np.asarray(history.time))
     beyond = np.asarray(history.decisions.beyond)[flying]
     velocity = np.asarray(history.states.velocity)[flying] / 6750.0
@@ -457,7 +458,7 @@ def test_the_law_beside_does_not_give_back_the_command():
     # The other way about: fast at first, which is beyond, and slow later.
     ranges = network.input_ranges.at[0].set([-1.0, 0.99])
     fast = eqx.tree_at(lambda n: n.input_ranges, network, ranges)
-    flight = flown(law_of(fast, beside=other_law()), PERIOD)
+    flight = flown(law_of(fast, beside=other_law()))
     same(flight.state, flown(other_law()).state)
     assert float(flight.caveats["decisions_beyond_training"]) < 0.9
 

@@ -161,20 +161,23 @@ def test_plans_in_a_plane_refuse_an_oblate_planet(change):
         model.rates(state, jnp.asarray(0.1))
 
 
-def navigated(navigation):
-    """A flight over an oblate Mars, from its middle latitudes, in a wind."""
+def over_oblate_mars(navigation):
+    """From its middle latitudes, in a wind."""
     wind = ConstantWind(30.0, 20.0)
     planet = flattened(with_j2(helpers.mars_planet(wind=wind, rotation_rate=7e-5)))
     state = EntryState(100 * km, 0.1, 0.7, 5500.0, -14 * degree, 30 * degree)
-    flown = dataclasses.replace(
+    return dataclasses.replace(
         helpers.mars_scenario(helpers.ConstantBank(0.9), dynamics=EntryDynamics()),
         planet=planet,
         initial_state=state,
         termination=Termination({"low": AltitudeBelow(15 * km)}, 400.0),
         navigation=navigation,
     )
-    flight = helpers.fly_compiled(flown, FixedStep(0.5))
-    return flown, flight
+
+
+def navigated(navigation):
+    flown = over_oblate_mars(navigation)
+    return flown, helpers.fly_compiled(flown, FixedStep(0.5))
 
 
 def test_inertial_navigation_knows_the_gravity_and_the_shape():
@@ -208,7 +211,7 @@ def test_an_altimeter_measures_the_geodetic_altitude():
 
 def test_paths_over_a_globe_are_geodetic(tmp_path):
     pytest.importorskip("simplekml")
-    flown, _ = navigated(PerfectNavigation())
+    flown = over_oblate_mars(PerfectNavigation())
     flight = helpers.fly_compiled(flown, FixedStep(0.5), 10.0)
     write_trajectory(flown, flight, tmp_path / "flight.kml")
     text = (tmp_path / "flight.kml").read_text()

@@ -68,6 +68,24 @@ def fly_cases(scenario):
     return end_errors(scenario, inputs)[:, : len(every)]
 
 
+def full() -> Scenario:
+    """The law `full`, as a schedule of eigenvalues that are the same at each energy: by the
+    program that flies the tuned ones. `test_a_schedule_begins_at_the_constant_gains`."""
+    return MISSION.scenario("scheduled")
+
+
+def test_a_schedule_begins_at_the_constant_gains():
+    """And is in nothing else another law than `full`."""
+    constant, begun = MISSION.scenario("full"), full()
+    gains = lambda s: s.guidance.gains
+    assert eqx.tree_equal(eqx.tree_at(gains, begun, gains(constant)), constant)
+    for energy in gains(begun).energy:
+        for found, expected in zip(
+            gains(begun).at(0.9 * energy), gains(constant).at(energy), strict=True
+        ):
+            np.testing.assert_allclose(found, expected, rtol=1e-14)
+
+
 def end_errors(scenario, inputs):
     """Downrange and crossrange of runs that all reach the end, n mile."""
     found = monte_carlo(scenario, inputs=inputs)
@@ -77,7 +95,7 @@ def end_errors(scenario, inputs):
 
 
 def test_every_case_of_the_paper_ends_within_a_mile():
-    found = np.abs(fly_cases(MISSION.scenario("full")))
+    found = np.abs(fly_cases(full()))
     assert np.all(found[:, :13] < 1.0)
     # The notes have 0.91 for the worst of the twelve. As the README prints them:
     assert np.max(found[:, :12], axis=1) == pytest.approx([0.91, 0.74], abs=0.005)
@@ -114,7 +132,7 @@ def test_away_from_the_end_of_an_index_there_is_no_flight():
 
 def test_errors_one_at_a_time_end_within_the_bound_of_the_paper():
     """Every one, in both directions."""
-    scenario = MISSION.scenario("full")
+    scenario = full()
     inputs = populated(scenario, "one-at-a-time")
     assert np.max(np.abs(end_errors(scenario, inputs))) < 1.0
 
@@ -141,7 +159,7 @@ def test_tuned_gains_on_draws_that_they_have_not_seen():
 
 def test_combined_initial_errors():
     """The percentiles of the radial miss."""
-    scenario = MISSION.scenario("full")
+    scenario = full()
     miss = np.hypot(*end_errors(scenario, populated(scenario, "initial-errors")))
     median, ninety, ninety_nine = np.percentile(miss, [50, 90, 99])
     assert 0.3 < median < 0.5
