@@ -75,8 +75,18 @@ def pytest_runtest_setup(item):
     compiling.loop_over_batches(item.get_closest_marker("batches") is not None)
 
 
-_MOST = 3 * 2**30
-"""Bytes in memory, of each worker, beyond which it forgets what it has compiled"""
+def _most() -> float:
+    """Bytes in memory, of each worker, beyond which it forgets what it has compiled: its
+    share of half of what the machine has, and 3 GiB where that is less."""
+    workers = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    try:
+        pages = os.sysconf("SC_PHYS_PAGES")
+    except (OSError, ValueError):
+        pages = 0
+    return max(3 * 2**30, pages * os.sysconf("SC_PAGE_SIZE") / 2 / workers)
+
+
+_MOST = _most()
 
 
 def in_memory() -> float:
@@ -97,11 +107,21 @@ def give_back() -> None:
         ctypes.CDLL(None).malloc_trim(0)
 
 
-def pytest_sessionfinish():
-    """Look for rubbish once, and not five times among all that has been compiled, as
-    pytest does at the end of a process, for exceptions that nobody has seen."""
+def _keep_for_good() -> None:
+    """Look for rubbish here once, and nowhere in what is there now again."""
     gc.collect()
     gc.freeze()
+
+
+def pytest_collection_finish():
+    """A million objects that have been imported stay."""
+    _keep_for_good()
+
+
+def pytest_sessionfinish():
+    """pytest looks five times for exceptions that nobody has seen, among all that has been
+    compiled."""
+    _keep_for_good()
 
 
 @pytest.fixture(autouse=True)

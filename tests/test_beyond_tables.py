@@ -201,6 +201,7 @@ def test_a_refusing_table_ends_the_flight_before_its_edge(flight):
     assert "refuse_beyond" in Outcome.BEYOND_TABLE.message
 
 
+@pytest.mark.slow
 def test_the_adaptive_solver_ends_before_an_edge():
     within = coefficients(machs=(0.5, 60.0))
     table = air(refuse=True, high=200 * km)
@@ -223,7 +224,9 @@ def test_angles_are_told_in_degrees(capsys):
     assert f"100% in one flight, and by up to {far / degree:.3g} deg" in printed
 
 
-@pytest.mark.parametrize("solver", [cheap.SOLVER, Adaptive(1e-8)])
+@pytest.mark.parametrize(
+    "solver", [cheap.SOLVER, pytest.param(Adaptive(1e-8), marks=pytest.mark.slow)]
+)
 def test_a_flight_that_begins_beyond_does_not_fly(solver):
     flight = fly_compiled(tabulated(air=air(refuse=True)), solver, STEP)
     assert Outcome(int(flight.outcome)) is Outcome.BEYOND_TABLE
@@ -233,6 +236,7 @@ def test_a_flight_that_begins_beyond_does_not_fly(solver):
     assert float(flight.beyond_tables[AIR]) == pytest.approx(start - HIGH)
 
 
+@pytest.mark.slow
 def test_the_adaptive_solver_counts_at_its_cycles(flight):
     adaptive = fly_compiled(tabulated(), Adaptive(1e-8), STEP)
     for name in (AIR, MACH):

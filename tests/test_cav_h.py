@@ -78,6 +78,7 @@ def test_nominal_velocity_at_the_target(as_printed):
     assert_says("flight ends at 2630.00 m/s", float(flight.state.velocity))
 
 
+@pytest.mark.slow
 @pytest.mark.optimized
 def test_position_and_angles_at_the_target(as_printed):
     campaign, _ = as_printed
@@ -93,6 +94,7 @@ def test_position_and_angles_at_the_target(as_printed):
     assert error == pytest.approx(140.8, abs=SPREADS * 5.1)
 
 
+@pytest.mark.slow
 @pytest.mark.optimized
 def test_no_limit_is_exceeded(as_printed):
     campaign, _ = as_printed

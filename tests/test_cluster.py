@@ -105,6 +105,7 @@ def same(one, other):
     return jax.tree.all(jax.tree.map(lambda x, y: bits(x) == bits(y), one, other))
 
 
+@pytest.mark.slow
 def test_a_stored_campaign_is_that_of_one_machine(tmp_path, two, small_parts):
     """By a scheduler file; its law is of these tests, which no worker can import."""
     cheap.campaign(tmp_path / "here", RUNS)

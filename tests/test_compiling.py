@@ -78,6 +78,7 @@ def test_a_program_that_is_computed_while_another_is_written_is_whole():
     assert float(jax.jit(computed.bind)(1.0)) == 11.0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif("not compiling.little()", reason="XLA does not know the options")
 def test_a_flight_is_the_same_but_for_rounding(monkeypatch):
     """Each is compiled, not found as the other left it, and then found again."""

@@ -77,7 +77,14 @@ def test_where_a_replanned_reference_ends_is_where_the_flight_does():
         check(moved_alone(given, energy))
 
 
-@pytest.mark.parametrize("mission", ["mars-drag-tracking", "rlv", "x-33"])
+@pytest.mark.parametrize(
+    "mission",
+    [
+        "mars-drag-tracking",
+        pytest.param("rlv", marks=pytest.mark.slow),
+        pytest.param("x-33", marks=pytest.mark.slow),
+    ],
+)
 def test_ranges_of_regulators_are_counted_from_a_place(mission):
     law = "with-range" if mission == "x-33" else "pseudospectral-with-range"
     given = find_mission(mission).scenario(law)

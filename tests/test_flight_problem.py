@@ -191,6 +191,7 @@ def test_footprint():
     assert np.sum(np.diff(np.append(angles, angles[0])) < 0.0) == 1
 
 
+@pytest.mark.slow
 def test_nobody_flies_beyond_the_footprint():
     """Random controls within the bounds end within the convex hull of the points."""
     found, *_ = outline()

@@ -50,12 +50,13 @@ DECIDED = {
 pytestmark = pytest.mark.filterwarnings("ignore:.*decisions without prediction")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "worlds"),
     [
         ("mars-range-tracking", ()),
-        pytest.param("mars-range-tracking", ("in-plane",), marks=pytest.mark.slow),
-        pytest.param("apollo-10", (), marks=pytest.mark.slow),
+        ("mars-range-tracking", ("in-plane",)),
+        ("apollo-10", ()),
     ],
 )
 def test_the_world_flies_to_an_end_and_without_errors_as_without_it(name, worlds):

@@ -86,6 +86,7 @@ def flown():
     return eqx.filter_jit(lambda s: fly(s, FixedStep(0.25)))
 
 
+@pytest.mark.slow
 def test_without_errors_it_is_the_truth(flown):
     perfect = eqx.tree_at(
         lambda s: (s.navigation, s.accelerometers),

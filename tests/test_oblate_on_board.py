@@ -180,6 +180,7 @@ def navigated(navigation):
     return flown, helpers.fly_compiled(flown, FixedStep(0.5))
 
 
+@pytest.mark.slow
 def test_inertial_navigation_knows_the_gravity_and_the_shape():
     flown, flight = navigated(InertialNavigation())
     off = navigation_errors(flown, flight)
@@ -187,6 +188,7 @@ def test_inertial_navigation_knows_the_gravity_and_the_shape():
     assert abs(float(off.altitude)) < 1e-5 and float(off.distance) < 1e-5
 
 
+@pytest.mark.slow
 def test_inertial_navigation_with_a_central_gravity_drifts():
     """By half of the missing acceleration, 1.5 J2 g sin(2 latitude) to the south, t^2."""
     central = InverseSquareGravity(4.28283e13)

@@ -177,7 +177,15 @@ def test_percentiles_that_are_asked_for_are_those_of_the_short_table(capsys):
     assert heads.split() == "unit mean std 10 % 99.87 % maximum".split()
 
 
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(
+            name, marks=[] if name == "mars-drag-tracking" else pytest.mark.slow
+        )
+        for name in ALL
+    ],
+)
 def test_the_short_table_fits_100_columns(capsys, name):
     """With numbers of any size and sign, and every limit that the mission has."""
     mission = ALL[name]
