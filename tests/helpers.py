@@ -49,12 +49,30 @@ MARS_ROTATION = 7.088e-5
 """rad/s"""
 
 
-fly_compiled = eqx.filter_jit(fly)
-"""One cache for all tests: the same structure, solver and history compile once."""
-
-fly_batch = eqx.filter_jit(
+_fly_compiled = eqx.filter_jit(fly)
+_fly_batch = eqx.filter_jit(
     lambda scenarios, *how: jax.vmap(lambda s: fly(s, *how))(scenarios)
 )
+
+
+def strong(tree):
+    """With arrays of one type: for `jnp.asarray(1.0)`, whose type is weak, JAX has another
+    program than for `jnp.asarray(1.0, float)`."""
+    return jax.tree.map(lambda x: x.astype(x.dtype) if _is_weak(x) else x, tree)
+
+
+def _is_weak(leaf) -> bool:
+    return getattr(leaf, "weak_type", False)
+
+
+def fly_compiled(scenario, *how, **options):
+    """One cache for all tests: the same structure, solver and history compile once."""
+    return _fly_compiled(strong(scenario), *how, **options)
+
+
+def fly_batch(scenarios, *how):
+    """As `fly_compiled`, of many scenarios."""
+    return _fly_batch(strong(scenarios), *how)
 
 
 class ConstantBank(AbstractContinuousLaw[None]):

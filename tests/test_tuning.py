@@ -34,6 +34,9 @@ from jentry.tuning.judgement import judge
 from jentry.units import degree
 
 
+pytestmark = pytest.mark.optimized  # of few programs each flies thousands of flights
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", OPTIMIZERS)
 def test_the_best_bank_is_found(name):
