@@ -85,15 +85,18 @@ def test_an_attitude_follows_its_law_as_its_equation_says():
     np.testing.assert_allclose(bank, alone, atol=1.2 * late)
 
 
+VARYING = BankProfile(PolynomialProfile([0.6, 0.2], 503.0, 6000.0), jnp.asarray(0.1))
+"""A law whose bank follows the velocity"""
+
+
 @pytest.mark.slow
 def test_a_swift_attitude_is_an_ideal_one():
     """Of a bank and an angle of attack that change little: the error goes with the lag,
     2 damping / frequency."""
-    law = BankProfile(PolynomialProfile([0.6, 0.2], 503.0, 6000.0), jnp.asarray(0.1))
-    ideal = fly_compiled(scenario(law, IdealAttitude()), FixedStep(0.1))
+    ideal = fly_compiled(scenario(VARYING, IdealAttitude()), FixedStep(0.1))
     far = []
     for frequency in (2.0, 4.0):
-        end = fly_compiled(scenario(law, lagging(frequency)), FixedStep(0.1))
+        end = fly_compiled(scenario(VARYING, lagging(frequency)), FixedStep(0.1))
         far.append(float(end.state.longitude - ideal.state.longitude))
     assert ideal.history is None and abs(far[1]) < 1e-4
     assert far[0] / far[1] == pytest.approx(2.0, rel=0.05)
@@ -104,7 +107,7 @@ def test_gradients_reach_the_response():
     """Of where the flight ends, by the frequency of the bank, against differences."""
 
     def end(frequencies):
-        given = scenario(attitude=lagging(rate=5 * degree, acceleration=2 * degree))
+        given = scenario(VARYING, lagging(rate=5 * degree, acceleration=2 * degree))
         moved = with_leaf(
             given, lambda s: s.attitude.bank_response.frequency, frequencies[0]
         )
@@ -113,6 +116,7 @@ def test_gradients_reach_the_response():
     pushed, differences = along_each(end, [0.5], [1e-4])
     pulled = jax.jit(jax.grad(end))(jnp.array([0.5]))
     np.testing.assert_allclose(pulled, pushed, rtol=1e-9)
+    assert abs(float(pushed[0])) > 1e-5
     # Second order of the step, and a flight of order one to 1e-13.
     np.testing.assert_allclose(pushed, differences, rtol=1e-5)
 
