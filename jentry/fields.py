@@ -136,8 +136,13 @@ def table(*, unit: str = "1", positive: bool = False, increasing: bool = False) 
     return eqx.field(converter=as_float_array, metadata=metadata)
 
 
-def check_values(address: str, values: np.ndarray, metadata: Mapping) -> None:
+def check_values(
+    address: str, values: np.ndarray, metadata: Mapping, *, had_unit: bool = False
+) -> None:
     """Refuse values of the leaf at an address that cannot be flown; see `check`.
+
+    `had_unit` says that the values came with their unit: then the message does not ask
+    whether degrees were meant.
 
     Raises `ValueError` for a value that is not finite, or that its field does not allow.
     """
@@ -159,7 +164,8 @@ def check_values(address: str, values: np.ndarray, metadata: Mapping) -> None:
         if unit == "rad":
             words = f" rad, {refused[0] / degree:g} deg"
         forgotten = ""
-        if unit == "rad" and least <= refused[0] * degree <= largest:
+        in_degrees = least <= refused[0] * degree <= largest
+        if unit == "rad" and in_degrees and not had_unit:
             forgotten = f"; did you mean {refused[0]:g}deg?"
         raise ValueError(
             f"{address} is {refused[0]:g}{words}: it must be {allowed(metadata)}"

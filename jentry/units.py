@@ -175,6 +175,49 @@ def at_edge(values: Any, unit: str, named: str | None = None) -> tuple[Any, str]
     return np.asarray(values) / size, shown
 
 
+_USUAL = {
+    "m": {"km": km},
+    "m/s": {"km/s": km},
+    "kg": {"t": 1e3},
+    "rad": {"deg": degree},
+    "rad/s": {"deg/s": degree},
+    "Pa": {"kPa": 1e3},
+    "W/m2": {"kW/m2": 1e3, "W/cm2": 1e4, "MW/m2": 1e6},
+    "J/m2": {"kJ/m2": 1e3, "J/cm2": 1e4, "MJ/m2": 1e6},
+    "J/(kg K)": {"kJ/(kg K)": 1e3},
+    "m3/s2": {"km3/s2": km**3},
+}
+"""Units in which people state numbers, and their sizes, by the SI unit"""
+
+_LIKE = 5.0
+"""Ratio of two numbers up to which they are of one size. Every unit in `_USUAL` is larger
+than its square, in SI, so that a number of this size in SI is not so in another unit"""
+
+
+def forgotten_unit(value: float, present: float, unit: str) -> str:
+    """Unit that was probably meant for a number that was given without one; else empty.
+
+    It is a usual unit in which the number is of the size of the one that it replaces, which
+    it is not in SI: 5.8 in place of 11 069 m/s was meant in km/s. Zeros, and numbers that
+    are not finite, are of no size.
+
+    **Arguments:**
+
+    - `value`: the number, in the SI unit.
+    - `present`: the number that it replaces, in the SI unit.
+    - `unit`: the SI unit.
+    """
+    ratio = abs(value / present) if present else 0.0
+    if not 0.0 < ratio < math.inf:
+        return ""
+
+    def off(name: str) -> float:
+        return abs(math.log(ratio) + math.log(_USUAL[unit][name]))
+
+    nearest = min(_USUAL.get(unit, ()), key=off, default="")
+    return nearest if nearest and off(nearest) <= math.log(_LIKE) else ""
+
+
 _DEFINITIONS = """
 quecto- = 1e-30 = q-
 ronto- = 1e-27 = r-

@@ -64,6 +64,12 @@ SET = {
     STATE + "latitude=-4.5": "did you mean -4.5deg?",
     "guidance.bank_angle=50": "did you mean 50deg?",
     "vehicle.trim_angle_of_attack=11": "did you mean 11deg?",
+    # another unit than SI forgotten
+    STATE + "velocity=6.75": "Write the unit, 6.75km/s or 6.75m/s",
+    STATE + "velocity=6750 km": "a number in m/s",
+    STATE + "altitude=126.1": "did you mean 126.1km?",
+    "vehicle.mass=0.9": "did you mean 0.9t?",
+    "planet.gravity.gravitational_parameter=42828.3": "did you mean 42828.3km3/s2?",
     # out of range
     "vehicle.mass=0": "vehicle.mass is 0 kg: it must be greater than zero",
     "vehicle.mass=-1 kg": "greater than zero",
@@ -79,6 +85,7 @@ SET = {
     STATE + "altitude=-1": "altitude is -1 m: it must be zero or more",
     STATE + "altitude=-10000km": "zero or more",
     STATE + "latitude=91deg": "between -90 and 90 deg",
+    STATE + "latitude=190deg": "between -90 and 90 deg",
     STATE + "latitude=-90.1deg": "between -90 and 90 deg",
     STATE + "flight_path_angle=91deg": "between -90 and 90 deg",
     STATE + "flight_path_angle=-1.6": "between -90 and 90 deg",
@@ -169,7 +176,7 @@ DISPERSED = {
     normal("1000", "0"): "standard_deviation is 0",
     normal("1000", "-5"): "standard_deviation is -5",
     normal("nan", "5"): "dispersions.x.mean is nan",
-    normal("1", "0.1", lower="4.9", upper="5").replace(
+    normal("990", "0.1", lower="993.9", upper="994").replace(
         "normal", "truncated_normal"
     ): "dispersions.x.mean is 39 standard deviations",
     dispersion(

@@ -19,6 +19,7 @@ from ..addresses import (
     leaves_by_address,
     replace_leaves,
     require_address,
+    unit_of,
 )
 from ..fields import check_values
 from ..flight.cycle import Plan
@@ -38,6 +39,7 @@ from .dispersions import (
     inputs_of_shares,
     key_of,
     numbers_of_streams,
+    warn_of_another_unit,
 )
 from .outputs import is_output, shown
 from .populations import finite_flights
@@ -251,6 +253,9 @@ def _check_inputs(
         runs = np.arange(len(given[address]))
         leaf = known[address]
         _check_runs(scenario, address, leaf, given[address], runs, "the inputs")
+        if runs.size:
+            middle, unit = float(np.median(given[address])), unit_of(scenario, address)
+            warn_of_another_unit("an input", address, leaf, middle, unit)
     require_both(scenario, given)
     lengths = {address: len(values) for address, values in given.items()}
     if len(set(lengths.values())) > 1:

@@ -1,6 +1,7 @@
 """Dispersions: the leaves of a scenario that are drawn for each run."""
 
 import dataclasses
+import warnings
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -25,6 +26,7 @@ from ..fields import Scalar, check_values
 from ..flight.duplicate_numbers import require_both
 from ..flight.effect import require_felt
 from ..flight.scenario import Scenario, require_effect
+from ..units import forgotten_unit
 from .distributions import AbstractDistribution, TruncatedNormal
 
 
@@ -282,8 +284,10 @@ def check_dispersions(
             replacing += [(name, a, leaves[a], unit, distribution) for a in addresses]
     require_felt(scenario, moved)
     require_both(scenario, moved)
-    for each in replacing:
-        _refuse_replacing_factor(*each)
+    for name, address, leaf, unit, distribution in replacing:
+        _refuse_replacing_factor(name, address, leaf, unit, distribution)
+        mean = float(distribution.moments()[0])
+        warn_of_another_unit(f"dispersion {name!r}", address, leaf, mean, unit)
     for noise, seed in _noises(leaves).items():
         size = leaves.get(noise, np.zeros(()))
         said = (
@@ -332,17 +336,42 @@ _NO_FACTOR = 100.0
 """Nominal value, in the SI unit, above which draws about one do not replace it"""
 
 
+def is_factor(distribution: AbstractDistribution, leaf: Array, unit: str) -> bool:
+    """Whether draws in place of a leaf, in its unit, were probably meant as factors."""
+    if unit == "1" or isinstance(leaf, Tracer) or np.ndim(leaf):
+        return False
+    mean, least, most = float(distribution.moments()[0]), *_FACTORS
+    return least <= mean <= most and abs(float(leaf)) > _NO_FACTOR
+
+
 def _refuse_replacing_factor(
     name: str, address: str, leaf: Array, unit: str, distribution: AbstractDistribution
 ) -> None:
     """Refuse a mass of about 1 kg in place of one of tonnes: a forgotten `apply`."""
-    if unit == "1" or isinstance(leaf, Tracer) or np.ndim(leaf):
-        return
-    mean, least, most = float(distribution.moments()[0]), *_FACTORS
-    if least <= mean <= most and abs(float(leaf)) > _NO_FACTOR:
+    if is_factor(distribution, leaf, unit):
+        mean = float(distribution.moments()[0])
         raise ValueError(
             f"dispersion {name!r} replaces {address}, which is {float(leaf):g} {unit}, by "
             f"draws about {mean:g} {unit}. For a factor use apply=multiply"
+        )
+
+
+def warn_of_another_unit(
+    source: str, address: str, leaf: Array, values: float, unit: str
+) -> None:
+    """Warn of values for a leaf that were probably meant in another unit than SI.
+
+    `source` says where they come from, and `values` is a number of their size. See
+    `forgotten_unit`.
+    """
+    if isinstance(leaf, Tracer) or np.ndim(leaf):
+        return
+    meant = forgotten_unit(values, float(leaf), unit)
+    if meant:
+        warnings.warn(
+            f"{source} replaces {address}, which is {float(leaf):g} {unit}, by numbers "
+            f"about {values:g} {unit}: if they are in {meant}, convert them to SI",
+            stacklevel=4,
         )
 
 

@@ -66,6 +66,7 @@ def main() -> None:
     open_streams()
     with leaving_at_once(), warnings.catch_warnings():
         warnings.simplefilter("ignore", ResultWarning)  # its text is printed
+        warnings.showwarning = _show
         _run()
 
 
@@ -83,6 +84,12 @@ def _run() -> None:
         if isinstance(error, OSError):
             forget_output()
         fail(message, code)
+
+
+def _show(message, category, filename, lineno, file=None, line=None) -> None:
+    """Print a warning as errors are printed. One of Python has its place in the code."""
+    place = "" if category is UserWarning else f" ({filename}, line {lineno})"
+    print(f"jentry: warning: {message}{place}", file=sys.stderr)
 
 
 def _branch_of_a_law(error: Exception) -> str:

@@ -27,6 +27,7 @@ from typing import Any
 
 import numpy as np
 
+from .._printed import quantity_in_words
 from .._tables import read_columns
 from ..addresses import (
     leaves_by_address,
@@ -35,17 +36,25 @@ from ..addresses import (
     require_address,
     unit_of,
 )
-from ..campaign.dispersions import Dispersion, add, multiply, replace, unit_of_draw
+from ..campaign.dispersions import (
+    Dispersion,
+    add,
+    is_factor,
+    multiply,
+    replace,
+    unit_of_draw,
+)
 from ..campaign.distributions import (
+    AbstractDistribution,
     Discrete,
     LogNormal,
     Normal,
     TruncatedNormal,
     Uniform,
 )
-from ..flight.scenario import Scenario
+from ..flight.scenario import Scenario, check_leaf
 from ..missions.choice import AXES, Choice
-from ..units import Quantity, quantity
+from ..units import Quantity, forgotten_unit, quantity
 
 
 _DISTRIBUTIONS = {
@@ -226,14 +235,18 @@ def in_si(overrides: Overrides, scenario: Scenario) -> Overrides:
     """The overrides with each number in the SI unit of its leaf.
 
     **Raises:** `ValueError` for an unknown address, with the nearest, for a unit of
-    another dimension than that of the leaf, and for an angle without a unit that was meant
-    in degrees.
+    another dimension than that of the leaf, for a number without a unit that was probably
+    meant in another one than SI, and for a value with a unit that cannot be flown.
     """
     known = leaves_by_address(scenario)
     values = {}
     for address, value in overrides.values.items():
         require_address(known, address)
-        values[address] = si_of(value, unit_of(scenario, address), address)
+        unit = unit_of(scenario, address)
+        values[address] = si_of(value, unit, address)
+        require_unit(value, values[address], known[address], unit, address)
+        if isinstance(value, Quantity) and value.unit:
+            check_leaf(scenario, address, np.asarray(values[address]), had_unit=True)
     table = overrides.dispersions
     if table is not None:
         table = {name: _dispersion(name, d, scenario) for name, d in table.items()}
@@ -332,6 +345,35 @@ def si_of(value: Any, unit: str, place: str) -> Any:
         raise ValueError(f"{place}: {error}") from None
 
 
+def require_unit(value: Any, si: Any, leaf: Any, unit: str, place: str) -> None:
+    """Refuse a number without a unit that was probably meant in another one than SI.
+
+    It is compared with the leaf that it replaces: see `forgotten_unit`. A number with its
+    unit is always taken, and so are lists.
+
+    **Arguments:**
+
+    - `value`: the number as it was read.
+    - `si`: the number in SI.
+    - `leaf`, `unit`: what it replaces, in SI, and the SI unit.
+    - `place`: where the number stands.
+    """
+    if not isinstance(value, Quantity) or value.unit or np.ndim(leaf):
+        return
+    present = float(leaf)
+    meant = forgotten_unit(si, present, unit)
+    if meant:
+        raise ValueError(
+            f"{place} is {value.text}, without a unit, in place of "
+            f"{quantity_in_words(present, unit)}: did you mean {value.text}{meant}? Write "
+            f"the unit, {value.text}{meant} or {value.text}{unit}"
+        )
+
+
+_OF_THE_SIZE = "mean", "median", "lower", "upper", "values"
+"""Parameters of a distribution that are of the size of its draws"""
+
+
 def _stated(name: str, entry: Any) -> Stated:
     place = f"dispersions.{name}"
     if not isinstance(entry, Mapping):
@@ -375,6 +417,25 @@ def _stated(name: str, entry: Any) -> Stated:
     return Stated(distribution, tuple(addresses), numbers, _APPLY[apply], correlation)
 
 
+def _require_units(
+    stated: Stated,
+    numbers: Mapping[str, Any],
+    distribution: AbstractDistribution,
+    leaf: Any,
+    unit: str,
+    place: str,
+) -> None:
+    """Refuse draws without a unit, in place of a leaf, as `require_unit` does."""
+    if is_factor(distribution, leaf, unit):
+        return  # see `check_dispersions`
+    for parameter in filter(numbers.__contains__, _OF_THE_SIZE):
+        values, si = stated.numbers[parameter], numbers[parameter]
+        if parameter not in _LISTS:
+            values, si = [values], [si]
+        for each, number in zip(values, si, strict=True):
+            require_unit(each, number, leaf, unit, f"{place}.{parameter}")
+
+
 def _coefficients(table: Any, place: str) -> dict[str, float]:
     if not isinstance(table, Mapping):
         raise ValueError(f"{place} is {table!r}: write {{ NAME = 0.5 }}")
@@ -405,4 +466,7 @@ def _dispersion(name: str, stated: Stated, scenario: Scenario) -> Dispersion:
         distribution = stated.distribution(**numbers)
     except ValueError as error:
         raise ValueError(f"{place}: {error}") from None
+    if stated.apply is replace:
+        for address in stated.addresses:
+            _require_units(stated, numbers, distribution, known[address], unit, place)
     return Dispersion(AtAddresses(stated.addresses), distribution, stated.apply)

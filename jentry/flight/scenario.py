@@ -206,13 +206,20 @@ def check(scenario: Scenario) -> None:
                 "which comes first, or with dtype=float32"
             )
         if not isinstance(leaf, Tracer):
-            _check_leaf(scenario, address, np.asarray(leaf))
+            check_leaf(scenario, address, np.asarray(leaf))
     _check_parts(scenario)
 
 
-def _check_leaf(scenario: Scenario, address: str, value: np.ndarray) -> None:
+def check_leaf(
+    scenario: Scenario, address: str, value: np.ndarray, *, had_unit: bool = False
+) -> None:
+    """Refuse a value for the leaf at an address; see `check_values`.
+
+    Raises `ValueError` for a value that is not finite, or that this scenario cannot fly.
+    """
+    metadata = metadata_in(scenario, address)
     try:
-        check_values(address, value, metadata_in(scenario, address))
+        check_values(address, value, metadata, had_unit=had_unit)
     except ValueError as error:
         if address != "initial_state.velocity" or np.any(value != 0.0):
             raise
