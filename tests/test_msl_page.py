@@ -99,6 +99,28 @@ def test_what_is_said_of_the_nominal_flight():
     assert_says("the landing site is 5.9 km below it", low / km)
 
 
+def test_what_is_said_of_the_relative_path_angle():
+    """By the tangent: the sideways velocity that the planet takes away."""
+    entry, speed = TOOLBOX["entry"], TOOLBOX["entry"]["velocity_m_s"]
+    path, heading = (
+        entry[f"{name}_deg"] * degree for name in ("flight_path_angle", "heading")
+    )
+    carried = (
+        TOOLBOX["mars"]["rotation_rate_rad_s"]
+        * entry["radius_m"]
+        * np.cos(entry["latitude_deg"] * degree)
+    )
+
+    def relative(path):
+        level = speed * np.cos(path)
+        east, north = level * np.sin(heading) - carried, level * np.cos(heading)
+        return np.arctan(speed * np.sin(path) / np.hypot(east, north))
+
+    steps = np.array([-1e-4, 1e-4])
+    ratio = np.diff(relative(path + steps))[0] / np.diff(steps)[0]
+    assert_says("of the relative angle is 4 % larger", 100.0 * (ratio - 1.0))
+
+
 def test_the_first_runs_are_those_of_the_table():
     rows = ("msl", "terminal-point", "everything")
     assert_first_runs(*rows, *fly_few(*rows))

@@ -463,6 +463,24 @@ def test_the_law_beside_does_not_give_back_the_command():
     assert float(flight.caveats["decisions_beyond_training"]) < 0.9
 
 
+@pytest.mark.parametrize("address", ["downrange", "origin.altitude"])
+def test_an_aim_whose_numbers_cannot_be_units_is_refused(address):
+    """All inputs would be over zero, and the flight not finite."""
+    scenario = scenario_of(law_of())
+    target = scenario.place
+    origin = dataclasses.replace(
+        target.origin or scenario.initial_state,
+        **({"altitude": 0.0} if "." in address else {}),
+    )
+    changed = {"origin": origin} if "." in address else {"downrange": 0.0}
+    wrong = dataclasses.replace(target, **changed)
+    with pytest.raises(ValueError, match=f"^guidance, NeuralLaw: {address} of the aim"):
+        check(dataclasses.replace(scenario, target=wrong))
+    aim = dataclasses.replace(scenario.law.aim, **changed)
+    with pytest.raises(ValueError, match=f"{address} of the aim is zero"):
+        law_of(aim=aim)
+
+
 def test_what_does_not_fit_is_refused():
     with pytest.raises(ValueError, match="corrects is True and beside is None"):
         law_of(corrects=True)

@@ -208,6 +208,9 @@ def check(scenario: Scenario) -> None:
         if not isinstance(leaf, Tracer):
             check_leaf(scenario, address, np.asarray(leaf))
     _check_parts(scenario)
+    law = scenario.law
+    if law is not scenario.guidance:  # its parts have seen no target so far
+        _check_parts(law, "guidance")
 
 
 def check_leaf(
@@ -228,10 +231,11 @@ def check_leaf(
         ) from None
 
 
-def _check_parts(scenario: Scenario) -> None:
+def _check_parts(tree: eqx.Module, root: str = "") -> None:
     """Refuse parts that their own classes refuse. A part checks itself when it is made, and
-    not again when a leaf of it is replaced."""
-    for address, part in modules_by_address(scenario).items():
+    not again when a leaf of it is replaced. `root` is the address of the tree."""
+    for inner, part in modules_by_address(tree).items():
+        address = ".".join(filter(None, (root, inner)))
         for kind in type(part).__mro__:
             if "__check_init__" not in vars(kind):
                 continue

@@ -276,6 +276,21 @@ def _towards(wish: Scalar, now: Scalar, most: Scalar) -> Scalar:
     return now + most * jnp.tanh((wish - now) / most)
 
 
+def _check_aim(aim: Aim | TargetOfScenario) -> None:
+    """Refuse an aim whose numbers are the units of inputs, and are zero."""
+    if not isinstance(aim, Aim):
+        return
+    units = {"downrange": aim.downrange, "origin.altitude": aim.origin.altitude}
+    for name, unit in units.items():
+        if isinstance(unit, Tracer) or not eqx.is_array(unit):
+            continue
+        if float(unit) == 0.0:
+            raise ValueError(
+                f"{name} of the aim is zero, and inputs of a neural law are over it: give "
+                "it a target some way ahead of an origin above the ground, or another law"
+            )
+
+
 _BEYOND = "decisions_beyond_training"
 """Name of the caveat"""
 
@@ -354,6 +369,7 @@ class NeuralLaw(AbstractSampledLaw[Any, NeuralDecision]):
                 f"no {unknown}; both must have the same inputs in the same order: train it "
                 "again with `jentry train MISSION --law neural`"
             )
+        _check_aim(self.aim)
         if self.corrects and self.angles is not None:
             raise ValueError(
                 "corrects is True and angles is given: a correction is of the bank alone; "

@@ -25,7 +25,9 @@ def entry_errors() -> dict[str, Dispersion]:
 
     The requirement before the launch was 0.2 degrees in either direction (T. J. Martin-Mur
     and others, "Mars Science Laboratory Navigation Results", 2012, abstract). We read it as
-    3 sigma. Chosen, at 3 sigma: a tenth of a degree of longitude, latitude and heading, and
+    3 sigma, and as the angle relative to the planet: the abstract does not say which one
+    it means. A change of the inertial angle changes the relative one by 1.04 times as much.
+    Chosen, at 3 sigma: a tenth of a degree of longitude, latitude and heading, and
     2 m/s.
     """
     chosen = rounded_entry_errors()
