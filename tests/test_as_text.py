@@ -11,10 +11,11 @@ from helpers import mars_entry, mars_planet, mars_vehicle
 
 from jentry._printed import as_text, in_words, quantity_in_words
 from jentry.fields import Scalar, in_unit, scalar, units_of
-from jentry.flight import Misses, Target
+from jentry.flight import Flight, Misses, Target
 from jentry.motion import Controls, EntryState
 from jentry.motion.constraints import (
     AbstractConstraint,
+    ConstraintValues,
     PathPoint,
     constraint_values,
     excesses,
@@ -186,3 +187,24 @@ def test_a_miss_that_is_not_finite_is_no_hit():
 def test_words():
     assert in_words("flight_path_angle_error") == "flight-path angle error"
     assert in_words("peak_heat_rate") == "peak heat rate"
+
+
+def test_a_flight_says_how_it_ended():
+    """Several flights, and one that is traced, have no single outcome."""
+    number = jnp.asarray(2.0)
+    values = ConstraintValues({"drag": number}, {"drag": "m/s2"})
+    state = EntryState(12e3, 0.0, 0.0, 503.0, -0.3, 1.5)
+    flight = Flight(number, state, jnp.asarray(2), jnp.asarray(0), values, {}, {}, None)
+    text = str(flight)
+    assert text.startswith("Flight: met the surface\n")
+    shown = lines(text)
+    assert (shown["time"], shown["altitude"]) == ("2 s", "12 km")
+    assert shown["drag"] == "2 m/s2"
+
+    several = jax.tree.map(lambda x: jnp.stack([x, x]), flight)
+    assert str(several).startswith("Flight\n")
+    assert lines(str(several))["altitude"] == "2 numbers, 12 to 12 km"
+
+    traced = []
+    jax.jit(lambda f: traced.append(str(f)))(flight)
+    assert traced[0].startswith("Flight\n")

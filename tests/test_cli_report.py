@@ -66,6 +66,13 @@ def test_fewer_runs(command, folder):
     assert_refused(report(command, folder, "--runs", 0), "must be 1 or more", 2)
 
 
+def test_one_run_has_no_statistics(command, folder):
+    """It does not vary, which says nothing of the mission."""
+    code, printed, _ = report(command, folder, "--runs", 1)
+    assert code == 0 and "one flight has no statistics; its numbers: " in printed
+    assert "do not vary" not in printed and " mean " not in printed
+
+
 def test_json_is_all_that_is_printed(command, folder):
     code, printed, said = report(command, folder, "--json")
     assert (code, said) == (0, "") and json.loads(printed)["runs"] == 5

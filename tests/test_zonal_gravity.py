@@ -79,7 +79,13 @@ def test_derivatives_of_any_order_agree_in_both_modes_at_a_pole():
 
 @pytest.mark.parametrize(
     ("harmonics", "message"),
-    [({}, "is empty"), ({"j1": 0.0}, "name 'j1'"), ({"J2": 1e-3}, "expected j2, j3")],
+    [
+        ({}, "is empty"),
+        ({"j1": 0.0}, "name 'j1'"),
+        ({"J2": 1e-3}, "expected j2, j3"),
+        ([1e-3], r"zonal_harmonics is \[0.001\]: give the coefficients by their names"),
+        (1e-3, "is 0.001: give"),
+    ],
 )
 def test_harmonics_with_other_names_are_refused(harmonics, message):
     with pytest.raises(ValueError, match=message):

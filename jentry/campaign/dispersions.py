@@ -300,7 +300,8 @@ def check_dispersions(
         if seed not in moved:
             raise ValueError(
                 f"{noise} is {said}, and all runs would have the same: disperse "
-                f"{seed} by Uniform(0, 1)"
+                f"{seed} by Uniform(0, 1), or take dispersions of the mission that do "
+                "(their names: jentry list)"
             )
 
 

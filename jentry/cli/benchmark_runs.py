@@ -83,7 +83,9 @@ def chosen_cases(names: str | None, files: Sequence[str]) -> list[BenchmarkCase]
     asked = _names(names, "--cases")
     for name in asked:
         if name not in known:
-            raise ValueError(f"no case {name!r} to fly; {nearest(name, known)}")
+            raise ValueError(
+                f"no case {name!r} to fly; {nearest(name, known)}, of {', '.join(known)}"
+            )
     return [known[name] for name in asked]
 
 

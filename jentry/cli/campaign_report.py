@@ -198,7 +198,11 @@ def _print_aims(
         console.print("percentiles and maxima of errors are those of their magnitudes")
         if limits:
             console.print("over: flights that exceed the limit")
-    if still:
+    if summary.finite == 1:
+        console.print(
+            "one flight has no statistics; its numbers: jentry report FOLDER --full"
+        )
+    elif still:
         console.print(f"not shown, since they do not vary: {', '.join(still)}")
     if others:
         console.print(

@@ -14,7 +14,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from .._batching import any_lane
-from .._printed import in_words
+from .._printed import as_text, in_words
 from .._setup import needs_float64
 from .._warnings import ResultWarning
 from ..fields import Count, Flag, Scalar
@@ -40,6 +40,7 @@ from .loop import while_running, while_running_with_history
 from .scenario import Scenario, checked
 from .sensing import command, first_moving
 from .solver import AbstractSolver, FixedStep
+from .termination import Outcome
 
 
 class History(eqx.Module):
@@ -59,6 +60,8 @@ class History(eqx.Module):
     """States that the vehicle believes; None with perfect navigation"""
     knowledge: Knowledge | None = None
     """Knowledge errors; None with perfect navigation"""
+
+    __str__ = as_text
 
 
 class Flight(eqx.Module):
@@ -94,6 +97,12 @@ class Flight(eqx.Module):
     at_end: ConstraintValues = eqx.field(default_factory=lambda: ConstraintValues({}))
     """Values at the end of the path constraints in `scenario.values_at_end`, such as the
     Mach number and the dynamic pressure at which a parachute opens"""
+
+    def __str__(self) -> str:
+        kind, _, numbers = as_text(self).partition("\n")
+        if isinstance(self.outcome, Tracer) or np.ndim(self.outcome):
+            return f"{kind}\n{numbers}"
+        return f"{kind}: {Outcome(int(self.outcome)).message}\n{numbers}"
 
 
 @needs_float64

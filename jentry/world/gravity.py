@@ -81,7 +81,12 @@ class ConstantGravity(AbstractGravity):
         return self.surface_acceleration * radius
 
 
-def _harmonics(given: Mapping[str, Any]) -> dict[str, Array]:
+def _harmonics(given: Any) -> dict[str, Array]:
+    if not isinstance(given, Mapping):
+        raise ValueError(
+            f"zonal_harmonics is {given!r}: give the coefficients by their names, such as "
+            '{"j2": 1.0826e-3}'
+        )
     for name in given:
         if not re.fullmatch(r"j([2-9]|[1-9][0-9]+)", name):
             raise ValueError(
