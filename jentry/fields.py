@@ -175,6 +175,11 @@ def check_values(
         raise ValueError(f"{address} must increase from each value to the next")
 
 
+def is_scalar(metadata: Mapping) -> bool:
+    """Whether a field with this metadata was made by `scalar`, not by `table`."""
+    return "range" in metadata and "increasing" not in metadata
+
+
 def allowed(metadata: Mapping) -> str:
     """Text for the allowed values of a field; empty if any value is allowed."""
     if metadata.get("positive"):

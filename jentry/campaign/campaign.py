@@ -253,13 +253,14 @@ def _check_inputs(
         runs = np.arange(len(given[address]))
         leaf = known[address]
         _check_runs(scenario, address, leaf, given[address], runs, "the inputs")
-        if runs.size:
-            middle, unit = float(np.median(given[address])), unit_of(scenario, address)
-            warn_of_another_unit("an input", address, leaf, middle, unit)
     require_both(scenario, given)
     lengths = {address: len(values) for address, values in given.items()}
     if len(set(lengths.values())) > 1:
         raise ValueError(f"inputs of unequal length: {lengths}")
+    for address, values in given.items():
+        if values.size:
+            middle, unit = float(np.median(values)), unit_of(scenario, address)
+            warn_of_another_unit("an input", address, known[address], middle, unit)
     return given
 
 

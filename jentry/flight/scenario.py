@@ -23,6 +23,7 @@ from ..fields import (
     QUARTER,
     Scalar,
     check_values,
+    is_scalar,
     optional_scalar,
     scalar,
     units_of,
@@ -180,8 +181,38 @@ class Scenario(eqx.Module):
         return told(self.guidance, aim)
 
     def __check_init__(self):
+        for name, kind in _KINDS.items():
+            part = getattr(self, name)
+            if not isinstance(part, kind):
+                found = part.__name__ if isinstance(part, type) else type(part).__name__
+                names = " or ".join(each.__name__ for each in kind)
+                raise ValueError(
+                    f"{name} is of {found}: it must be an object of {names}"
+                )
+        if isinstance(self.step, jax.Array | np.ndarray):
+            raise ValueError(
+                f"step is the array {self.step}: it is part of the program, so give a "
+                "number of Python, such as step=0.5"
+            )
         if self.step is not None and not 0.0 < self.step < math.inf:
             raise ValueError(f"step is {self.step} s: it must be positive and finite")
+
+
+_KINDS: Mapping[str, tuple[type, ...]] = {
+    "planet": (Planet,),
+    "vehicle": (Vehicle,),
+    "initial_state": (EntryState,),
+    "guidance": (AbstractLaw,),
+    "termination": (Termination,),
+    "target": (Target, OrbitTarget),
+    "accelerometers": (AbstractAccelerometers,),
+    "flow_sensors": (FlowSensors, type(None)),
+    "navigation": (AbstractNavigation,),
+    "attitude": (AbstractAttitude,),
+    "dynamics": (AbstractDynamics,),
+    "constraints": (Mapping,),
+}
+"""Classes of the parts of a scenario, by name"""
 
 
 def check(scenario: Scenario) -> None:
@@ -221,6 +252,11 @@ def check_leaf(
     Raises `ValueError` for a value that is not finite, or that this scenario cannot fly.
     """
     metadata = metadata_in(scenario, address)
+    if np.ndim(value) and is_scalar(metadata):
+        raise ValueError(
+            f"{address} has the shape {np.shape(value)}: it must be one number; for many "
+            "flights take monte_carlo(scenario, inputs=...) or jax.vmap"
+        )
     try:
         check_values(address, value, metadata, had_unit=had_unit)
     except ValueError as error:

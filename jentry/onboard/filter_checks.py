@@ -47,6 +47,8 @@ def check_correlations(matrix: Any) -> None:
             f"correlations of the filter has the shape {table.shape}: it must be "
             f"{(MOTION, MOTION)}"
         )
+    if not np.all(np.isfinite(table)):
+        raise ValueError("correlations of the filter must be finite numbers")
     symmetric = np.allclose(np.diag(table), 1.0) and np.allclose(table, table.T)
     least = float(np.linalg.eigvalsh(0.5 * (table + table.T))[0])
     if not (symmetric and least > 0.0):

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from .._math import sincos
-from ..fields import Scalar, scalar
+from ..fields import Range, Scalar, scalar
 from ..motion.axes import Components, LocalAxes, VelocityAxes, cross
 from ..motion.dynamics import rates_under
 from ..motion.forces import AirData, about_velocity, air_data, wind_at
@@ -24,6 +24,10 @@ from ..world.planet import Planet
 from ..world.vehicle import Vehicle
 from .flow_sensing import FlowSensors
 from .measurement import AbstractAccelerometers, BodyAccelerometers, SpecificForce
+
+
+SMALL: Range = (-0.1, 0.1)
+"""Range of a tilt, rad: at its ends what is left out is half a percent of a force"""
 
 
 class Navigated(eqx.Module):
@@ -41,7 +45,8 @@ class KnowledgeError(eqx.Module):
     """What the vehicle believes minus what is, or standard deviations of that.
 
     The delivery error, by which the vehicle itself is off, is a dispersion of
-    `initial_state`: the knowledge error does not move it.
+    `initial_state`: the knowledge error does not move it. A tilt is at most 0.1 rad,
+    since the navigation leaves out its square.
     """
 
     east: Scalar = scalar(0.0, unit="m")
@@ -50,10 +55,10 @@ class KnowledgeError(eqx.Module):
     velocity_east: Scalar = scalar(0.0, unit="m/s")
     velocity_north: Scalar = scalar(0.0, unit="m/s")
     velocity_up: Scalar = scalar(0.0, unit="m/s")
-    tilt_east: Scalar = scalar(0.0, unit="rad")
+    tilt_east: Scalar = scalar(0.0, unit="rad", range=SMALL)
     """Rotation of the believed axes of the vehicle about the direction to the east"""
-    tilt_north: Scalar = scalar(0.0, unit="rad")
-    tilt_up: Scalar = scalar(0.0, unit="rad")
+    tilt_north: Scalar = scalar(0.0, unit="rad", range=SMALL)
+    tilt_up: Scalar = scalar(0.0, unit="rad", range=SMALL)
 
 
 class TrackError(eqx.Module):

@@ -98,6 +98,15 @@ class Knowledge(eqx.Module):
     """Standard deviations of the filter along and across the track; None without one"""
 
 
+def _by_name(sensors: Any) -> dict[str, Any]:
+    if not isinstance(sensors, Mapping):
+        raise ValueError(
+            f"sensors is of {type(sensors).__name__}: give them by their names, such as "
+            '{"altimeter": Altimeter(...)}'
+        )
+    return dict(sorted(sensors.items()))
+
+
 class NavigationFilter(eqx.Module):
     """An extended Kalman filter on the errors of inertial navigation.
 
@@ -118,9 +127,7 @@ class NavigationFilter(eqx.Module):
 
     knowledge: KnowledgeError
     """Standard deviations at the start; each must be positive"""
-    sensors: Mapping[str, AbstractNavigationSensor] = eqx.field(
-        converter=lambda sensors: dict(sorted(sensors.items()))
-    )
+    sensors: Mapping[str, AbstractNavigationSensor] = eqx.field(converter=_by_name)
     """Sensors by name"""
     accelerometers: BodyAccelerometers = eqx.field(default_factory=BodyAccelerometers)
     """Standard deviations of their errors"""
@@ -146,6 +153,11 @@ class NavigationFilter(eqx.Module):
                 raise ValueError(
                     f"sensors has the name {name!r}: it must be a word that a column of "
                     "the results can have, such as altimeter"
+                )
+            if not isinstance(sensor, AbstractNavigationSensor):
+                raise ValueError(
+                    f"sensors.{name} is of {type(sensor).__name__}: it must be an "
+                    "AbstractNavigationSensor, such as Altimeter(...)"
                 )
             every = sensor.cycle / self.cycle
             if every < 1.0 - 1e-9 or abs(every - round(every)) > 1e-9:
