@@ -223,6 +223,26 @@ def test_no_runs_cannot_be_judged():
         judged(results([]), require())
 
 
+def test_a_limit_that_was_meant_in_kilometres_is_refused():
+    """10 m would pass for an altitude of 12 km, and fail for errors of 3 km."""
+    altitudes = results([12e3, 9e3, np.nan, 13e3], name="end_altitude")
+    said = r"median of the runs is 12 km: did you mean 10km\? .* 10 km or 10 m$"
+    for text in (
+        "end_altitude > 10, 50 % at 50 %",
+        "|end_altitude| < 10, 50 % at 50 %",
+    ):
+        with pytest.raises(ValueError, match=said):
+            judged(altitudes, require(text))
+    for text, failures in (("10 km", 2), ("10 m", 1), ("1000", 1), ("0", 1)):
+        found = judged(altitudes, require(f"end_altitude > {text}, 50 % at 50 %"))
+        assert found.failures == failures
+    signed = results([-3e3, -2e3, 1e3])
+    with pytest.raises(ValueError, match="did you mean 2km"):
+        judged(signed, require("downrange_error < 2, 50 % at 50 %"))
+    lost = results([np.nan, np.nan])
+    assert judged(lost, require("downrange_error < 2, 50 % at 50 %")).failures == 2
+
+
 def test_an_angle_that_was_meant_in_degrees_is_refused():
     with pytest.raises(ValueError, match="did you mean 10deg"):
         judged(results([0.0], unit="rad"), require("downrange_error < 10, 9 % at 9 %"))

@@ -11,6 +11,7 @@ import pytest
 from bad_commands import COMMANDS
 
 import jentry
+from jentry.campaign.campaign import as_key
 from jentry.campaign.dispersions import key_of
 from jentry.flight import Adaptive, FixedStep, Termination, VelocityBelow, fly
 from jentry.units import parse_quantity
@@ -47,6 +48,18 @@ CALLS = {
     "mission": (lambda: jentry.find_mission("mars"), "no mission 'mars'"),
     "law": (lambda: cheap.MISSION.scenario(""), "no law ''"),
     "reading": (lambda: cheap.MISSION.dispersion_table("x"), "no dispersions 'x'"),
+    "runs twice": (
+        campaign(cheap.mass_only(), runs=[2, 1, 2]),
+        "run 2 was asked for 2 times",
+    ),
+    "runs of two axes": (
+        campaign(cheap.mass_only(), runs=np.ones((2, 2), int)),
+        "runs has the shape (2, 2)",
+    ),
+    "numbers of a distribution": (
+        by_mass(jentry.Normal(np.zeros(2), 1.0)),
+        "dispersions.x.mean has the shape (2,): it must be one number",
+    ),
     "workers": (lambda: jentry.setup(workers=0), "workers is 0"),
     "seed": (lambda: key_of(2**64), "the seed is 18446744073709551616"),
     "no quantity": (lambda: parse_quantity("x", "m"), "'x' is not a number"),
@@ -79,6 +92,7 @@ CALLS = {
     "nothing dispersed": (campaign(), "nothing is dispersed"),
     "no dispersions": (campaign({}), "nothing is dispersed"),
     "no key": (campaign(cheap.mass_only(), None), "need a key"),
+    "a seed and a half": (lambda: as_key(1.5), "key is 1.5: give a key"),
     "both": (campaign(cheap.mass_only(), inputs={"vehicle.mass": [1.0]}), "not both"),
     "no runs": (campaign(cheap.mass_only(), runs=0), "no runs to fly"),
     "no indices": (campaign(cheap.mass_only(), runs=[]), "no runs to fly"),

@@ -117,3 +117,11 @@ def test_by_what_runs_are_the_worst():
         ordered_by(runs.drop_vars("downrange_error"))
     with pytest.raises(ValueError, match="no output peak_drg; .*peak_drag"):
         worst_runs(runs, "peak_drg", 1)
+
+
+def test_a_negative_count_is_refused():
+    """It would count from the end."""
+    runs = results([3.0, -9.0, 5.0, -1.0])
+    with pytest.raises(ValueError, match="count is -1: it must be zero or more"):
+        worst_runs(runs, "downrange_error", -1)
+    assert worst_runs(runs, "downrange_error", 0) == []

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import along_each, fly_compiled
-from test_vectors import MU, ORDINARY, RADIUS, SINGULAR, STEP, VACUUM
+from vector_cases import MU, ORDINARY, RADIUS, SINGULAR, STEP, VACUUM
 
 from jentry import find_mission
 from jentry.addresses import replace_leaves

@@ -163,7 +163,7 @@ def monte_carlo(
     blocks = fly_in_blocks(
         scenario,
         dispersions,
-        key_of(key) if isinstance(key, int) else key,
+        as_key(key),
         runs,
         inputs=inputs,
         solver=solver,
@@ -174,6 +174,20 @@ def monte_carlo(
     campaign = jax.tree.map(lambda *parts: np.concatenate(parts), *ordered)
     warn_of(campaign.flights.caveats, campaign.flights.beyond_tables)
     return campaign
+
+
+def as_key(key: Any) -> Key[Array, ""] | None:
+    """The key, or that of a seed.
+
+    **Raises:** `ValueError` for anything else.
+    """
+    if isinstance(key, int | np.integer):
+        return key_of(int(key))
+    if key is not None and not isinstance(key, jax.Array):
+        raise ValueError(
+            f"key is {key!r}: give a key, jax.random.key(0), or its seed, 0"
+        )
+    return key
 
 
 def fly_in_blocks(
@@ -220,6 +234,16 @@ def fly_in_blocks(
     indices = np.arange(int(wanted)) if wanted.ndim == 0 else wanted.astype(int)
     if indices.size == 0:
         raise ValueError(f"no runs to fly: runs is {wanted}")
+    if indices.ndim > 1:
+        raise ValueError(
+            f"runs has the shape {indices.shape}: list the indices of runs"
+        )
+    once, counts = np.unique(indices, return_counts=True)
+    if np.any(counts > 1):
+        raise ValueError(
+            f"run {once[counts > 1][0]} was asked for {counts[counts > 1][0]} times, and "
+            "would count as often in the statistics: list each run once"
+        )
     check_runs(indices)
     if dispersions and sampler is not None:
         count = int(wanted) if wanted.ndim == 0 else None

@@ -22,7 +22,7 @@ from ..addresses import (
     unit_of,
     with_leaves,
 )
-from ..fields import Scalar, check_values
+from ..fields import Scalar, check_values, is_scalar
 from ..flight.duplicate_numbers import require_both
 from ..flight.effect import require_felt
 from ..flight.scenario import Scenario, require_effect
@@ -269,6 +269,11 @@ def check_dispersions(
         numbers = leaves_by_address(distribution)
         for field, value in numbers.items():
             metadata = field_metadata(distribution, field)
+            if np.ndim(value) and is_scalar(metadata):
+                raise ValueError(
+                    f"dispersions.{name}.{field} has the shape {np.shape(value)}: it must "
+                    "be one number"
+                )
             check_values(f"dispersions.{name}.{field}", np.asarray(value), metadata)
         if {"lower", "upper"} <= set(numbers):
             lower, upper = float(numbers["lower"]), float(numbers["upper"])

@@ -16,14 +16,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .._printed import in_words
+from .._printed import in_words, quantity_in_words
 from ..addresses import nearest
 from ..campaign.outputs import difference_of, is_error
 from ..campaign.results import output_names
 from ..flight.closed_loop import caveat_names
 from ..flight.scenario import Scenario
 from ..flight.termination import Outcome, has_end
-from ..units import Quantity, quantity
+from ..units import Quantity, forgotten_unit, quantity
 from .intervals import share_bound
 
 
@@ -225,7 +225,8 @@ def judged(
       sequential test may be repeated after every run, and needs more runs.
 
     **Raises:** `ValueError` for a quantity that the results do not have, for a limit in a
-    unit of another dimension, for results without runs, and for runs that a sampler has
+    unit of another dimension, for a limit without a unit that was probably meant in another
+    one than SI, for results without runs, and for runs that a sampler has
     spread evenly.
     """
     if "sampler" in json.loads(results.attrs.get("campaign", "{}")):
@@ -294,6 +295,7 @@ def _failed(
     told = ended & np.isfinite(values)
     if requirement.magnitude:
         values = np.abs(values)
+    _require_unit(requirement, results, np.abs(values[told]), limit)
     with np.errstate(invalid="ignore"):
         kept = {
             "<": values < limit,
@@ -302,6 +304,30 @@ def _failed(
             ">=": values >= limit,
         }[requirement.sign]
     return ~(told & kept), int(np.sum(~told))
+
+
+def _require_unit(
+    requirement: Requirement,
+    results: "xarray.Dataset",
+    sizes: np.ndarray,
+    limit: float,
+) -> None:
+    """Refuse a limit without a unit that was probably meant in another one than SI.
+
+    It is compared with the median of the magnitudes: see `forgotten_unit`.
+    """
+    if requirement.limit.unit or not sizes.size:
+        return
+    unit = results[requirement.quantity].attrs.get("units", "1")
+    middle = float(np.median(sizes))
+    meant = forgotten_unit(limit, middle, unit)
+    if meant:
+        number = requirement.limit.text
+        raise ValueError(
+            f"requirement {requirement.text!r}: the limit is without a unit, and the "
+            f"median of the runs is {quantity_in_words(middle, unit)}: did you mean "
+            f"{number}{meant}? Write the unit, {number} {meant} or {number} {unit}"
+        )
 
 
 def _compared(

@@ -76,9 +76,11 @@ def worst_runs(
     - `count`: number of runs.
     - `smallest`: whether the smallest values are the worst.
 
-    **Raises:** `ValueError` if the results have no such output.
+    **Raises:** `ValueError` if the results have no such output, and for a negative count.
     """
     require_output(results, name)
+    if count < 0:
+        raise ValueError(f"count is {count}: it must be zero or more")
     values = np.array(results[name].values, dtype=float)
     values[~np.asarray(has_end(results["outcome"].values))] = np.nan
     bad = np.abs(values) if is_error(name) else values
