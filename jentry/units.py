@@ -194,12 +194,19 @@ _LIKE = 5.0
 than its square, in SI, so that a number of this size in SI is not so in another unit"""
 
 
+_ANGLES = "rad", "rad/s"
+
+_LEAST_ANGLE, _LEAST_DEGREES = 0.01, 0.25
+"""Smallest angle that has a size, rad, and smallest number that was meant in degrees: an
+angle of nearly zero may become any other, and misalignments are small in both units"""
+
+
 def forgotten_unit(value: float, present: float, unit: str) -> str:
     """Unit that was probably meant for a number that was given without one; else empty.
 
     It is a usual unit in which the number is of the size of the one that it replaces, which
-    it is not in SI: 5.8 in place of 11 069 m/s was meant in km/s. Zeros, and numbers that
-    are not finite, are of no size.
+    it is not in SI: 5.8 in place of 11 069 m/s was meant in km/s. Zeros, angles of less
+    than 0.01 rad, and numbers that are not finite, are of no size.
 
     **Arguments:**
 
@@ -209,6 +216,8 @@ def forgotten_unit(value: float, present: float, unit: str) -> str:
     """
     ratio = abs(value / present) if present else 0.0
     if not 0.0 < ratio < math.inf:
+        return ""
+    if unit in _ANGLES and (abs(present) < _LEAST_ANGLE or abs(value) < _LEAST_DEGREES):
         return ""
 
     def off(name: str) -> float:

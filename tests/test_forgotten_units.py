@@ -53,6 +53,10 @@ TAKEN = [
     (1e-320, 1e300, "m"),
     (1e300, 1e-320, "m"),
     (95.0, 1.0, "1"),  # a gain
+    (-0.0044, -1.7e-5, "rad"),  # from a level start
+    (0.3, 0.005, "rad"),
+    (0.2, 0.012, "rad"),
+    (1e-5, 1e-7, "rad/s"),  # the drift of a gyroscope
     (0.001, 1.0, "1/s"),
 ]
 
