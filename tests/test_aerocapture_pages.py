@@ -227,4 +227,5 @@ def test_the_flights_far_from_their_apoapsis_are_at_their_steep_limits():
 )
 def test_the_first_runs_are_those_of_the_table(mission, flown):
     row = mission, *flown
-    assert_first_runs(*row, *fly_few(*row))
+    # The mean error over Neptune is nearly zero: 1 mm of an apoapsis of 400 000 km.
+    assert_first_runs(*row, *fly_few(*row), absolute=1e-6)
