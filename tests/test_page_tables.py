@@ -122,6 +122,14 @@ def test_what_is_said_of_tuning_with_navigation_errors():
     says = "1.92 to 1.97 square kilometres before it"
     assert_says(says, min(befores), max(befores))
     assert_says("changes by -1.8, 1.0 and -2.0 %", *changes)
+    assert_says("both of its intervals contain zero")
+    of_it = sorted(
+        {n for n, _ in found if n.startswith("tuning, predictor-corrector, i")}
+    )
+    assert len(of_it) == 2
+    for name in of_it:
+        ends = (found[name, f"{square}, change, {end}"] for end in ("low", "high"))
+        assert np.prod(list(ends)) < 0.0
     (before, one), (_, other) = (
         range_tracking(f"aided, seed {seed}", "95 % of crossrange, km")
         for seed in (0, 1)
