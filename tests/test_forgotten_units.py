@@ -5,6 +5,7 @@ import math
 import cheap
 import numpy as np
 import pytest
+from helpers import mars_scenario
 from override_files import read, uniform
 
 from jentry.campaign import Dispersion, Normal, Uniform, add
@@ -87,6 +88,20 @@ def test_dispersions_of_a_file(written, bound):
     with_unit = text.replace("6.9", '"6.9 m/s"')
     number = getattr(read(written(with_unit)).dispersions["x"].distribution, bound)
     assert number == 6.9
+
+
+def test_what_cannot_be_flown_in_any_unit_is_said_first():
+    with pytest.raises(ValueError, match="mass is -1 kg: it must be greater than zero"):
+        read(None, ["vehicle.mass=-1"])
+
+
+def test_a_table_is_of_no_size(written):
+    """Dispersions of it are refused elsewhere, and so is one number for it."""
+    address = "guidance.cos_bank.coefficients"
+    text = uniform(address=f'"{address}"', lower=500, upper=600)
+    scenario = mars_scenario()
+    assert set(read(written(text), scenario=scenario).dispersions) == {"x"}
+    assert read(None, [f"{address}=500"], scenario=scenario).values == {address: 500.0}
 
 
 def test_values_of_a_file(written):

@@ -236,7 +236,7 @@ def in_si(overrides: Overrides, scenario: Scenario) -> Overrides:
 
     **Raises:** `ValueError` for an unknown address, with the nearest, for a unit of
     another dimension than that of the leaf, for a number without a unit that was probably
-    meant in another one than SI, and for a value with a unit that cannot be flown.
+    meant in another one than SI, and for a number that cannot be flown.
     """
     known = leaves_by_address(scenario)
     values = {}
@@ -244,9 +244,10 @@ def in_si(overrides: Overrides, scenario: Scenario) -> Overrides:
         require_address(known, address)
         unit = unit_of(scenario, address)
         values[address] = si_of(value, unit, address)
-        require_unit(value, values[address], known[address], unit, address)
-        if isinstance(value, Quantity) and value.unit:
-            check_leaf(scenario, address, np.asarray(values[address]), had_unit=True)
+        if isinstance(value, Quantity) and not np.ndim(known[address]):
+            si, had_unit = np.asarray(values[address]), bool(value.unit)
+            check_leaf(scenario, address, si, had_unit=had_unit)
+            require_unit(value, values[address], known[address], unit, address)
     table = overrides.dispersions
     if table is not None:
         table = {name: _dispersion(name, d, scenario) for name, d in table.items()}
