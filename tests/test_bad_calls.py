@@ -48,10 +48,6 @@ CALLS = {
     "mission": (lambda: jentry.find_mission("mars"), "no mission 'mars'"),
     "law": (lambda: cheap.MISSION.scenario(""), "no law ''"),
     "reading": (lambda: cheap.MISSION.dispersion_table("x"), "no dispersions 'x'"),
-    "runs twice": (
-        campaign(cheap.mass_only(), runs=[2, 1, 2]),
-        "run 2 was asked for 2 times",
-    ),
     "runs of two axes": (
         campaign(cheap.mass_only(), runs=np.ones((2, 2), int)),
         "runs has the shape (2, 2)",

@@ -238,12 +238,6 @@ def fly_in_blocks(
         raise ValueError(
             f"runs has the shape {indices.shape}: list the indices of runs"
         )
-    once, counts = np.unique(indices, return_counts=True)
-    if np.any(counts > 1):
-        raise ValueError(
-            f"run {once[counts > 1][0]} was asked for {counts[counts > 1][0]} times, and "
-            "would count as often in the statistics: list each run once"
-        )
     check_runs(indices)
     if dispersions and sampler is not None:
         count = int(wanted) if wanted.ndim == 0 else None
