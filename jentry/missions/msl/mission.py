@@ -37,8 +37,10 @@ def _all_errors() -> dict[str, Dispersion]:
 
 @computed_once
 def _estimated() -> dict[str, Dispersion]:
-    """`everything-and-knowledge`, with what is known at the entry as a best estimate of it:
-    knowledge errors that are correlated with delivery errors."""
+    """`everything-and-knowledge`, where the knowledge at the entry is a best estimate.
+
+    The knowledge errors are correlated with the delivery errors.
+    """
     around = planet()
     errors = dict(NAVIGATION.usual_and_knowledge())
     return as_estimated(errors, around, entry_state(around))
