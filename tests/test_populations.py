@@ -173,3 +173,15 @@ def test_every_statistic_is_saved_of_first_runs_and_of_each_set():
     for found in saved.values():
         assert found.sets.shape == (populations.SETS,)
         assert np.isfinite(found.first_runs) and np.all(np.isfinite(found.sets))
+
+
+def test_a_statistic_that_was_saved_twice_is_refused(tmp_path, monkeypatch):
+    row = "mars,law,everything,maximum,2026-11-30,1.0,2.0\n"
+    for rows, found in ((row, 1), (row + row.replace("law", "other"), 2), (2 * row, 0)):
+        (tmp_path / "saved.csv").write_text(rows)
+        monkeypatch.setattr(populations, "SAVED", tmp_path / "saved.csv")
+        if found:
+            assert len(populations.statistics()) == found
+            continue
+        with pytest.raises(ValueError, match="two rows mars, law, everything, maximum"):
+            populations.statistics()
