@@ -187,9 +187,9 @@ def test_corridor_is_halved_near_full_lift(lift):
     passes = passes_to_the_right(law, sensed(8.0))
     away, miss = np.sign(passes), float(law.final.planet.radius) * abs(passes)
     for share, floor, side, bank in (
-        (0.97, 1.5 * miss, -away, math.degrees(math.acos(0.97 * lift))),
-        (0.97, 2.5 * miss, away, math.degrees(math.acos(0.97 * lift))),
-        (0.5, 1.5 * miss, away, math.degrees(math.acos(0.5 * lift))),
+        (0.97, 1.9 * miss, -away, math.degrees(math.acos(0.97 * lift))),
+        (0.97, 2.1 * miss, away, math.degrees(math.acos(0.97 * lift))),
+        (0.5, 1.1 * miss, away, math.degrees(math.acos(0.5 * lift))),
         (0.5, 0.9 * miss, -away, math.degrees(math.acos(0.5 * lift))),
     ):
         found = banked(law, away, lift * share, floor)
