@@ -17,7 +17,7 @@ from jentry.campaign import open_campaign
 from jentry.campaign.errors import CampaignError
 from jentry.cli.mission_report import print_missions
 from jentry.cli.options import chosen_scenario
-from jentry.flight.scenario import check
+from jentry.flight.scenario_checks import check
 from jentry.missions import ALL, find_mission
 from jentry.missions.choice import Choice
 from jentry.missions.stored import stored_choice, stored_scenario

@@ -16,7 +16,7 @@ from jentry.cli.campaign_report import print_campaign
 from jentry.cli.mission_report import print_flight
 from jentry.flight import Adaptive, Outcome, fly, has_end
 from jentry.flight.closed_loop import caveat_names
-from jentry.flight.scenario import checked
+from jentry.flight.scenario_checks import checked
 from jentry.statistics.acceptance import Requirement, require_outputs
 from jentry.statistics.summary import summarize
 from jentry.units import degree, km

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 from bezier_laws import LAW, VEHICLE, at, decided, expected_forces, number
 
-from jentry.flight.scenario import check
+from jentry.flight.scenario_checks import check
 from jentry.flight.sensing import first_measurement
 from jentry.guidance import AbstractSampledLaw, BezierGuidance, ShorteningCycle
 from jentry.missions import find_mission

@@ -24,7 +24,7 @@ from jentry.campaign import (
 )
 from jentry.campaign.description import describe
 from jentry.campaign.dispersions import check_dispersions, dispersed_inputs, key_of
-from jentry.flight.scenario import check
+from jentry.flight.scenario_checks import check
 from jentry.guidance import Sampled
 from jentry.onboard import Accelerometers, FlowSensors
 

@@ -16,7 +16,7 @@ from jentry.campaign import Dispersion, Uniform, monte_carlo, multiply
 from jentry.campaign.dispersions import check_dispersions
 from jentry.flight import EnergyBelow, TargetPassed
 from jentry.flight.duplicate_numbers import require_both, stated_twice
-from jentry.flight.scenario import check
+from jentry.flight.scenario_checks import check
 from jentry.guidance import (
     BankProfile,
     DeviationWeights,

@@ -18,7 +18,7 @@ from helpers import choices, fly_compiled, free_scenario, moved_alone, with_leaf
 from jentry.addresses import leaves_by_address, unit_of
 from jentry.flight import FixedStep, check, misses
 from jentry.flight.duplicate_numbers import require_both, stated_twice
-from jentry.flight.scenario import checked
+from jentry.flight.scenario_checks import checked
 from jentry.guidance import PredictorCorrector, RangeTracking
 from jentry.missions import ALL, find_mission
 from jentry.motion import OrbitTarget

@@ -27,7 +27,7 @@ from jentry.flight import (
     VelocityBelow,
 )
 from jentry.flight.closed_loop import decide, start
-from jentry.flight.scenario import check
+from jentry.flight.scenario_checks import check
 from jentry.flight.sensing import command
 from jentry.motion import Controls, EntryDynamics, EntryState
 from jentry.motion.forces import air_data

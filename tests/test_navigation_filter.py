@@ -29,7 +29,7 @@ from jentry.campaign import Dispersion, Normal, monte_carlo
 from jentry.campaign.results import OutputNamed, output_names
 from jentry.flight import FixedStep
 from jentry.flight.over_index import fly_over
-from jentry.flight.scenario import check
+from jentry.flight.scenario_checks import check
 from jentry.motion import Controls, EntryState, TimeIndex
 from jentry.onboard import (
     Actual,

@@ -10,6 +10,7 @@ import pytest
 from filter_flights import ALTIMETER, filtering
 from helpers import mars_planet, mars_scenario, mars_vehicle
 from scipy.integrate import solve_ivp
+from test_navigation import BIASED, OFF
 
 from jentry import fly, navigation_errors
 from jentry.campaign import Dispersion, Normal, monte_carlo
@@ -20,35 +21,24 @@ from jentry.guidance import BankProfile
 from jentry.motion import Controls, EntryState, EquatorialDynamics, VectorDynamics
 from jentry.motion.forces import air_data
 from jentry.onboard import (
-    BodyAccelerometers,
-    Gyroscopes,
     InertialNavigation,
     InertialNoise,
     KnowledgeError,
     PolynomialProfile,
 )
 from jentry.units import degree, km
-from jentry.world import ConstantWind, InverseSquareGravity, ZonalGravity
+from jentry.world import ConstantWind, ZonalGravity
 
 
-BIASED = BodyAccelerometers(2e-3, -1e-3, 3e-3, 4e-4, -6e-4, 3e-4, -2e-4, 1e-4)
-KNOWN = KnowledgeError(
-    east=300.0,
-    up=150.0,
-    velocity_east=0.4,
-    velocity_up=0.5,
-    tilt_east=2e-4,
-    tilt_north=-3e-4,
-    tilt_up=4e-4,
+IN_PLANE = dataclasses.replace(
+    OFF, knowledge=dataclasses.replace(OFF.knowledge, north=0.0, velocity_north=0.0)
 )
-OFF = InertialNavigation(
-    KNOWN, Gyroscopes(2e-6, -3e-6, 4e-6), InverseSquareGravity(4.2829e13)
-)
+"""The errors of a navigation, without those out of the plane"""
 COSINE, ANGLE, RATE, WIND = 0.62, -0.2, 7.0882e-5, (60.0, 4.0)
 """Of the bank; angle of attack, rad; rotation of the planet, rad/s; to east and up, m/s"""
 
 
-def banked(navigation=OFF):
+def banked(navigation=IN_PLANE):
     """A banked flight over a planet that turns, in wind, at an angle of attack."""
     wind = ConstantWind(WIND[0], 0.0, WIND[1])
     return dataclasses.replace(
@@ -89,14 +79,14 @@ def test_the_flight_is_that_of_an_independent_program():
             np.array([np.cos(angle), np.sin(angle), 0.0]),
         )
 
-    b, gyro = BIASED, OFF.gyroscopes
+    b, gyro = BIASED, IN_PLANE.gyroscopes
     bias = numbers([b.bias_forward, b.bias_right, b.bias_down])
     scale = numbers([b.scale_error_forward, 0.0, b.scale_error_down])
     misaligned = numbers(
         [b.misalignment_roll, b.misalignment_pitch, b.misalignment_yaw]
     )
     drift = numbers([gyro.drift_roll, gyro.drift_pitch, gyro.drift_yaw])
-    mu = float(OFF.gravity.gravitational_parameter)
+    mu = float(IN_PLANE.gravity.gravitational_parameter)
 
     def slope(time, y):
         truth, place, velocity, tilt = y[:4], y[4:7], y[7:10], y[10:]

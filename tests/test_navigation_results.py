@@ -36,7 +36,7 @@ from jentry.flight import (
     believed_misses,
     navigation_errors,
 )
-from jentry.flight.scenario import check
+from jentry.flight.scenario_checks import check
 from jentry.motion import MachNumber
 from jentry.onboard import (
     InertialNavigation,

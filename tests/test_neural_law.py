@@ -23,7 +23,7 @@ from neural_laws import (
 from winds_on_board import STATE, WINDS, air_velocity, sensed as sensed_in
 
 from jentry.flight import misses
-from jentry.flight.scenario import check
+from jentry.flight.scenario_checks import check
 from jentry.guidance import BankProfile, Sampled
 from jentry.guidance.neural_law import (
     INPUTS,

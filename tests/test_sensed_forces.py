@@ -15,7 +15,7 @@ from jentry.fields import Scalar
 from jentry.flight import FixedStep, fly
 from jentry.flight.closed_loop import start
 from jentry.flight.lane import Moving
-from jentry.flight.scenario import check
+from jentry.flight.scenario_checks import check
 from jentry.flight.sensing import command, first_measurement, sense
 from jentry.guidance import (
     AbstractContinuousLaw,

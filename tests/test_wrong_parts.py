@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from jentry import find_mission
-from jentry.flight.scenario import check
+from jentry.flight.scenario_checks import check
 from jentry.onboard import (
     Altimeter,
     InertialNavigation,

@@ -15,7 +15,8 @@ from ..campaign.batch import over_runs
 from ..campaign.campaign import drawn_inputs, fly_run
 from ..campaign.dispersions import Dispersion, check_dispersions
 from ..flight.miss import misses
-from ..flight.scenario import Scenario, checked
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import checked
 from ..flight.solver import AbstractSolver, FixedStep
 from ..guidance.open_loop import BankProfile
 from ..onboard.profiles import PolynomialProfile

@@ -21,7 +21,8 @@ from ..campaign.batch import LANES
 from ..campaign.campaign import check_draws
 from ..campaign.dispersions import Dispersion, check_dispersions
 from ..flight.miss import misses
-from ..flight.scenario import Scenario, checked
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import checked
 from ..flight.solver import AbstractSolver, FixedStep
 from ..tuning.batch_gradients import Outputs
 from .linear_models import (

@@ -14,7 +14,8 @@ from jaxtyping import Complex, Float
 
 from .._printed import quantity_in_words
 from .._setup import needs_float64
-from ..flight.scenario import Scenario, checked
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import checked
 from ..flight.solver import AbstractSolver, FixedStep
 from ..guidance.law import AbstractSampledLaw, Tracked
 from ..motion.index import AbstractIndex, TimeIndex

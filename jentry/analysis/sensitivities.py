@@ -14,7 +14,8 @@ from .._setup import needs_float64
 from ..addresses import addresses_of, leaves_by_address, require_address
 from ..campaign.campaign import fly_run
 from ..flight.miss import misses
-from ..flight.scenario import Scenario, checked, require_effect, without_effect
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import checked, require_effect, without_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome, has_end
 from ..tuning.batch_gradients import FORWARD_UP_TO, Outputs

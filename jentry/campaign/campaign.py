@@ -26,7 +26,8 @@ from ..flight.cycle import Plan
 from ..flight.duplicate_numbers import require_both
 from ..flight.flight import Flight, fly, warn_of
 from ..flight.miss import Misses, believed_misses, misses, navigation_errors
-from ..flight.scenario import Scenario, checked, metadata_in, require_effect
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import checked, metadata_in, require_effect
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
 from ..world.perturbed_atmosphere import without_zero_perturbations

@@ -25,7 +25,8 @@ from ..addresses import (
 from ..fields import Scalar, check_values, is_scalar
 from ..flight.duplicate_numbers import require_both
 from ..flight.effect import require_felt
-from ..flight.scenario import Scenario, require_effect
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import require_effect
 from ..units import forgotten_unit
 from .distributions import AbstractDistribution, TruncatedNormal
 

@@ -18,7 +18,8 @@ import numpy as np
 from .._files import remove_unfinished, write_whole
 from .._setup import needs_float64
 from ..flight.flight import Flight
-from ..flight.scenario import Scenario, checked
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import checked
 from ..flight.solver import AbstractSolver, FixedStep
 from .batch import device_of
 from .campaign import Campaign, campaign_of_one, fly_in_blocks

@@ -247,7 +247,7 @@ def chosen_scenario(name, choice, config, assignments, *, law_flies=True):
     """
     from ..flight.duplicate_numbers import require_both
     from ..flight.effect import require_felt
-    from ..flight.scenario import check
+    from ..flight.scenario_checks import check
     from ..missions import find_mission
     from ..missions.choice import Choice
     from .free_controls_table import with_free_controls
@@ -353,7 +353,7 @@ def expanded(scenario, given, defaults) -> list[str]:
     **Raises:** `ValueError` for another address that the scenario does not have.
     """
     from ..addresses import leaves_by_address, require_address
-    from ..flight.scenario import without_effect
+    from ..flight.scenario_checks import without_effect
 
     known = leaves_by_address(scenario)
     idle = without_effect(scenario)

@@ -52,7 +52,8 @@ from ..campaign.distributions import (
     TruncatedNormal,
     Uniform,
 )
-from ..flight.scenario import Scenario, check_leaf
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import check_leaf
 from ..missions.choice import AXES, Choice
 from ..units import Quantity, forgotten_unit, quantity
 

@@ -9,7 +9,8 @@ from .miss import (
     navigation_errors as navigation_errors,
 )
 from .over_index import IndexedEnd as IndexedEnd, fly_over as fly_over
-from .scenario import Scenario as Scenario, Target as Target, check as check
+from .scenario import Scenario as Scenario, Target as Target
+from .scenario_checks import check as check
 from .solver import Adaptive as Adaptive, FixedStep as FixedStep
 from .termination import (
     AbstractEndCondition as AbstractEndCondition,

@@ -24,7 +24,8 @@ from .closed_loop import (
     vector_field,
 )
 from .lane import Moving
-from .scenario import Scenario, without_effect
+from .scenario import Scenario
+from .scenario_checks import without_effect
 
 
 def require_felt(scenario: Scenario, addresses: Iterable[str]) -> None:

@@ -37,7 +37,8 @@ from .cycle import Plan
 from .end import end_of_flight
 from .lane import Instant, Lane, Moving
 from .loop import while_running, while_running_with_history
-from .scenario import Scenario, checked
+from .scenario import Scenario
+from .scenario_checks import checked
 from .sensing import command, first_moving
 from .solver import AbstractSolver, FixedStep
 from .termination import Outcome

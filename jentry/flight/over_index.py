@@ -13,7 +13,8 @@ from ..motion.index import AbstractIndex
 from ..motion.state import EntryState
 from .closed_loop import start, vector_field
 from .lane import Moving
-from .scenario import Scenario, checked
+from .scenario import Scenario
+from .scenario_checks import checked
 
 
 class IndexedEnd(eqx.Module):

@@ -27,7 +27,8 @@ from ..campaign.dispersions import (
     scaled_dispersions,
 )
 from ..campaign.users_code import own_code
-from ..flight.scenario import Scenario, check
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import check
 from ..flight.solver import AbstractSolver, FixedStep
 from ..onboard.recurrent_network import ranges_of
 from ..tuning.batch_gradients import Simulation

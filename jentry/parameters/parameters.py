@@ -21,7 +21,8 @@ from ..addresses import (
 )
 from ..fields import check_values
 from ..flight.duplicate_numbers import require_both
-from ..flight.scenario import Scenario, require_effect
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import require_effect
 from .maps import AbstractMap, Between, Ranges, map_of
 
 

@@ -13,7 +13,8 @@ from .._setup import needs_float64
 from ..fields import Flag, Scalar
 from ..flight.cycle import Plan
 from ..flight.flight import Flight, fly
-from ..flight.scenario import Scenario, checked
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import checked
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome
 from ..guidance.open_loop import BankProfile

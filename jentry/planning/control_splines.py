@@ -11,7 +11,8 @@ from .._programs import cached
 from .._setup import needs_float64
 from ..flight.closed_loop import guidance_period
 from ..flight.flight import fly
-from ..flight.scenario import Scenario, checked
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import checked
 from ..flight.sensing import first_measurement
 from ..flight.termination import Outcome, has_end
 from ..guidance.composition import (

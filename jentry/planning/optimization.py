@@ -17,7 +17,8 @@ from .._setup import needs_float64
 from .._warnings import ResultWarning
 from ..addresses import replace_leaves
 from ..flight.flight import Flight, fly
-from ..flight.scenario import Scenario, check
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import check
 from ..flight.solver import AbstractSolver, FixedStep
 from ..flight.termination import Outcome, has_end
 from ..parameters.maps import Ranges, linear_map_of

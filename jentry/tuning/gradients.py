@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..flight.scenario import Scenario, check
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import check
 from ..parameters.parameters import Free, Parameters, scenario_at
 from .batch_gradients import (
     FORWARD_UP_TO,

@@ -17,7 +17,8 @@ from ..addresses import addresses_of, replace_leaves
 from ..campaign.description import describe
 from ..campaign.dispersions import Dispersion
 from ..flight.miss import misses
-from ..flight.scenario import Scenario, check
+from ..flight.scenario import Scenario
+from ..flight.scenario_checks import check
 from ..flight.solver import AbstractSolver, FixedStep
 from ..parameters.maps import Ranges
 from ..parameters.parameters import Build, Parameters, itself, scenario_at
