@@ -123,6 +123,9 @@ DELIVERY = {
     "as estimated": "everything-and-estimated-knowledge",
 }
 """Dispersions of the part `delivery`"""
+REVERSING = ("apollo-10",)
+"""Missions of the part `reversals`: all their flights end by one condition, and so have one
+linear model"""
 SIZES = {"a tenth": 0.1, "full size": 1.0}
 ROUNDING = 1e-6
 """Standard deviation, m or m and s, below which an output is constant, such as the altitude
@@ -471,7 +474,7 @@ def measured(options: argparse.Namespace) -> Iterator[tuple[str, list[Cell]]]:
                     cells = linear(mission, runs, seed, options.mode, size)
                     yield f"linear, {mission}, {size}", cells
         elif part == "reversals":
-            for mission in (m for m in missions if m in LINEAR):
+            for mission in (m for m in missions if m in REVERSING):
                 yield f"reversals, {mission}", reversing(mission, runs, seed)
         elif part == "miss":
             for law in MISS:
