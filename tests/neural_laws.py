@@ -6,14 +6,26 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from helpers import fly_compiled
 
 from jentry.flight import FixedStep
 from jentry.guidance import BankProfile, FixedCycle, NeuralLaw, Sampled
-from jentry.guidance.neural_law import AngleOfAttackLimits, input_names
+from jentry.guidance.neural_law import (
+    INPUTS,
+    AngleOfAttackLimits,
+    input_names,
+    inputs_of,
+)
 from jentry.missions.mars.drag_tracking import entry, to_the_place
 from jentry.motion import EntryDynamics
-from jentry.onboard import OnboardModel, PolynomialProfile, RecurrentNetwork
-from jentry.units import degree
+from jentry.onboard import (
+    Measurement,
+    OnboardModel,
+    PolynomialProfile,
+    RecurrentNetwork,
+    measure,
+)
+from jentry.units import degree, km
 from jentry.world import PolynomialAerodynamics, Vehicle
 
 
@@ -68,3 +80,54 @@ def teacher():
     """Banks by a polynomial over the velocity, to the right."""
     law = Sampled(BankProfile(PolynomialProfile(jnp.array([0.2, 1e-4]))), PERIOD)
     return scenario_of(law)
+
+
+def flown(law):
+    """With its history, which some tests look at: one program for all of them."""
+    return fly_compiled(scenario_of(law), SOLVER, PERIOD)
+
+
+def aim_of(law):
+    return scenario_of(law).law.aim
+
+
+def sensed(state, lift_factor=1.0, drag_factor=1.0, law=None):
+    model = (law or law_of()).model
+    angle = model.vehicle.trim_angle_of_attack
+    found = measure(model.planet, model.vehicle, state, angle)
+    return Measurement(
+        state, lift_factor * found.lift, drag_factor * found.drag, angle, angle, {}
+    )
+
+
+def state_at(**moved):
+    return dataclasses.replace(
+        entry().initial_state, **{n: jnp.asarray(x) for n, x in moved.items()}
+    )
+
+
+def read_at(state, bank=0.0, **factors):
+    law = law_of()
+    read = inputs_of(
+        law.model, aim_of(law), sensed(state, **factors), jnp.asarray(bank)
+    )
+    return dict(zip(INPUTS, np.asarray(read), strict=True))
+
+
+MIDDLE = {
+    "altitude": 31.0 * km,
+    "longitude": 7.3 * degree,
+    "latitude": 0.4 * degree,
+    "velocity": 3100.0,
+    "flight_path_angle": -9.0 * degree,
+    "heading": 88.0 * degree,
+}
+
+
+def other_law():
+    return Sampled(BankProfile(PolynomialProfile(jnp.array([0.6, 0.0001]))), PERIOD)
+
+
+def assert_same(a, b):
+    for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True):
+        np.testing.assert_allclose(x, y, rtol=1e-9, atol=1e-9, equal_nan=False)

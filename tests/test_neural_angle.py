@@ -11,13 +11,17 @@ import pytest
 from helpers import fly_compiled
 from neural_laws import (
     ANGLES,
+    MIDDLE,
     PERIOD,
     SOLVER,
+    assert_same,
     gliding_scenario_of,
     law_of,
     network_of,
+    other_law,
+    sensed,
+    state_at,
 )
-from test_neural_law import MIDDLE, other_law, same, sensed, state_at
 
 from jentry.guidance.neural_law import (
     ANGLE_INPUT,
@@ -80,7 +84,7 @@ def test_beyond_the_training_the_angle_of_attack_is_that_of_the_law_beside():
     )
     beside = law_of(never, beside=other_law(), angles=ANGLES)
     flown_by = lambda law: fly_compiled(gliding_scenario_of(law), SOLVER, None)
-    same(flown_by(beside).state, flown_by(other_law()).state)
+    assert_same(flown_by(beside).state, flown_by(other_law()).state)
     trusted = law_of(network, beside=other_law(), angles=ANGLES)
     alone = law_of(network, angles=ANGLES)
-    same(flown_by(trusted).state, flown_by(alone).state)
+    assert_same(flown_by(trusted).state, flown_by(alone).state)
