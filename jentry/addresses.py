@@ -6,6 +6,7 @@ line, configuration files and result files select it by the address of that leaf
 
 import dataclasses
 import difflib
+import functools
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 
@@ -35,10 +36,27 @@ def address_of(path: tuple) -> str:
     return ".".join(_step(key) for key in path)
 
 
+@functools.lru_cache(maxsize=64)
+def _addresses(structure: Any) -> tuple[str, ...]:
+    """Addresses of all leaves of pytrees of a structure, in their order."""
+    numbered = jtu.tree_unflatten(structure, range(structure.num_leaves))
+    paths, _ = jtu.tree_flatten_with_path(numbered)
+    return tuple(address_of(path) for path, _ in paths)
+
+
+@functools.lru_cache(maxsize=64)
+def _named(structure: Any, arrays: tuple[bool, ...]) -> PyTree:
+    """A pytree of a structure whose arrays are replaced by their addresses, and its other
+    leaves by None."""
+    named = zip(_addresses(structure), arrays, strict=True)
+    return jtu.tree_unflatten(structure, [a if known else None for a, known in named])
+
+
 def leaves_by_address(tree: PyTree) -> dict[str, Any]:
     """Every array leaf with its address, in the order of the tree."""
-    paths, _ = jtu.tree_flatten_with_path(tree)
-    return {address_of(path): leaf for path, leaf in paths if eqx.is_array(leaf)}
+    leaves, structure = jtu.tree_flatten(tree)
+    named = zip(_addresses(structure), leaves, strict=True)
+    return {address: leaf for address, leaf in named if eqx.is_array(leaf)}
 
 
 def modules_by_address(tree: PyTree) -> dict[str, eqx.Module]:
@@ -63,13 +81,12 @@ def addresses_of(tree: PyTree, where: Callable[[Any], Any]) -> list[str]:
 
     Raises `ValueError` if it selects none.
     """
-    names = jtu.tree_map_with_path(
-        lambda path, leaf: address_of(path) if eqx.is_array(leaf) else None, tree
-    )
-    named = where(names)
+    leaves, structure = jtu.tree_flatten(tree)
+    arrays = tuple(eqx.is_array(leaf) for leaf in leaves)
+    named = where(_named(structure, arrays))
     found = jax.tree.leaves(named)
-    known = leaves_by_address(tree)
-    if not found or any(name not in known for name in found):
+    known = dict(zip(_addresses(structure), arrays, strict=True))
+    if not found or not all(known.get(name, False) for name in found):
         raise ValueError(
             "a lens reaches no leaf: it must return a number of the scenario, such as "
             f"lambda s: s.planet.density_scale, and returned {named!r}"

@@ -58,6 +58,20 @@ def test_address_and_lens_name_the_same_leaf(scenario, address, where):
     assert leaves_by_address(scenario)[address] is where(scenario)
 
 
+def test_a_tree_of_the_same_structure_may_have_other_leaves():
+    """Addresses are kept from tree to tree of one structure."""
+    for middle in (jnp.ones(2), 3.0, jnp.zeros(())):
+        tree = {"a": [jnp.zeros(()), middle], "b": jnp.ones(3)}
+        is_leaf = isinstance(middle, jax.Array)
+        assert list(leaves_by_address(tree)) == ["a.0", *is_leaf * ["a.1"], "b"]
+        assert addresses_of(tree, lambda t: t["b"]) == ["b"]
+        if is_leaf:
+            assert addresses_of(tree, lambda t: t["a"][1]) == ["a.1"]
+        else:
+            with pytest.raises(ValueError, match="reaches no leaf"):
+                addresses_of(tree, lambda t: t["a"][1])
+
+
 def test_a_lens_may_reach_several_leaves(scenario):
     both = lambda s: (s.vehicle.lift_scale, s.vehicle.drag_scale)
     assert addresses_of(scenario, both) == ["vehicle.lift_scale", "vehicle.drag_scale"]
