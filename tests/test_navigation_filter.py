@@ -246,7 +246,7 @@ def test_the_axes_of_the_vehicle():
     up = np.array(sensed.place.to_planet(zero, zero, one))
     level = float(np.cos(actual.state.flight_path_angle))
     assert right @ up == pytest.approx(-np.sin(bank) * level)
-    drift = np.array(sensed.drift_in_planet(TURNING))
+    drift = np.array(sensed.axes.to_planet(*sensed.sensed_drift(TURNING)))
     expected = np.array(jax.tree.leaves(TURNING)) @ axes
     np.testing.assert_allclose(drift, expected, rtol=1e-12)
 

@@ -18,8 +18,15 @@ from ..motion.constraints import (
     constraint_values,
     integrals_of,
 )
-from ..motion.state import Controls
-from ..onboard.inertial import Actual, Navigated, in_equator, rate_in_equator
+from ..motion.dynamics import Motion
+from ..motion.state import Controls, EntryState
+from ..onboard.inertial import (
+    Actual,
+    Directions,
+    Navigated,
+    in_equator,
+    rate_in_equator,
+)
 from ..onboard.navigation import InertialNavigation
 from ..onboard.navigation_filter import Knowledge
 from ..world.tabulated import Excursion, beyond_edges, tables_in
@@ -170,7 +177,10 @@ def vector_field(scenario: Scenario, held: Any, aiding: Any = None):
         integrands = _integrands(scenario, moving, controls)
         turning = attitude.rate(moving.attitude, wish)
         navigated = _navigating(scenario, moving, controls, aiding)
-        return Moving(rate, turning, memory_rate, integrands, off, navigated)
+        directions = _directing(moving, rate, navigated)
+        return Moving(
+            rate, turning, memory_rate, integrands, off, navigated, directions
+        )
 
     return field
 
@@ -186,6 +196,16 @@ def _navigating(
     return rate if scenario.dynamics.has_crossrange else rate_in_equator(rate)
 
 
+def _directing(
+    moving: Moving, actual: Motion, navigated: Navigated | None
+) -> Directions | None:
+    """Rate of the sines and cosines, from those of the motion and of the navigation."""
+    if moving.directions is None or navigated is None:
+        return None
+    assert isinstance(actual, EntryState)  # the scenario has been checked
+    return moving.directions.rate(actual, navigated.state)
+
+
 def _actual(scenario: Scenario, moving: Moving, controls: Controls) -> Actual:
     return Actual(
         scenario.planet,
@@ -195,6 +215,7 @@ def _actual(scenario: Scenario, moving: Moving, controls: Controls) -> Actual:
         scenario.accelerometers,
         scenario.flow_sensors,
         scenario.angle_of_attack_error,
+        moving.directions,
     )
 
 

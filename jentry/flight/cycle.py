@@ -249,8 +249,8 @@ def _fixed_cycle(
 
     def step(lane: Lane, _: None) -> tuple[Lane, None]:
         bracket = lane.bracket
-        moving = solver.advance(field, lane.flown, bracket.trial, lane.moving)
-        moving = moving.renewed()
+        moving = lane.moving.in_step()
+        moving = solver.advance(field, lane.flown, bracket.trial, moving).renewed()
         flown = lane.flown + bracket.trial
         seen, refused = noted(scenario, lane, flown, moving)
 

@@ -13,7 +13,7 @@ from ..motion.constraints import (
 )
 from ..motion.state import EntryState
 from ..motion.vectors import VectorState
-from ..onboard.inertial import Navigated
+from ..onboard.inertial import Directions, Navigated
 from ..world.tabulated import Excursion
 
 
@@ -49,6 +49,8 @@ class Moving(eqx.Module):
     this costs less, and stops the flight"""
     navigated: Navigated | None = None
     """State of the navigation; None if it is perfect"""
+    directions: Directions | None = None
+    """Sines and cosines that the navigation needs, within a step; None between steps"""
 
     @property
     def state(self) -> EntryState:
@@ -56,11 +58,19 @@ class Moving(eqx.Module):
         motion = self.motion
         return motion if isinstance(motion, EntryState) else motion.entry_state
 
+    def in_step(self) -> "Moving":
+        """These quantities at the start of a step, with all that it integrates."""
+        if self.navigated is None:
+            return self
+        directions = Directions.of(self.state, self.navigated.state)
+        return dataclasses.replace(self, directions=directions)
+
     def renewed(self) -> "Moving":
         """These quantities after a step: see `VectorState.renewed`."""
-        if isinstance(self.motion, EntryState):
-            return self
-        return dataclasses.replace(self, motion=self.motion.renewed())
+        motion = self.motion
+        if isinstance(motion, VectorState):
+            motion = motion.renewed()
+        return dataclasses.replace(self, motion=motion, directions=None)
 
     @property
     def believed(self) -> EntryState:

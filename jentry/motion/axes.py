@@ -13,6 +13,9 @@ from .state import EntryState
 
 Components = tuple[Scalar, Scalar, Scalar]
 
+SineCosine = tuple[Scalar, Scalar]
+"""Sine and cosine of an angle"""
+
 
 class VelocityAxes(NamedTuple):
     """Axes along a velocity, above it in its vertical plane, and to its right."""

@@ -14,6 +14,7 @@ from .._math import sincos
 from ..fields import Flag, Scalar
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
+from .axes import SineCosine
 from .forces import aerodynamic_acceleration
 from .singularities import (
     SingularPoint,
@@ -157,6 +158,8 @@ def rates_under(
     above: Scalar | None = None,
     right: Scalar | None = None,
     rotation_rate: Scalar | None = None,
+    heading: SineCosine | None = None,
+    latitude: SineCosine | None = None,
 ) -> EntryState:
     """Time derivative of the state under gravity and a specific force, m/s2.
 
@@ -165,10 +168,11 @@ def rates_under(
     - `along`, `above`, `right`: components of the force with respect to the velocity, as
       in `aerodynamic_acceleration`. A component of None costs nothing; a zero would.
     - `rotation_rate`: rotation rate of the planet, rad/s. With None the planet is at rest.
+    - `heading`, `latitude`: sines and cosines of these angles where they are known.
     """
     sin_path, cos_path = sincos(state.flight_path_angle)
-    sin_heading, cos_heading = sincos(state.heading)
-    sin_latitude, cos_latitude = sincos(state.latitude)
+    sin_heading, cos_heading = heading or sincos(state.heading)
+    sin_latitude, cos_latitude = latitude or sincos(state.latitude)
     velocity = state.velocity
     radius = planet.radius + state.altitude
     # One division by each quantity, then products: these are eight times as fast.
@@ -201,16 +205,16 @@ def rates_under(
             * (sin_path * cos_latitude * cos_heading - cos_path * sin_latitude)
             + centrifugal * sin_latitude * sin_heading
         )
-    heading = turn * sin_latitude
+    turning = turn * sin_latitude
     if right is not None:
-        heading = right * (per_velocity * (1.0 / cos_path)) + heading
+        turning = right * (per_velocity * (1.0 / cos_path)) + turning
     return EntryState(
         altitude=velocity * sin_path,
         longitude=turn,
         latitude=ground_rate * cos_heading,
         velocity=along,
         flight_path_angle=above * per_velocity + ground_rate,
-        heading=heading,
+        heading=turning,
     )
 
 

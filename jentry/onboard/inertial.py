@@ -13,15 +13,17 @@ from typing import NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 
+from .._apart import apart
 from .._math import sincos
 from ..fields import Range, Scalar, scalar
-from ..motion.axes import Components, LocalAxes, VelocityAxes, cross
+from ..motion.axes import Components, LocalAxes, SineCosine, VelocityAxes, cross
 from ..motion.dynamics import rates_under
 from ..motion.forces import AirData, about_velocity, air_data, wind_at
 from ..motion.quantities import ground_track
 from ..motion.state import Controls, EntryState
 from ..world.planet import Planet
 from ..world.vehicle import Vehicle
+from ..world.wind import AbstractWind
 from .flow_sensing import FlowSensors
 from .measurement import AbstractAccelerometers, BodyAccelerometers, SpecificForce
 
@@ -39,6 +41,45 @@ class Navigated(eqx.Module):
     """Rotation from the actual axes of the vehicle to those that it believes, rad: its
     components along axes that turn with the planet. The first axis points from its centre
     to longitude zero on the equator, the third to the north pole"""
+
+
+class Directions(eqx.Module):
+    """Sines and cosines of angles of a flight with navigation, or their time derivatives.
+
+    Within a step they are integrated beside the angles. This takes less time than to
+    compute them in each stage. Their error is that of the step, and ends with it.
+    """
+
+    actual_longitude: SineCosine
+    longitude: SineCosine
+    """Believed, as the two below"""
+    latitude: SineCosine
+    heading: SineCosine
+
+    @classmethod
+    def of(cls, actual: EntryState, believed: EntryState) -> "Directions":
+        """The sines and cosines of two states."""
+        return cls(
+            sincos(actual.longitude),
+            sincos(believed.longitude),
+            sincos(believed.latitude),
+            sincos(believed.heading),
+        )
+
+    @apart
+    def rate(self, actual: EntryState, believed: EntryState) -> "Directions":
+        """Their time derivative, from those of the two states."""
+        return Directions(
+            _turning(self.actual_longitude, actual.longitude),
+            _turning(self.longitude, believed.longitude),
+            _turning(self.latitude, believed.latitude),
+            _turning(self.heading, believed.heading),
+        )
+
+
+def _turning(known: SineCosine, rate: Scalar) -> SineCosine:
+    sine, cosine = known
+    return cosine * rate, -sine * rate
 
 
 class KnowledgeError(eqx.Module):
@@ -95,6 +136,28 @@ class Actual(NamedTuple):
     flow_sensors: FlowSensors | None = None
     angle_of_attack_error: Scalar | None = None
     """Measured minus actual angle of attack, rad; None if there is none"""
+    directions: Directions | None = None
+    """Sines and cosines that are known; None if there are none"""
+
+
+class LiftAxes(NamedTuple):
+    """Axes along the velocity over the air, along the lift and to the right of both."""
+
+    state: EntryState
+    wind: AbstractWind
+    cos_bank: Scalar
+    sin_bank: Scalar
+    velocity: VelocityAxes
+    place: LocalAxes
+
+    def to_planet(
+        self, along: Scalar, lifted: Scalar, side: Scalar | float
+    ) -> Components:
+        """Components in axes of the planet of a vector in these axes."""
+        above = lifted * self.cos_bank - side * self.sin_bank
+        right = lifted * self.sin_bank + side * self.cos_bank
+        ahead = about_velocity(self.wind, self.state, along, above, right)
+        return self.place.to_planet(*self.velocity.to_local(*ahead))
 
 
 class BodyAxes(NamedTuple):
@@ -142,7 +205,12 @@ class Sensed(NamedTuple):
         state, angle = actual.state, actual.controls.angle_of_attack
         air = air_data(actual.planet, actual.vehicle, state, angle)
         force = actual.accelerometers.read(air, None)
-        return cls(actual, air, force, VelocityAxes.of(state), LocalAxes.of(state))
+        if actual.directions is None:
+            place = LocalAxes.of(state)
+        else:
+            longitude = actual.directions.actual_longitude
+            place = LocalAxes(*longitude, *sincos(state.latitude))
+        return cls(actual, air, force, VelocityAxes.of(state), place)
 
     def corrected(self, found: BodyAccelerometers) -> "Sensed":
         """What is sensed, less the errors of the accelerometers that have been found."""
@@ -155,28 +223,26 @@ class Sensed(NamedTuple):
         )
         return self._replace(force=force)
 
-    def in_planet(
-        self, along: Scalar, lifted: Scalar, side: Scalar | float
-    ) -> Components:
-        """Components in axes of the planet, from those along the velocity over the air,
-        along the lift and to the right of both."""
-        controls = self.actual.controls
-        above = lifted * controls.cos_bank - side * controls.sin_bank
-        right = lifted * controls.sin_bank + side * controls.cos_bank
-        state = self.actual.state
-        wind = wind_at(self.actual.planet, state)
-        ahead = about_velocity(wind, state, along, above, right)
-        return self.place.to_planet(*self.velocity.to_local(*ahead))
+    @property
+    def axes(self) -> LiftAxes:
+        """The axes in which forces are sensed."""
+        planet, state, controls = (
+            self.actual.planet,
+            self.actual.state,
+            self.actual.controls,
+        )
+        bank = controls.cos_bank, controls.sin_bank
+        return LiftAxes(state, wind_at(planet, state), *bank, self.velocity, self.place)
 
-    def force_in_planet(self) -> Components:
-        """The sensed specific force in axes of the planet, m/s2."""
+    def sensed_force(self) -> Components:
+        """The sensed specific force in these axes, m/s2."""
         lift, drag, side = self.force
-        return self.in_planet(-drag, lift, side)
+        return -drag, lift, jnp.asarray(side)
 
-    def drift_in_planet(self, drift: Gyroscopes) -> Components:
-        """The drift in axes of the planet, rad/s."""
+    def sensed_drift(self, drift: Gyroscopes) -> Components:
+        """The drift in these axes, rad/s."""
         sine, cosine = sincos(self.air.angle_of_attack)
-        return self.in_planet(
+        return (
             drift.drift_roll * cosine + drift.drift_yaw * sine,
             drift.drift_roll * sine - drift.drift_yaw * cosine,
             drift.drift_pitch,
@@ -186,18 +252,38 @@ class Sensed(NamedTuple):
         """The actual axes of the vehicle."""
         sine, cosine = sincos(self.air.angle_of_attack)
         nothing, one = jnp.zeros_like(sine), jnp.ones_like(sine)
+        axes = self.axes
         return BodyAxes(
-            forward=self.in_planet(cosine, sine, nothing),
-            right=self.in_planet(nothing, nothing, one),
-            down=self.in_planet(sine, -cosine, nothing),
+            forward=axes.to_planet(cosine, sine, nothing),
+            right=axes.to_planet(nothing, nothing, one),
+            down=axes.to_planet(sine, -cosine, nothing),
         )
 
 
-def believed_motion(planet: Planet, state: EntryState, force: Components) -> EntryState:
-    """Time derivative of a state under a specific force in axes of the planet, m/s2."""
-    here = LocalAxes.of(state).from_planet(*force)
-    ahead = VelocityAxes.of(state).from_local(*here)
-    return rates_under(planet, state, *ahead, rotation_rate=planet.rotation_rate)
+@apart
+def believed_motion(
+    planet: Planet,
+    state: EntryState,
+    force: Components,
+    directions: Directions | None = None,
+) -> EntryState:
+    """Time derivative of a state under a specific force in axes of the planet, m/s2.
+
+    `directions` are those of the state, where they are known.
+    """
+    if directions is None:
+        directions = Directions.of(state, state)
+    latitude, heading = directions.latitude, directions.heading
+    here = LocalAxes(*directions.longitude, *latitude).from_planet(*force)
+    course = VelocityAxes(*sincos(state.flight_path_angle), *heading)
+    return rates_under(
+        planet,
+        state,
+        *course.from_local(*here),
+        rotation_rate=planet.rotation_rate,
+        heading=heading,
+        latitude=latitude,
+    )
 
 
 def tilting(planet: Planet, drift: Components, tilt: Components) -> Components:

@@ -8,6 +8,7 @@ import equinox as eqx
 from .._math import sincos
 from ..fields import NOT_NEGATIVE, Scalar, scalar
 from ..motion.attitude import Swing
+from ..motion.axes import Components
 from ..motion.constraints import Constraints
 from ..motion.forces import AirData, air_data
 from ..motion.state import EntryState
@@ -117,20 +118,31 @@ class BodyAccelerometers(AbstractAccelerometers):
 
     def read(self, air: AirData, sampled_at: Scalar | None) -> SpecificForce:
         sine, cosine = sincos(air.angle_of_attack)
-        forward = air.lift * sine - air.drag * cosine
-        down = -air.lift * cosine - air.drag * sine
-        # What turned axes sense of a vector: it, less the turn times it.
-        off_forward = self.bias_forward + self.scale_error_forward * forward
-        off_forward -= self.misalignment_pitch * down
-        off_right = self.bias_right + self.misalignment_roll * down
-        off_right -= self.misalignment_yaw * forward
-        off_down = self.bias_down + self.scale_error_down * down
-        off_down += self.misalignment_pitch * forward
-        return SpecificForce(
-            lift=air.lift + off_forward * sine - off_down * cosine,
-            drag=air.drag - off_forward * cosine - off_down * sine,
-            side=off_right,
+
+        def seen(forward: Scalar, right: Scalar, down: Scalar) -> Components:
+            """Along the lift, against the drag and to the right."""
+            lift, drag = forward * sine - down * cosine, -forward * cosine - down * sine
+            return lift, drag, right
+
+        def off(forward: Scalar, down: Scalar) -> Components:
+            """What the instruments add to a force without their bias: turned axes sense
+            of a vector it, less the turn times it."""
+            return seen(
+                self.scale_error_forward * forward - self.misalignment_pitch * down,
+                self.misalignment_roll * down - self.misalignment_yaw * forward,
+                self.scale_error_down * down + self.misalignment_pitch * forward,
+            )
+
+        # The errors by a unit of lift and of drag change only with the angle of attack:
+        # where it is constant, the compiler computes them once.
+        biases = seen(self.bias_forward, self.bias_right, self.bias_down)
+        lift, drag, side = (
+            bias + by_lift * air.lift + by_drag * air.drag
+            for bias, by_lift, by_drag in zip(
+                biases, off(sine, -cosine), off(-cosine, -sine), strict=True
+            )
         )
+        return SpecificForce(air.lift + lift, air.drag + drag, side)
 
 
 def measure(

@@ -9,8 +9,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from .._apart import apart
 from ..fields import NOT_NEGATIVE, Flag, Scalar, scalar
-from ..motion.axes import cross
+from ..motion.axes import Components, cross
 from ..motion.state import EntryState
 from ..world.gravity import AbstractGravity
 from ..world.planet import Planet
@@ -18,6 +19,7 @@ from .inertial import (
     Actual,
     Gyroscopes,
     KnowledgeError,
+    LiftAxes,
     Navigated,
     Sensed,
     added,
@@ -201,8 +203,7 @@ class InertialNavigation(AbstractNavigation[Navigated]):
         due: Flag,
     ) -> tuple[Navigated, Aiding | None]:
         if self.noise is not None:
-            drawn = normal_sample(self.seed, at)
-            kicked = _kicked(self.noise, navigated, drawn)
+            kicked = _kicked(self.noise, navigated, self.seed, at)
             navigated = jax.tree.map(
                 lambda after, before: jnp.where(due, after, before), kicked, navigated
             )
@@ -220,11 +221,13 @@ class InertialNavigation(AbstractNavigation[Navigated]):
         if aiding is not None:
             sensed = sensed.corrected(aiding.accelerometers)
             drift = jax.tree.map(jnp.subtract, drift, aiding.gyroscopes)
-        force = sensed.force_in_planet()
-        believed = added(force, cross(navigated.tilt, force))
+        felt, turns = sensed.sensed_force(), sensed.sensed_drift(drift)
+        force, turning = _believed(sensed.axes, felt, turns, navigated.tilt)
         planet = self._known(actual.planet)
-        turning = tilting(planet, sensed.drift_in_planet(drift), navigated.tilt)
-        return Navigated(believed_motion(planet, navigated.state, believed), turning)
+        return Navigated(
+            believed_motion(planet, navigated.state, force, actual.directions),
+            tilting(planet, turning, navigated.tilt),
+        )
 
     def caveats(self, aiding: Aiding | None) -> dict[str, Scalar]:
         if self.filter is None or aiding is None:
@@ -251,10 +254,21 @@ class InertialNavigation(AbstractNavigation[Navigated]):
         return eqx.tree_at(lambda p: p.gravity, planet, self.gravity)
 
 
+@apart
+def _believed(
+    axes: LiftAxes, force: Components, drift: Components, tilt: Components
+) -> tuple[Components, Components]:
+    """Believed force and drift in axes of the planet, from those that are sensed."""
+    force = axes.to_planet(*force)
+    return added(force, cross(tilt, force)), axes.to_planet(*drift)
+
+
+@apart
 def _kicked(
-    noise: InertialNoise, navigated: Navigated, drawn: Callable[[int], Scalar]
+    noise: InertialNoise, navigated: Navigated, seed: Scalar, at: Scalar
 ) -> Navigated:
-    """The navigation after the noise of a cycle."""
+    """The navigation after the noise of a cycle, which ends at a time, s."""
+    drawn = normal_sample(seed, at)
     root = math.sqrt(noise.cycle)
     kick, turn = root * noise.velocity_random_walk, root * noise.angle_random_walk
     east, north, up = (

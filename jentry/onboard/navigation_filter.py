@@ -250,7 +250,7 @@ class NavigationFilter(eqx.Module):
                 return navigated, aiding
             given = planet, navigated, aiding, sensed
             taken = self._measured(*given, at, measures, drawn)
-            return self._corrected(navigated, aiding, taken)
+            return _corrected(navigated, aiding, taken)
 
         moves = due & (cycle % max(1, round(_LONGEST / self.cycle)) == 0)
         for made in measures.values():
@@ -308,9 +308,10 @@ class NavigationFilter(eqx.Module):
         def rates(known: Estimate) -> Navigated:
             # The vehicle turns what it senses by the axes that it believes.
             tilts = navigated.tilt, known.navigated.tilt
-            force = sensed.corrected(known.accelerometers).force_in_planet()
-            force = _turned(force, *tilts)
-            drift = _turned(sensed.drift_in_planet(known.gyroscopes), *tilts)
+            axes, felt = sensed.axes, sensed.corrected(known.accelerometers)
+            force = _turned(axes.to_planet(*felt.sensed_force()), *tilts)
+            drift = axes.to_planet(*sensed.sensed_drift(known.gyroscopes))
+            drift = _turned(drift, *tilts)
             turning = -drift[0], -drift[1], -drift[2]
             return Navigated(
                 believed_motion(planet, known.navigated.state, force),
@@ -342,31 +343,6 @@ class NavigationFilter(eqx.Module):
         )
         return jnp.square(jnp.stack([nothing, nothing, nothing, *sizes]))
 
-    def _corrected(
-        self, navigated: Navigated, aiding: Aiding, taken: MeasuredValue
-    ) -> tuple[Navigated, Aiding]:
-        """Navigation and filter after the measured values."""
-        covariance, shift, rejected = aiding.covariance.corrected(taken)
-        # The correction of the tilt adds to the actual one, of which a part remains.
-        known = Estimate(navigated, aiding.accelerometers, aiding.gyroscopes)
-        before, rebuilt = ravel_pytree(known)
-        after = rebuilt(before + shift)
-        made, refused = dict(aiding.measured), dict(aiding.rejected)
-        for place, name in enumerate(self.sensors):
-            own = slice(MOST_VALUES * place, MOST_VALUES * (place + 1))
-            made[name] = made[name] + jnp.sum(jnp.where(taken.made[own], 1.0, 0.0))
-            refused[name] = refused[name] + jnp.sum(rejected[own])
-        held = Aiding(
-            after.accelerometers,
-            after.gyroscopes,
-            covariance,
-            aiding.slopes,
-            aiding.updated_at,
-            made,
-            refused,
-        )
-        return after.navigated, held
-
     def _measured(
         self,
         planet: Planet,
@@ -376,11 +352,8 @@ class NavigationFilter(eqx.Module):
         at: Scalar,
         measures: Mapping[str, Flag],
         drawn: Callable[[int], Scalar],
-    ) -> MeasuredValue:
-        """The values of all sensors, `MOST_VALUES` of each, in their order.
-
-        `measures` says which of them measure.
-        """
+    ) -> dict[str, list[MeasuredValue]]:
+        """The values of each sensor; `measures` says which of them measure."""
         known, axes = _estimate(navigated, aiding), sensed.body_axes()
         angle, error = sensed.air.angle_of_attack, sensed.actual.angle_of_attack_error
         angle = angle if error is None else angle + error
@@ -404,10 +377,7 @@ class NavigationFilter(eqx.Module):
                 )
             made = measures[name]
             rows = derivatives(lambda known: sensor.expected(believed(known)), known)
-            empty = MeasuredValue(
-                0.0 * at, 0.0 * rows[0], 1.0 + 0.0 * at, sensor.gate, made & False
-            )
-            full = [
+            return [
                 MeasuredValue(
                     jnp.where(made, measured[i] - expected[i], 0.0),
                     jnp.where(made, rows[i], 0.0),
@@ -417,14 +387,41 @@ class NavigationFilter(eqx.Module):
                 )
                 for i in range(len(measured))
             ]
-            return full + (MOST_VALUES - len(full)) * [empty]
 
-        each = [v for i, name in enumerate(self.sensors) for v in values(name, i)]
-        return jax.tree.map(lambda *x: jnp.stack(x), *each)
+        return {name: values(name, i) for i, name in enumerate(self.sensors)}
 
 
 _FIRST_AXIS = 11
 """First noise axis, after those of the inertial noise: the noise differs for equal seeds"""
+
+
+def _corrected(
+    navigated: Navigated, aiding: Aiding, taken: Mapping[str, list[MeasuredValue]]
+) -> tuple[Navigated, Aiding]:
+    """Navigation and filter after the measured values of each sensor."""
+    values = [value for own in taken.values() for value in own]
+    together = jax.tree.map(lambda *x: jnp.stack(x), *values)
+    covariance, shift, rejected = aiding.covariance.corrected(together)
+    # The correction of the tilt adds to the actual one, of which a part remains.
+    known = Estimate(navigated, aiding.accelerometers, aiding.gyroscopes)
+    before, rebuilt = ravel_pytree(known)
+    after = rebuilt(before + shift)
+    made, refused = dict(aiding.measured), dict(aiding.rejected)
+    first = 0
+    for name, own in taken.items():
+        made[name] = made[name] + sum(jnp.where(value.made, 1.0, 0.0) for value in own)
+        refused[name] = refused[name] + jnp.sum(rejected[first : first + len(own)])
+        first = first + len(own)
+    held = Aiding(
+        after.accelerometers,
+        after.gyroscopes,
+        covariance,
+        aiding.slopes,
+        aiding.updated_at,
+        made,
+        refused,
+    )
+    return after.navigated, held
 
 
 def _level(navigated: Navigated) -> Navigated:
