@@ -226,13 +226,10 @@ class Sensed(NamedTuple):
     @property
     def axes(self) -> LiftAxes:
         """The axes in which forces are sensed."""
-        planet, state, controls = (
-            self.actual.planet,
-            self.actual.state,
-            self.actual.controls,
-        )
+        state, controls = self.actual.state, self.actual.controls
         bank = controls.cos_bank, controls.sin_bank
-        return LiftAxes(state, wind_at(planet, state), *bank, self.velocity, self.place)
+        wind = wind_at(self.actual.planet, state)
+        return LiftAxes(state, wind, *bank, self.velocity, self.place)
 
     def sensed_force(self) -> Components:
         """The sensed specific force in these axes, m/s2."""

@@ -120,7 +120,7 @@ class BodyAccelerometers(AbstractAccelerometers):
         sine, cosine = sincos(air.angle_of_attack)
 
         def seen(forward: Scalar, right: Scalar, down: Scalar) -> Components:
-            """Along the lift, against the drag and to the right."""
+            """Components along the lift, along the drag and to the right."""
             lift, drag = forward * sine - down * cosine, -forward * cosine - down * sine
             return lift, drag, right
 
