@@ -85,8 +85,8 @@ def addresses_of(tree: PyTree, where: Callable[[Any], Any]) -> list[str]:
     arrays = tuple(eqx.is_array(leaf) for leaf in leaves)
     named = where(_named(structure, arrays))
     found = jax.tree.leaves(named)
-    known = dict(zip(_addresses(structure), arrays, strict=True))
-    if not found or not all(known.get(name, False) for name in found):
+    known = _addresses(structure)
+    if not found or any(name not in known for name in found):
         raise ValueError(
             "a lens reaches no leaf: it must return a number of the scenario, such as "
             f"lambda s: s.planet.density_scale, and returned {named!r}"

@@ -392,6 +392,29 @@ def test_an_outlier_is_rejected_and_counted():
     assert float(held.measured["altimeter"]) == 1.0
 
 
+def test_rejected_values_are_counted_for_their_sensor():
+    far = 100 * km
+    for off, rejected in (
+        ({"altimeter": dataclasses.replace(ALTIMETER, bias=far)}, (1.0, 0.0)),
+        ({"terrain": dataclasses.replace(TERRAIN, bias_east=far)}, (0.0, 1.0)),
+        ({"terrain": dataclasses.replace(TERRAIN, bias_north=far)}, (0.0, 1.0)),
+    ):
+        sensors = {"altimeter": ALTIMETER, "terrain": TERRAIN} | off
+        _, (_, held) = updated(aided(sensors), 2.0)
+        assert (held.rejected["altimeter"], held.rejected["terrain"]) == rejected, off
+
+
+def test_sensors_that_are_alike_have_noise_of_their_own():
+    """The filter takes the mean of two measurements that it knows to be good."""
+    alike = Altimeter(200.0, 60 * km, cycle=1.0, assumed=0.1, gate=1e9)
+    for at in range(1, 6):
+        known = []
+        for sensors in ({"a": alike}, {"a": alike, "b": alike}):
+            _, (after, _) = updated(aided(sensors), float(at))
+            known.append(float(after.state.altitude))
+        assert abs(known[1] - known[0]) > 1.0, at
+
+
 def test_a_sensor_measures_at_its_own_times_and_places():
     for at, altitude, count in ((1.0, 30.0, 0), (2.0, 30.0, 2), (2.0, 61.0, 0)):
         _, (_, held) = updated(aided({"terrain": TERRAIN}), at, altitude * km)
